@@ -1,0 +1,213 @@
+"""The processes backend: workers on this machine, connected by pipes; a lost worker is replaced and its work done again.
+
+Own processes rather than a `ProcessPoolExecutor`, which breaks as a whole when one worker is killed and outlives a killed
+parent. Workers are started as a module, so a caller's script needs no `__main__` guard.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import socket
+import subprocess
+import sys
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+import cloudpickle
+
+from shes.backends.backend import Backend, WorkerFactory
+from shes.errors import WorkerError
+
+__all__ = ["ProcessesBackend"]
+
+MAX_LOSSES = 3
+"""A task whose workers died this many times, or this many workers dying in a row before any work, ends the run."""
+_ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
+)
+
+
+class _Process:
+    """A worker process and what it has been given."""
+
+    def __init__(self, factory: bytes) -> None:
+        ours, theirs = socket.socketpair()
+        read_end, self._lifeline = os.pipe()
+        module = [sys.executable, "-m", "shes.backends.process_worker"]
+        arguments = [str(theirs.fileno()), str(read_end), str(os.getpid())]
+        # The same import path as here, so that a worker finds the classes that its tasks are made of.
+        path = os.pathsep.join(entry for entry in sys.path if entry)
+        self.popen = subprocess.Popen(
+            [*module, *arguments],
+            pass_fds=(theirs.fileno(), read_end),
+            env={**os.environ, **_ONE_THREAD, "PYTHONPATH": path},
+            stdin=subprocess.DEVNULL,
+        )
+        theirs.close()
+        os.close(read_end)
+        self.connection = Connection(ours.detach())
+        self.tasks: dict[int, None] = {}  # numbers at work, in the order they were given
+        self.is_running = False
+        self.connection.send_bytes(factory)
+
+    def end(self) -> None:
+        """End the process, at once."""
+        self.popen.kill()
+        self.connection.close()
+        os.close(self._lifeline)
+        self.popen.wait()
+
+
+class ProcessesBackend(Backend):
+    """`num_workers` processes on this machine, one thread each."""
+
+    def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
+        """Start the processes; each makes its worker by `factory`, which is pickled by cloudpickle."""
+        self.num_workers = num_workers
+        self._factory: bytes = cloudpickle.dumps(factory)
+        self._state: bytes | None = None
+        self._events: list[str] = []
+        self._deaths_in_a_row = 0
+        self._processes: list[_Process] = []
+        self._start_missing()
+
+    def broadcast(self, state: Any) -> None:
+        """Give `state` to every worker; workers that replace lost ones get it too."""
+        self._state = pickle.dumps(state, protocol=pickle.HIGHEST_PROTOCOL)
+        self._start_missing()
+        for process in list(self._processes):
+            self._send(process, ("state", self._state))
+
+    def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
+        """Yield the result of every task, in order."""
+        run = _Run(tasks, share=max(1, -(-len(tasks) // self.num_workers)))
+        is_finished = False
+        try:
+            self._start_missing()
+            for process in self._processes:
+                self._start_run(process, run)
+            due = 0
+            while due < len(tasks):
+                self._serve(run)
+                while due in run.results:
+                    yield run.results.pop(due)
+                    due += 1
+            while any(process.is_running for process in self._processes):
+                self._serve(run)
+            is_finished = True
+        finally:
+            if not is_finished:  # a worker raised, or the caller stopped listening: what they still do is of no use
+                self._end_all()
+
+    def take_events(self) -> list[str]:
+        """Return, once, which workers were lost and replaced since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def close(self) -> None:
+        """End every worker."""
+        self._end_all()
+
+    def pids(self) -> list[int]:
+        """Return the process numbers of the workers."""
+        return [process.popen.pid for process in self._processes]
+
+    def _start_missing(self) -> None:
+        while len(self._processes) < self.num_workers:
+            self._processes.append(_Process(self._factory))
+
+    def _start_run(self, process: _Process, run: _Run) -> None:
+        process.is_running = True
+        self._send(process, ("run", run.share))
+
+    def _serve(self, run: _Run) -> None:
+        """Wait for messages and answer them."""
+        connections = {process.connection: process for process in self._processes}
+        for connection in wait(list(connections)):
+            process = connections[connection]  # type: ignore[index] - wait returns what it was given
+            try:
+                message = process.connection.recv()
+            except (EOFError, OSError):
+                self._replace(process, run)
+            else:
+                self._answer(process, message, run)
+
+    def _answer(self, process: _Process, message: tuple[Any, ...], run: _Run) -> None:
+        kind, *content = message
+        if kind == "want":
+            if run.queue:
+                number = run.queue.popleft()
+                process.tasks[number] = None
+                self._send(process, ("task", number, run.payload(number)))
+            else:
+                self._send(process, ("end",))
+        elif kind == "result":
+            number, result = content
+            process.tasks.pop(number)
+            run.results[number] = result
+            self._deaths_in_a_row = 0
+        elif kind == "done":
+            process.is_running = False
+        elif kind == "refused":
+            raise content[0]
+        elif kind == "failed":
+            at_work = ", ".join(repr(run.tasks[number]) for number in list(process.tasks)[:3])
+            raise WorkerError(f"a worker failed while at work on {at_work or 'nothing yet'}:\n{content[0]}")
+
+    def _replace(self, process: _Process, run: _Run) -> None:
+        """Start a worker in place of one that died, and put its tasks back, in front."""
+        self._processes.remove(process)
+        process.end()
+        lost = list(process.tasks)
+        run.queue.extendleft(reversed(lost))
+        run.losses.update(lost)
+        self._deaths_in_a_row += 1
+        code = process.popen.returncode
+        self._events.append(f"worker {process.popen.pid} died (exit code {code}); {len(lost)} tasks are done again")
+        worst = max(run.losses.values(), default=0)
+        if worst >= MAX_LOSSES or self._deaths_in_a_row >= MAX_LOSSES * self.num_workers:
+            raise WorkerError(
+                f"workers keep dying (exit code {code}) {f'on the same task, {worst} times' if worst else 'at once'}. "
+                "Exit code -9 usually means that memory ran out: lower --workers or --chunk-size. "
+                "Everything up to the last checkpoint is kept."
+            )
+        replacement = _Process(self._factory)
+        self._processes.append(replacement)
+        if self._state is not None:
+            self._send(replacement, ("state", self._state))
+        for idle in self._processes:
+            if not idle.is_running:
+                self._start_run(idle, run)
+
+    @staticmethod
+    def _send(process: _Process, message: tuple[Any, ...]) -> None:
+        """Send a message; that a worker is gone shows when it is next read from."""
+        try:
+            process.connection.send(message)
+        except OSError:
+            pass
+
+    def _end_all(self) -> None:
+        processes, self._processes = self._processes, []
+        for process in processes:
+            process.popen.kill()
+        for process in processes:
+            process.end()
+
+
+class _Run:
+    """One map under way."""
+
+    def __init__(self, tasks: Sequence[Any], share: int) -> None:
+        self.tasks = tasks
+        self.share = share
+        self.queue: deque[int] = deque(range(len(tasks)))
+        self.results: dict[int, Any] = {}
+        self.losses: Counter[int] = Counter()
+
+    def payload(self, number: int) -> bytes:
+        """Return a task as its worker unpickles it."""
+        return pickle.dumps(self.tasks[number], protocol=pickle.HIGHEST_PROTOCOL)

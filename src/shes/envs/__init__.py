@@ -1,0 +1,1 @@
+"""Environments: robots, worlds, and one file per task, batched over episodes."""

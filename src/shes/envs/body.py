@@ -1,0 +1,42 @@
+"""What a robot is to a task: how it is built, where it is, which way it looks, when it has fallen."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import mujoco
+
+from shes.types import BoolArray, F64Array
+
+__all__ = ["Body"]
+
+
+class Body(ABC):
+    """A robot. Its coordinates come first in the model's qpos and qvel."""
+
+    name: ClassVar[str]
+    num_qpos: ClassVar[int]
+    num_qvel: ClassVar[int]
+    num_controls: ClassVar[int]
+    control_limit: ClassVar[float]
+    """Controls lie in [-control_limit, control_limit]."""
+    quaternion: ClassVar[slice | None]
+    """Where the torso's unit quaternion stands in qpos, if there is one."""
+
+    @abstractmethod
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Add the robot and its actuators to `spec`, at the origin."""
+
+    @abstractmethod
+    def heading(self, qpos: F64Array) -> F64Array:
+        """Return the yaw [N] in radians of robots at `qpos` [N, num_qpos]."""
+
+    @abstractmethod
+    def fallen(self, qpos: F64Array) -> BoolArray:
+        """Return whether robots at `qpos` [N, num_qpos] have fallen over [N]."""
+
+    def position(self, qpos: F64Array) -> F64Array:
+        """Return the place [N, 2] in metres of robots at `qpos` [N, num_qpos]: a view."""
+        return qpos[..., :2]
+

@@ -1,0 +1,149 @@
+"""Gather: collect food, leave poison. Source: environment specification, Tasks and Gather details (`spec="shes"`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from shes.envs.body import Body
+from shes.envs.task import TIME_SCALE, VELOCITY_CLIP, SimulatorFactory, Task, TaskOptions
+from shes.envs.worlds import GATHER, add_walls, empty_world
+from shes.sim.cpu import CpuSimulator
+from shes.types import BoolArray, F64Array, IntArray
+
+__all__ = ["Gather"]
+
+NUM_OBJECTS = 8
+"""Objects of each kind: food, poison."""
+ACTIVITY_RANGE_M = 10.0
+"""Objects lie in the square of this half width."""
+FREE_RADIUS_M = 2.0
+"""No object lies nearer to the origin than this."""
+CATCH_RANGE_M = 1.0
+SENSOR_RANGE_M = 8.0
+NUM_BINS = 10
+"""Sensor bins of each kind over the full circle; bin 0 starts behind the robot."""
+VALUES = np.array([1.0, -1.0])
+"""Reward of an object of each kind."""
+
+
+class Gather(Task):
+    """Eight pieces of food (+1) and eight of poison (-1) between walls at 12 m.
+
+    Observation: the robot's qpos and clipped qvel, 10 food and 10 poison readings, control steps times 0.001.
+    Ends early only when the robot falls over. Score: the highest running return, at least 0.
+    """
+
+    name: ClassVar[str] = "gather"
+
+    def __init__(
+        self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
+    ) -> None:
+        """Build the arena for `body` and `num_episodes` simulations of it."""
+        super().__init__(body, num_episodes, options, simulator)
+        n = num_episodes
+        self.objects: F64Array = np.zeros((n, 2, NUM_OBJECTS, 2))
+        """Places [N, kind, object, xy] in metres: kind 0 is food, kind 1 poison."""
+        self.present: BoolArray = np.zeros((n, 2, NUM_OBJECTS), dtype=np.bool_)
+        """Which objects have not been collected [N, kind, object]."""
+        self._best_return: F64Array = np.zeros(n)
+        self._offset: F64Array = np.zeros_like(self.objects)
+        self._squared_distance: F64Array = np.zeros(self.present.shape)
+        self._observation: F64Array = np.zeros((n, self.observation_size))
+
+    @classmethod
+    def build_model(cls, body: Body, options: TaskOptions) -> mujoco.MjModel:
+        """Return the arena: a free square of 24 m between walls; objects are not geoms."""
+        spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
+        add_walls(spec, GATHER)
+        body.add_to(spec)
+        return spec.compile()
+
+    @property
+    def observation_size(self) -> int:
+        """qpos, qvel, two kinds of readings, time."""
+        return self.body.num_qpos + self.body.num_qvel + 2 * NUM_BINS + 1
+
+    @property
+    def terminated(self) -> BoolArray:
+        """Whether the robot has fallen [N]. Collecting everything does not end an episode."""
+        return self.body.fallen(self.sim.qpos)
+
+    @property
+    def score(self) -> F64Array:
+        """Highest running return in the episode, at least 0 [N]; 0 after a divergence."""
+        return self._best_return * ~self.sim.diverged
+
+    @property
+    def success(self) -> BoolArray:
+        """Whether the score is above 0 [N]: more food than poison at some time."""
+        return self.score > 0
+
+    @property
+    def food(self) -> IntArray:
+        """Pieces of food collected [N]."""
+        return NUM_OBJECTS - self.present[:, 0].sum(axis=1)
+
+    @property
+    def poison(self) -> IntArray:
+        """Pieces of poison collected [N]."""
+        return NUM_OBJECTS - self.present[:, 1].sum(axis=1)
+
+    def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        for i, rng in zip(ids, rngs, strict=True):
+            self.objects[i] = _draw_places(rng, 2 * NUM_OBJECTS).reshape(2, NUM_OBJECTS, 2)
+        self.present[ids] = True
+        self._best_return[ids] = 0
+        self._measure()
+
+    def _measure(self) -> None:
+        """Measure from the robots to the objects."""
+        np.subtract(self.objects, self.position[:, None, None, :], out=self._offset)
+        np.einsum("nkoi,nkoi->nko", self._offset, self._offset, out=self._squared_distance)
+
+    def _update_features(self) -> F64Array:
+        self._measure()
+        caught = self.present & (self._squared_distance < CATCH_RANGE_M**2)
+        reward = np.zeros(self.num_episodes)
+        if caught.any():
+            caught &= ~self.sim.diverged[:, None, None]
+            self.present ^= caught
+            reward = caught.sum(axis=2) @ VALUES
+            np.maximum(self._best_return, self.running_return + reward, out=self._best_return)
+        return reward
+
+    def observe(self) -> F64Array:
+        """Return robot, readings after this step's pickups, and time [N, O]."""
+        nq, nv = self.body.num_qpos, self.body.num_qvel
+        out = self._observation
+        out[:, :nq] = self.sim.qpos
+        np.clip(self.sim.qvel, -VELOCITY_CLIP, VELOCITY_CLIP, out=out[:, nq : nq + nv])
+        out[:, nq + nv : -1] = self._readings()
+        np.multiply(self.time, TIME_SCALE, out=out[:, -1])
+        return out
+
+    def _readings(self) -> F64Array:
+        """Return `1 - d^2 / range^2` of the nearest object in each bin [N, kind * bin], 0 where there is none."""
+        intensity = 1 - self._squared_distance / SENSOR_RANGE_M**2
+        intensity *= self.present
+        bearing = np.arctan2(self._offset[..., 1], self._offset[..., 0])
+        bearing -= self.heading[:, None, None]
+        turn = bearing / (2 * np.pi) + 0.5
+        turn -= np.floor(turn)
+        bins = np.minimum((turn * NUM_BINS).astype(np.intp), NUM_BINS - 1)
+        bins += NUM_BINS * np.arange(2 * self.num_episodes).reshape(-1, 2, 1)
+        readings = np.zeros(2 * self.num_episodes * NUM_BINS)
+        np.maximum.at(readings, bins.ravel(), intensity.ravel())
+        return readings.reshape(self.num_episodes, 2 * NUM_BINS)
+
+
+def _draw_places(rng: np.random.Generator, count: int) -> F64Array:
+    """Draw `count` places [count, 2] uniform in the activity square, outside the free radius."""
+    places = np.empty((0, 2))
+    while len(places) < count:
+        drawn = rng.uniform(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, (2 * count, 2))
+        places = np.concatenate([places, drawn[(drawn**2).sum(axis=1) >= FREE_RADIUS_M**2]])
+    return places[:count]

@@ -1,0 +1,183 @@
+"""The Task contract: an environment over a batch of N episodes, written once for training, evaluation and Gymnasium.
+
+Source: environment specification, Common and Tasks. A task owns its simulator; nothing here loops over episodes except a
+reset, where every episode draws from its own seed.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from shes.envs.body import Body
+from shes.envs.worlds import INTEGRATORS
+from shes.errors import ConfigError, UnknownNameError
+from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import Simulator
+from shes.types import BoolArray, F64Array, FloatArray, IntArray
+
+__all__ = ["DEFAULT_HORIZON", "FRAME_SKIP", "VELOCITY_CLIP", "SimulatorFactory", "Task", "TaskOptions"]
+
+FRAME_SKIP = 5
+"""Physics steps per control step: 0.1 s."""
+DEFAULT_HORIZON = 500
+"""Control steps after which an episode is over (the caller counts them)."""
+VELOCITY_CLIP = 10.0
+"""Generalised velocities are observed clipped to this, in m/s and rad/s."""
+TIME_SCALE = 0.001
+"""Control steps are observed times this."""
+
+SimulatorFactory = Callable[[mujoco.MjModel, int], Simulator]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions:
+    """What may differ between two uses of one task."""
+
+    integrator: str = "euler"
+    """`euler` (as the SHES environments stepped), `rk4` or `implicitfast`."""
+    reset_noise: float = 0.1
+    """Half width of the uniform noise on qpos, standard deviation of the normal noise on qvel, at a reset."""
+    evaluation: bool = False
+    """Whether evaluation's targets are used in place of training's, where the task has targets."""
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            ConfigError: `reset_noise` is negative.
+            UnknownNameError: `integrator` is not one of `INTEGRATORS`.
+        """
+        if self.integrator not in INTEGRATORS:
+            raise UnknownNameError("integrator", self.integrator, INTEGRATORS, "Set --integrator.")
+        if not 0 <= self.reset_noise < 1:
+            raise ConfigError(f"reset_noise must be in [0, 1), got {self.reset_noise}. Set --reset-noise.")
+
+
+class Task(ABC):
+    """N episodes of one task. Arrays are live and belong to the task: copy what must outlast the next step."""
+
+    name: ClassVar[str]
+    """Name without the body: `gather`."""
+
+    def __init__(
+        self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
+    ) -> None:
+        """Build the world for `body` and `num_episodes` simulations of it."""
+        self.body = body
+        self.options = options
+        self.num_episodes = num_episodes
+        self.sim = simulator(self.build_model(body, options), num_episodes)
+        self.time = np.zeros(num_episodes, dtype=np.int64)
+        self.reward: F64Array = np.zeros(num_episodes)
+        """Reward of the last step [N]; 0 where the simulation diverged."""
+        self.running_return: F64Array = np.zeros(num_episodes)
+        """Sum of the rewards since the reset [N]."""
+
+    @classmethod
+    @abstractmethod
+    def build_model(cls, body: Body, options: TaskOptions) -> mujoco.MjModel:
+        """Return the compiled world with `body` in it."""
+
+    @property
+    @abstractmethod
+    def observation_size(self) -> int:
+        """Number of observed values, O."""
+
+    @property
+    @abstractmethod
+    def score(self) -> F64Array:
+        """The task's test score so far [N]; 0 where the simulation diverged."""
+
+    @property
+    @abstractmethod
+    def success(self) -> BoolArray:
+        """Whether the episode counts as solved so far [N]."""
+
+    @abstractmethod
+    def observe(self) -> F64Array:
+        """Return what is observed now [N, O]: a live array, rewritten by the next call."""
+
+    @abstractmethod
+    def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        """Draw what belongs to the task (targets, objects) for episodes `ids`."""
+
+    @abstractmethod
+    def _update_features(self) -> F64Array:
+        """Update the task after a step and return the reward [N], before the diverged ones are taken out."""
+
+    @property
+    def action_size(self) -> int:
+        """Number of controls, A."""
+        return self.body.num_controls
+
+    @property
+    def control_limit(self) -> float:
+        """Controls lie in [-control_limit, control_limit]."""
+        return self.body.control_limit
+
+    @property
+    def proprioception(self) -> IntArray:
+        """Indices in the observation of the robot's own qpos and qvel, in that order."""
+        robot = self.body
+        velocity = self.sim.qpos.shape[1] + np.arange(robot.num_qvel)
+        return np.concatenate([np.arange(robot.num_qpos), velocity])
+
+    @property
+    def position(self) -> F64Array:
+        """Place of the robot [N, 2] in metres."""
+        return self.body.position(self.sim.qpos)
+
+    @property
+    def heading(self) -> F64Array:
+        """Yaw of the robot [N] in radians."""
+        return self.body.heading(self.sim.qpos)
+
+    @property
+    def terminated(self) -> BoolArray:
+        """Whether the episode has ended by the task's own rule [N]; never by the time limit."""
+        return np.zeros(self.num_episodes, dtype=np.bool_)
+
+    @property
+    def diverged(self) -> BoolArray:
+        """Whether the physics blew up since the reset [N]: the episode ends there and does not score."""
+        return self.sim.diverged
+
+    def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
+        """Start episodes `ids` anew, each from its own seed (a non-negative integer)."""
+        self.sim.reset(ids)
+        rngs = [np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed), spawn_key=(0,)))) for seed in seeds]
+        for i, rng in zip(ids, rngs, strict=True):
+            self._place_robot(int(i), rng)
+        self.time[ids] = 0
+        self.reward[ids] = 0
+        self.running_return[ids] = 0
+        self._reset_features(ids, rngs)
+
+    def step(self, ids: IntArray, action: FloatArray) -> None:
+        """Apply `action` [N, A] in control units for one control step of episodes `ids` (sorted, unique).
+
+        Rows that are not in `ids` do not move; what is computed for them means nothing.
+        """
+        self.sim.ctrl[:] = action
+        self.sim.step(ids, FRAME_SKIP)
+        self.time += 1
+        np.multiply(self._update_features(), ~self.sim.diverged, out=self.reward)
+        self.running_return += self.reward
+
+    def _place_robot(self, i: int, rng: np.random.Generator) -> None:
+        """Put the robot of episode `i` into its default pose plus reset noise; blocks stay exactly in place."""
+        noise = self.options.reset_noise
+        if not noise:
+            return
+        robot = self.body
+        self.sim.qpos[i, : robot.num_qpos] += rng.uniform(-noise, noise, robot.num_qpos)
+        self.sim.qvel[i, : robot.num_qvel] += rng.normal(0, noise, robot.num_qvel)
+        if robot.quaternion is not None:
+            quaternion = self.sim.qpos[i, robot.quaternion]
+            quaternion /= np.linalg.norm(quaternion)

@@ -1,0 +1,133 @@
+"""The noise table: one file of standard normals, memory-mapped and shared by every process of a machine.
+
+A perturbation travels as one integer, the start of a slice; its vector never leaves the machine (Salimans et al. 2017,
+section 2.1; SHES paper II-A). The file is built once from its seed, atomically, and cached between runs.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from shes.errors import ConfigError, StorageError
+from shes.types import F32Array
+
+__all__ = ["NOISE_SEED", "NoiseTable", "default_cache_dir"]
+
+NOISE_SEED = 123
+"""Seed of the table (algorithm specification section 4; the authors' code)."""
+_FORMAT = 1  # raise when the way the numbers are drawn changes: another file, never a silent change of results
+_BLOCK = 1 << 20  # normals drawn at a time; each block has its own stream, so any block can be checked alone
+_CHECKED = 4096  # normals compared when a cached file is opened
+
+
+def default_cache_dir() -> Path:
+    """Return `$SHES_CACHE_DIR`, else `$XDG_CACHE_HOME/shes`, else `~/.cache/shes`."""
+    if own := os.environ.get("SHES_CACHE_DIR"):
+        return Path(own)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "shes"
+
+
+def _block(seed: int, number: int, length: int) -> F32Array:
+    """Return the first `length` normals of block `number`."""
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(number,))))
+    return rng.standard_normal(length, dtype=np.float32)
+
+
+class NoiseTable:
+    """Read-only view of `size` float32 standard normals in a memory-mapped file."""
+
+    def __init__(self, values: F32Array, path: Path | None = None) -> None:
+        """Wrap `values` [size]; use `NoiseTable.open` for the shared file."""
+        self.values = values
+        self.path = path
+
+    @property
+    def size(self) -> int:
+        """Number of normals in the table."""
+        return int(self.values.shape[0])
+
+    def slice(self, index: int, dim: int) -> F32Array:
+        """Return the noise vector [dim] that starts at `index`: a view, not a copy."""
+        return self.values[index : index + dim]
+
+    def check_dim(self, dim: int) -> None:
+        """Refuse a table too short for vectors of `dim` parameters.
+
+        Raises:
+            ConfigError: The table holds fewer than `2 * dim` normals.
+        """
+        if self.size < 2 * dim:
+            raise ConfigError(
+                f"noise_table_size is {self.size:,}, but a level has {dim:,} parameters and needs at least "
+                f"{2 * dim:,}. Raise --noise-table-size."
+            )
+
+    @classmethod
+    def open(cls, size: int, seed: int = NOISE_SEED, directory: Path | None = None) -> NoiseTable:
+        """Open the cached table of `size` normals from `seed`, building its file first where it is missing.
+
+        The file is written beside its place and renamed into it, so no process ever sees half a table.
+
+        Raises:
+            ConfigError: `size` is not positive.
+            StorageError: The cache folder cannot be written.
+        """
+        if size <= 0:
+            raise ConfigError(f"noise_table_size must be positive, got {size}. Set --noise-table-size.")
+        directory = default_cache_dir() if directory is None else directory
+        path = directory / f"noise-v{_FORMAT}-{size}-{seed}.f32"
+        if not cls._is_intact(path, size, seed):
+            cls._build(path, size, seed)
+        return cls.open_file(path)
+
+    @classmethod
+    def open_file(cls, path: Path) -> NoiseTable:
+        """Map an existing table file, as worker processes do.
+
+        Raises:
+            StorageError: The file is missing.
+        """
+        try:
+            return cls(np.memmap(path, dtype=np.float32, mode="r"), path)
+        except (OSError, ValueError) as error:
+            raise StorageError(f"the noise table {path} cannot be opened: {error}. Start the run again.") from error
+
+    @staticmethod
+    def _is_intact(path: Path, size: int, seed: int) -> bool:
+        """Tell whether `path` has the right length, beginning and end."""
+        try:
+            if path.stat().st_size != 4 * size:
+                return False
+            values = np.memmap(path, dtype=np.float32, mode="r")
+        except OSError:
+            return False
+        last = (size - 1) // _BLOCK
+        head = _block(seed, 0, min(_CHECKED, size))
+        tail = _block(seed, last, min(_CHECKED, size - last * _BLOCK))
+        start = last * _BLOCK
+        return bool(np.array_equal(values[: len(head)], head) and np.array_equal(values[start : start + len(tail)], tail))
+
+    @staticmethod
+    def _build(path: Path, size: int, seed: int) -> None:
+        """Write the table beside `path`, then rename it into place."""
+        temporary: str | None = None
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+            with os.fdopen(handle, "wb") as file:
+                for number in range(-(-size // _BLOCK)):
+                    file.write(_block(seed, number, min(_BLOCK, size - number * _BLOCK)).tobytes())
+            Path(temporary).replace(path)
+        except OSError as error:
+            raise StorageError(
+                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be written to {path.parent}: {error.strerror}. "
+                "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
+            ) from error
+        finally:
+            if temporary is not None:
+                Path(temporary).unlink(missing_ok=True)

@@ -1,0 +1,62 @@
+"""Running mean and variance of what a policy observes, for its input normalisation.
+
+Source: Salimans et al. 2017 (virtual batch normalisation's stand-in for MuJoCo); algorithm specification section 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shes.types import F32Array, F64Array
+
+__all__ = ["CLIP", "MIN_VARIANCE", "ObservationStatistics", "normalise"]
+
+MIN_VARIANCE = 0.01
+"""Floor of the variance: no input is magnified more than tenfold."""
+CLIP = 5.0
+"""Normalised observations are clipped to this many standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationStatistics:
+    """Moments of the observations of one level: float64 sums, 64-bit count."""
+
+    count: int
+    """Observations summed so far."""
+    total: F64Array
+    """Sum of the observations [O]."""
+    total_squares: F64Array
+    """Sum of their squares [O]."""
+
+    @classmethod
+    def empty(cls, size: int) -> ObservationStatistics:
+        """Return statistics of nothing: mean 0, standard deviation 1."""
+        return cls(count=0, total=np.zeros(size), total_squares=np.zeros(size))
+
+    @property
+    def mean(self) -> F64Array:
+        """Mean [O]."""
+        return self.total / max(self.count, 1)
+
+    @property
+    def std(self) -> F64Array:
+        """Standard deviation [O], at least `sqrt(MIN_VARIANCE)`."""
+        if self.count == 0:
+            return np.ones_like(self.total)
+        return np.sqrt(np.maximum(self.total_squares / self.count - self.mean**2, MIN_VARIANCE))
+
+    def merge(self, count: int, total: F64Array, total_squares: F64Array) -> ObservationStatistics:
+        """Return these statistics with `count` more observations, given by their sums [O]."""
+        return ObservationStatistics(
+            count=self.count + count, total=self.total + total, total_squares=self.total_squares + total_squares
+        )
+
+
+def normalise(observation: F64Array, mean: F64Array, inverse_std: F64Array) -> F32Array:
+    """Return `clip((observation - mean) * inverse_std, -5, 5)` [..., O] as float32."""
+    scaled = observation - mean
+    scaled *= inverse_std
+    np.clip(scaled, -CLIP, CLIP, out=scaled)
+    return scaled.astype(np.float32)

@@ -1,0 +1,141 @@
+"""The ES core for plain vectors: ask for candidates, tell their fitness. Maximises.
+
+With one level this is S-ES (Salimans et al. 2017); with several, the update of SHES (paper, Algorithm 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from shes.errors import ConfigError, ShapeError
+from shes.es.level import LevelState, TrainState, UpdateRule, draw_noise_index, perturb, update_level
+from shes.es.mirror import check_population, sign_matrix
+from shes.es.noise import NoiseTable
+from shes.es.optimizers import Adam
+from shes.es.statistics import ObservationStatistics
+from shes.types import F32Array, F64Array
+
+__all__ = ["EvolutionStrategy"]
+
+
+class EvolutionStrategy:
+    """Evolution strategy with mirrored noise, centred ranks and Adam, by ask and tell.
+
+    ```python
+    es = EvolutionStrategy(10, population_size=40, sigma=0.1, learning_rate=0.05)
+    for _ in range(100):
+        candidates = es.ask()                        # [40, 10]
+        es.tell([-np.sum(x**2) for x in candidates])
+    es.mean                                          # [10]
+    ```
+    """
+
+    def __init__(
+        self,
+        dim: int | Sequence[int],
+        *,
+        population_size: int,
+        sigma: float,
+        learning_rate: float = 0.01,
+        weight_decay: float = 0.0,
+        mirrored: str = "quad",
+        rank_ties: str = "average",
+        initial: ArrayLike | Sequence[ArrayLike] | None = None,
+        seed: int = 0,
+        noise_table_size: int = 1_000_000,
+        state: TrainState | None = None,
+    ) -> None:
+        """Start at `initial`, or go on from `state`.
+
+        Args:
+            dim: Number of parameters, or one number per level.
+            population_size: Candidates per generation, mirrored ones included.
+            sigma: Standard deviation of the perturbations.
+            learning_rate: Adam's rate.
+            weight_decay: Coefficient of the parameters subtracted from the gradient estimate.
+            mirrored: `quad`, `pair` or `none`; with one level, `quad` and `pair` are the same.
+            rank_ties: `average` or `index`.
+            initial: Start vector [dim] (a sequence of them with several levels); zeros if none.
+            seed: Seed of every draw.
+            noise_table_size: Normals in the shared table, at least twice the largest `dim`.
+            state: `state` of an earlier strategy with the same arguments.
+
+        Raises:
+            ConfigError: A value is out of range, or the population is not a multiple of the mirrored group.
+            ShapeError: `initial` or `state` does not fit `dim`.
+        """
+        self._single = isinstance(dim, int | np.integer)
+        self.dims: tuple[int, ...] = (int(dim),) if isinstance(dim, int | np.integer) else tuple(int(d) for d in dim)
+        if not self.dims or min(self.dims) < 1:
+            raise ConfigError(f"dim must be a positive number, or one per level, got {dim!r}.")
+        if not sigma > 0:
+            raise ConfigError(f"sigma must be positive, got {sigma}.")
+        if not learning_rate > 0:
+            raise ConfigError(f"learning_rate must be positive, got {learning_rate}.")
+        self.num_groups = check_population(population_size, mirrored, len(self.dims))
+        self.population_size = population_size
+        self.sigma = sigma
+        self.signs = sign_matrix(mirrored, len(self.dims))
+        self.rule = UpdateRule(learning_rate=learning_rate, weight_decay=weight_decay, rank_ties=rank_ties)
+        self.table = NoiseTable.open(noise_table_size)
+        for level_dim in self.dims:
+            self.table.check_dim(level_dim)
+        self.state = self._start(initial, seed) if state is None else state
+        if tuple(len(level.theta) for level in self.state.levels) != self.dims:
+            raise ShapeError(f"state has levels of {[len(x.theta) for x in self.state.levels]}, dim is {self.dims}.")
+
+    @property
+    def mean(self) -> F32Array | tuple[F32Array, ...]:
+        """The current solution [dim], or one per level."""
+        thetas = tuple(level.theta for level in self.state.levels)
+        return thetas[0] if self._single else thetas
+
+    def ask(self) -> F32Array | tuple[F32Array, ...]:
+        """Return this generation's candidates [n, dim], or one such array per level; asking twice gives the same."""
+        candidates = tuple(np.empty((self.population_size, dim), np.float32) for dim in self.dims)
+        members = len(self.signs)
+        noise_index = self._noise_index()
+        for level, (state, out) in enumerate(zip(self.state.levels, candidates, strict=True)):
+            for i in range(self.population_size):
+                noise = self.table.slice(int(noise_index[level, i // members]), self.dims[level])
+                perturb(state.theta, noise, self.sigma * int(self.signs[i % members, level]), out[i])
+        return candidates[0] if self._single else candidates
+
+    def tell(self, fitness: ArrayLike) -> None:
+        """Update from the fitness [n] of the candidates (higher is better), or [L, n] with one row per level.
+
+        Raises:
+            ShapeError: `fitness` has another shape.
+            PolicyError: A fitness is not finite.
+        """
+        values: F64Array = np.array(fitness, dtype=np.float64)
+        expected = (self.population_size,) if self._single else (len(self.dims), self.population_size)
+        if values.shape != expected:
+            raise ShapeError(f"fitness must have shape {expected}, got {values.shape}.")
+        rows = values[None] if self._single else values
+        noise_index = self._noise_index()
+        levels = tuple(
+            update_level(state, rows[i], self.signs[:, i], noise_index[i], self.table, self.rule)
+            for i, state in enumerate(self.state.levels)
+        )
+        self.state = replace(self.state, generation=self.state.generation + 1, levels=levels)
+
+    def _noise_index(self):  # noqa: ANN202 - an int array [L, G], as draw_noise_index says
+        return draw_noise_index(self.state.seed, self.state.generation, self.num_groups, self.dims, self.table.size)
+
+    def _start(self, initial: ArrayLike | Sequence[ArrayLike] | None, seed: int) -> TrainState:
+        """Return the state before the first generation."""
+        if initial is None:
+            starts = [np.zeros(dim, np.float32) for dim in self.dims]
+        else:
+            starts = [np.array(x, np.float32) for x in ([initial] if self._single else initial)]  # type: ignore[union-attr]
+        if tuple(x.shape for x in starts) != tuple((dim,) for dim in self.dims):
+            raise ShapeError(f"initial must have the shape of dim {self.dims}, got {[x.shape for x in starts]}.")
+        levels = tuple(
+            LevelState(theta=x, optimizer=Adam().start(len(x)), statistics=ObservationStatistics.empty(0)) for x in starts
+        )
+        return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)

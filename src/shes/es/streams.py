@@ -1,0 +1,25 @@
+"""Random streams: every draw of a run comes from its seed, a purpose and a generation, never from a worker."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+__all__ = ["Purpose", "stream"]
+
+
+class Purpose(IntEnum):
+    """What a stream is drawn for. The values are part of a run's numbers: never renumber them."""
+
+    INITIAL_PARAMETERS = 0
+    NOISE_INDEX = 1
+    TRAINING_EPISODES = 2
+    EVALUATION_EPISODES = 3
+    STATISTICS_SAMPLE = 4
+    FRESH_EPISODES = 5
+
+
+def stream(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
+    """Return the generator of `(seed, purpose, *key)`; the key is a generation, then a level or a task."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(int(purpose), *key))))

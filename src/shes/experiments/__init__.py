@@ -1,0 +1,1 @@
+"""Experiments: settings, run folders, training, evaluation, plots. The only room that touches files."""

@@ -1,0 +1,199 @@
+"""How fast SHES is on this machine, as ratios within one run: `shes bench`."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from shes.algorithm import evolve, population_tasks, sample_noise
+from shes.envs.registry import make_task
+from shes.envs.task import FRAME_SKIP, Task
+from shes.es.gradient import group_weights, weighted_noise_sum
+from shes.es.level import LevelState, draw_noise_index, update_level
+from shes.es.mirror import check_population, sign_matrix
+from shes.es.ranking import centred_ranks
+from shes.experiments.build import (
+    build_backend,
+    build_design,
+    build_plan,
+    build_settings,
+    build_state,
+    build_update_rule,
+    open_noise_table,
+)
+from shes.experiments.checkpoint import Best, Checkpoint, save_checkpoint
+from shes.experiments.config import TrainConfig
+from shes.hierarchy.agent import LevelParameters
+from shes.hierarchy.episodes import Generation
+from shes.hierarchy.rollout import Rollout
+from shes.types import F64Array, FloatArray, IntArray
+from shes.worker import WorkerPlan
+
+__all__ = ["bench_rollout", "bench_update"]
+
+_REPLAYED = 24  # episodes of the generation that the bare loop replays
+
+Episode = tuple[F64Array, F64Array, list[F64Array]]
+"""Start qpos, start qvel, and the controls of every step."""
+
+
+def bench_rollout(config: TrainConfig, repeats: int = 3) -> dict[str, Any]:
+    """Measure whole generations against a bare `mj_step` loop.
+
+    The bare loop replays episodes of the same generation, start state and controls, with no policy, task or Python beyond
+    the call: the limit of one core. The two are measured in turn, `repeats` times; speeds are medians, `ratio` is the
+    median of the pairs' ratios, over the number of workers.
+    """
+    design = build_design(config)
+    table = open_noise_table(config, design)
+    plan = build_plan(config, design, table)
+    episodes = _record_episodes(config, plan)
+    bare: list[float] = []
+    whole: list[float] = []
+    with build_backend(config, plan) as backend, ThreadPoolExecutor(backend.num_workers) as pool:
+        settings, state = build_settings(config), build_state(config, design)
+        next(evolve(state, settings, table, backend, pool))  # builds the environments, warms the caches
+        for _ in range(repeats):
+            bare.append(_replay(episodes))
+            report = next(evolve(state, settings, table, backend, pool))
+            whole.append(int(report.results.steps.sum()) / (report.rollout_s + report.update_s))
+        workers = backend.num_workers
+    return {
+        "env": config.env,
+        "hidden": list(config.hidden),
+        "integrator": config.integrator,
+        "population_size": config.population_size,
+        "episodes_per_policy": config.episodes_per_policy,
+        "num_workers": workers,
+        "env_steps_per_s": statistics.median(whole),
+        "bare_steps_per_s": statistics.median(bare),
+        "ratio": statistics.median(w / b for w, b in zip(whole, bare, strict=True)) / workers,
+    }
+
+
+class _Recorder:
+    """Stands before a task's reset and step and keeps what they are given."""
+
+    def __init__(self, task: Task) -> None:
+        self.model = task.sim.model
+        self.episodes: list[Episode] = []
+        self._running: dict[int, Episode] = {}
+        self._task, self._reset, self._step = task, task.reset, task.step
+        task.reset, task.step = self.reset, self.step  # type: ignore[method-assign]
+
+    def reset(self, ids: IntArray, seeds: Any) -> None:
+        self._reset(ids, seeds)
+        for i in ids.tolist():
+            self._running[i] = (self._task.sim.qpos[i].copy(), self._task.sim.qvel[i].copy(), [])
+            self.episodes.append(self._running[i])
+
+    def step(self, ids: IntArray, action: FloatArray) -> None:
+        for i in ids.tolist():
+            self._running[i][2].append(action[i].astype(np.float64))
+        self._step(ids, action)
+
+
+def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjModel, list[Episode]]:
+    """Return the model and the first episodes of the first generation."""
+    members = max(1, _REPLAYED // config.episodes_per_policy)
+    rollout = Rollout(
+        plan.design,
+        partial(make_task, plan.env, options=plan.training),
+        members,
+        config.episodes_per_policy,
+        config.horizon,
+    )
+    recorder = _Recorder(rollout.task)
+    state, settings = build_state(config, plan.design), build_settings(config)
+    table = open_noise_table(config, plan.design)
+    tasks = population_tasks(state, settings, sample_noise(state, settings, table))[:members]
+    levels = tuple(LevelParameters.of(level.theta, level.statistics) for level in state.levels)
+    generation = Generation(levels=levels, sigma=config.sigma, is_evaluation=False)
+    for _ in rollout.run(iter(enumerate(tasks)), generation, table):
+        pass
+    return recorder.model, recorder.episodes
+
+
+def _replay(recorded: tuple[mujoco.MjModel, list[Episode]]) -> float:
+    """Return the control steps per second of `mj_step` alone on recorded episodes."""
+    model, episodes = recorded
+    data = mujoco.MjData(model)
+    start = perf_counter()
+    for qpos, qvel, controls in episodes:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        for control in controls:
+            data.ctrl[:] = control
+            mujoco.mj_step(model, data, nstep=FRAME_SKIP)
+    return sum(len(controls) for _, _, controls in episodes) / (perf_counter() - start)
+
+
+def bench_update(config: TrainConfig, repeats: int = 20) -> dict[str, Any]:
+    """Measure, in milliseconds, what the parent does between generations, whole and by part (medians).
+
+    `checkpoint_ms` is written by a thread beside the next generation's work and is not in `total_ms`.
+    """
+    design = build_design(config)
+    table = open_noise_table(config, design)
+    state = build_state(config, design)
+    groups = check_population(config.population_size, config.mirrored, 2)
+    signs = sign_matrix(config.mirrored, 2)
+    rule = build_update_rule(config)
+    rng = np.random.default_rng(0)
+    fitness = rng.standard_normal((2, config.population_size))
+    times: dict[str, list[float]] = {}
+
+    def timed(name: str, work: Callable[[], Any]) -> Any:
+        start = perf_counter()
+        result = work()
+        times.setdefault(name, []).append(1000 * (perf_counter() - start))
+        return result
+
+    with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers, 8)) as pool:
+        for generation in range(repeats):
+            index = draw_noise_index(0, generation, groups, design.dims, table.size)  # other slices every time
+
+            def whole(index: IntArray = index) -> tuple[LevelState, ...]:
+                updated = [
+                    update_level(level, fitness[i], signs[:, i], index[i], table, rule, pool)
+                    for i, level in enumerate(state.levels)
+                ]
+                return tuple(
+                    replace(level, statistics=level.statistics.merge(1, level.statistics.total, level.statistics.total))
+                    for level in updated
+                )
+
+            levels = timed("total_ms", whole)
+            index = draw_noise_index(1, generation, groups, design.dims, table.size)
+            shaped = timed("rank_ms", lambda: [centred_ranks(row, config.rank_ties) for row in fitness])
+            weights = [group_weights(row, signs[:, i]) for i, row in enumerate(shaped)]
+            gradients = timed(
+                "gradient_ms",
+                lambda index=index, weights=weights: [
+                    weighted_noise_sum(table, index[i], weights[i], dim, pool) for i, dim in enumerate(design.dims)
+                ],
+            )
+            timed(
+                "adam_ms",
+                lambda gradients=gradients: [
+                    rule.adam.step(gradient, level.optimizer, rule.learning_rate)
+                    for gradient, level in zip(gradients, state.levels, strict=True)
+                ],
+            )
+            checkpoint = Checkpoint(state=replace(state, levels=levels), best=Best(), numbers=config.numbers())
+            timed("checkpoint_ms", partial(save_checkpoint, Path(folder) / "last.npz", checkpoint))
+    return {
+        "parameters": sum(design.dims),
+        "noise_vectors": groups,
+        **{name: statistics.median(values) for name, values in times.items()},
+    }

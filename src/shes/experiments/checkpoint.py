@@ -1,0 +1,187 @@
+"""Checkpoints: everything that a run carries from one generation to the next, in one `.npz` without pickle."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from shes.errors import CheckpointError
+from shes.es.level import LevelState, TrainState
+from shes.es.optimizers import AdamState
+from shes.es.statistics import ObservationStatistics
+from shes.experiments.storage import write_atomically
+from shes.types import LEVEL_NAMES
+
+__all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "save_checkpoint"]
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Best:
+    """The best evaluation so far. The highest score wins; ties go to the higher return, then to the later one."""
+
+    generation: int = -1
+    score: float = -np.inf
+    mean_return: float = -np.inf
+
+    def is_beaten_by(self, score: float, mean_return: float) -> bool:
+        """Tell whether a later evaluation takes its place."""
+        return (score, mean_return) >= (self.score, self.mean_return)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """A run at the end of a generation."""
+
+    state: TrainState
+    best: Best
+    numbers: dict[str, Any]
+    """The settings that change numbers: a checkpoint continues only the run that it is of."""
+
+
+def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
+    """Return the checkpoint as named arrays."""
+    state, best = checkpoint.state, checkpoint.best
+    arrays = {
+        "format": np.int64(FORMAT),
+        "seed": np.int64(state.seed),
+        "generation": np.int64(state.generation),
+        "env_steps": np.int64(state.env_steps),
+        "best_generation": np.int64(best.generation),
+        "best_score": np.float64(best.score),
+        "best_return": np.float64(best.mean_return),
+        "settings": np.array(json.dumps(checkpoint.numbers, sort_keys=True)),
+    }
+    for name, level in zip(LEVEL_NAMES, state.levels, strict=True):
+        arrays |= {
+            f"{name}/theta": level.theta,
+            f"{name}/adam_first": level.optimizer.first,
+            f"{name}/adam_second": level.optimizer.second,
+            f"{name}/adam_steps": np.int64(level.optimizer.steps),
+            f"{name}/observation_count": np.int64(level.statistics.count),
+            f"{name}/observation_total": level.statistics.total,
+            f"{name}/observation_total_squares": level.statistics.total_squares,
+        }
+    return {name: np.asarray(value) for name, value in arrays.items()}
+
+
+def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
+    """Write `checkpoint` to `path`, atomically.
+
+    Raises:
+        StorageError: The file cannot be written; what was at `path` is untouched.
+    """
+
+    def write(file: IO[bytes]) -> None:
+        np.savez(file, allow_pickle=False, **_arrays(checkpoint))  # type: ignore[arg-type] - savez takes any name
+
+    write_atomically(path, write)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Read the checkpoint at `path`; nothing in it is executed.
+
+    Raises:
+        CheckpointError: The file is missing, truncated, or not a checkpoint of this version.
+    """
+    if not path.is_file():
+        others = sorted(other.stem for other in path.parent.glob("*.npz")) if path.parent.is_dir() else []
+        there = f" There are: {', '.join(others)}." if others else ""
+        raise CheckpointError(f"there is no checkpoint {path}.{there} Choose one with --checkpoint.")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        return _from_arrays(arrays, path)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        if isinstance(error, CheckpointError):
+            raise
+        raise CheckpointError(
+            f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {error}). It may be truncated or another "
+            "program's file. Take another one with --checkpoint last, best or a generation."
+        ) from error
+
+
+def _from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Checkpoint:
+    """Return the checkpoint that `_arrays` took apart."""
+    if int(arrays["format"]) != FORMAT:
+        raise CheckpointError(
+            f"{path} has checkpoint format {int(arrays['format'])}; this version of SHES reads {FORMAT}. "
+            "Use the version that wrote it (config.json of the run names it)."
+        )
+    levels = tuple(
+        LevelState(
+            theta=arrays[f"{name}/theta"],
+            optimizer=AdamState(
+                first=arrays[f"{name}/adam_first"],
+                second=arrays[f"{name}/adam_second"],
+                steps=int(arrays[f"{name}/adam_steps"]),
+            ),
+            statistics=ObservationStatistics(
+                count=int(arrays[f"{name}/observation_count"]),
+                total=arrays[f"{name}/observation_total"],
+                total_squares=arrays[f"{name}/observation_total_squares"],
+            ),
+        )
+        for name in LEVEL_NAMES
+    )
+    return Checkpoint(
+        state=TrainState(
+            seed=int(arrays["seed"]),
+            generation=int(arrays["generation"]),
+            env_steps=int(arrays["env_steps"]),
+            levels=levels,
+        ),
+        best=Best(
+            generation=int(arrays["best_generation"]),
+            score=float(arrays["best_score"]),
+            mean_return=float(arrays["best_return"]),
+        ),
+        numbers=json.loads(str(arrays["settings"])),
+    )
+
+
+class CheckpointWriter:
+    """Writes checkpoints beside the next generation's work, one at a time, in the order they are given."""
+
+    def __init__(self) -> None:
+        """Start the writing thread."""
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="shes-checkpoint")
+        self._last: Future[None] | None = None
+
+    def write(self, paths: list[Path], checkpoint: Checkpoint) -> None:
+        """Write `checkpoint` to every one of `paths`, in this order, after the one before is done.
+
+        Raises:
+            StorageError: The one before could not be written.
+        """
+        self.wait()
+        self._last = self._pool.submit(self._write_all, paths, checkpoint)
+
+    def wait(self) -> None:
+        """Return when everything given is on disk.
+
+        Raises:
+            StorageError: It could not be written.
+        """
+        last, self._last = self._last, None
+        if last is not None:
+            last.result()
+
+    def close(self) -> None:
+        """Finish what was given and end the thread."""
+        try:
+            self.wait()
+        finally:
+            self._pool.shutdown()
+
+    @staticmethod
+    def _write_all(paths: list[Path], checkpoint: Checkpoint) -> None:
+        for path in paths:
+            save_checkpoint(path, checkpoint)

@@ -1,0 +1,205 @@
+"""Every setting of a training run. It stops here: the rooms below take plain arguments."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from shes.envs.registry import check_name
+from shes.envs.worlds import INTEGRATORS
+from shes.errors import ConfigError, UnknownNameError
+from shes.es.mirror import MIRRORINGS, check_population
+from shes.es.ranking import TIES
+from shes.hierarchy.goals import GOAL_ENCODINGS
+from shes.hierarchy.rewards import PRIMITIVE_REWARDS
+from shes.policies.mlp import BIAS_INITIALISATIONS
+
+__all__ = ["BACKENDS", "EXECUTION_FIELDS", "TrainConfig", "check_fields", "flag"]
+
+BACKENDS = ("processes", "serial")
+
+EXECUTION_FIELDS = frozenset(
+    {"preset", "backend", "num_workers", "chunk_size", "generations", "minutes", "keep_checkpoints"}
+)
+"""Settings that say how, where and how long, and never change a number of a generation."""
+
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "backend": BACKENDS,
+    "biases": BIAS_INITIALISATIONS,
+    "goal_encoding": tuple(GOAL_ENCODINGS),
+    "integrator": tuple(INTEGRATORS),
+    "mirrored": MIRRORINGS,
+    "primitive_reward": tuple(PRIMITIVE_REWARDS),
+    "rank_ties": TIES,
+}
+_AT_LEAST: dict[str, int] = {
+    "chunk_size": 0,
+    "controller_interval": 1,
+    "episodes_per_policy": 1,
+    "evaluation_episodes": 1,
+    "evaluation_interval": 1,
+    "generations": 1,
+    "horizon": 1,
+    "keep_checkpoints": 1,
+    "noise_table_size": 2,
+    "num_workers": 0,
+    "seed": 0,
+}
+_POSITIVE = ("goal_distance", "learning_rate", "minutes", "sigma")
+_NOT_NEGATIVE = ("evaluation_reset_noise", "reset_noise", "weight_decay")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """Settings of a training run. Table and sections are those of the SHES paper."""
+
+    env: str
+    """Environment; `shes envs` lists them."""
+    preset: str = "laptop"
+    """What the other settings start from: paper, laptop or smoke."""
+    seed: int = 1
+    """Seed of every random draw."""
+    generations: int = 1000
+    """Generations after which the run ends (Table I: 3000)."""
+    minutes: float | None = None
+    """Minutes after which this call ends, whichever comes first."""
+
+    backend: str = "processes"
+    """Where the work is done: processes (on this machine) or serial (in this process)."""
+    num_workers: int = 0
+    """Worker processes; 0 is one for every core. Never changes a number. Short: --workers."""
+    chunk_size: int = 0
+    """Policies that a worker runs in lockstep; 0 chooses. Never changes a number."""
+
+    population_size: int = 240
+    """Policies in a generation, mirrored ones included (Table I: 1000)."""
+    episodes_per_policy: int = 1
+    """Episodes that a policy's fitness is the mean of (Table I: 5)."""
+    sigma: float = 0.07
+    """Standard deviation of the perturbations (Table I: 0.02)."""
+    learning_rate: float = 0.02
+    """Adam's learning rate (Table I: 0.01)."""
+    weight_decay: float = 0.005
+    """Coefficient of the parameters subtracted from the gradient estimate."""
+    mirrored: str = "quad"
+    """How the members of a group mirror its noise: quad, pair or none (section II-F)."""
+    rank_ties: str = "average"
+    """How equal fitnesses rank: average or index."""
+    common_random_numbers: bool = True
+    """Whether the members of a group share their episodes' seeds."""
+    statistics_fraction: float = 1.0
+    """Share of the groups whose observations enter the observation statistics."""
+
+    hidden: tuple[int, ...] = (64, 64)
+    """Hidden layers of both policies (paper: 256 256 256)."""
+    biases: str = "zero"
+    """How biases start: zero or glorot_normal."""
+    controller_interval: int = 25
+    """Steps that a goal is held (c in Table I)."""
+    goal_distance: float = 4.0
+    """Metres that a controller's output of 1 stands for (Table I)."""
+    minimum_goal_distance: bool = True
+    """Whether goals nearer than 1 m are pushed outward."""
+    goal_encoding: str = "angle"
+    """What the primitive is told about its goal: angle (section II-C)."""
+    primitive_reward: str = "progress"
+    """What the primitive is paid: progress (section II-B, equation 1)."""
+
+    horizon: int = 500
+    """Control steps in an episode (Table I)."""
+    integrator: str = "euler"
+    """MuJoCo's integrator: euler, rk4 or implicitfast."""
+    reset_noise: float = 0.1
+    """Noise on the robot's pose and velocity at a reset, in training."""
+    evaluation_reset_noise: float = 0.1
+    """The same in evaluation."""
+    evaluation_interval: int = 10
+    """Generations between evaluations of the mean policies (there is one after the first generation, too)."""
+    evaluation_episodes: int = 50
+    """Episodes of an evaluation."""
+    keep_checkpoints: int = 50
+    """Generations between checkpoints that are kept beside `last` and `best`."""
+    noise_table_size: int = 25_000_000
+    """Normals in the shared noise table, 4 bytes each (authors' code: 250 million)."""
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            ConfigError: A value is out of range.
+            UnknownNameError: A name is in no registry.
+        """
+        check_name(self.env)
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise UnknownNameError(name.replace("_", " "), str(getattr(self, name)), choices, f"Set {flag(name)}.")
+        for name in (field.name for field in fields(self)):
+            self._check_number(name, getattr(self, name))
+        if not 0 <= self.statistics_fraction <= 1:
+            raise _out_of_range("statistics_fraction", self.statistics_fraction, "between 0 and 1")
+        if any(not isinstance(size, int) or size < 1 for size in self.hidden):
+            raise _out_of_range("hidden", self.hidden, "positive whole numbers, e.g. --hidden 64 64")
+        check_population(self.population_size, self.mirrored, 2)
+
+    @staticmethod
+    def _check_number(name: str, value: Any) -> None:
+        """Refuse a number out of its range."""
+        if name in _AT_LEAST and (not isinstance(value, int) or isinstance(value, bool) or value < _AT_LEAST[name]):
+            raise _out_of_range(name, value, f"a whole number of at least {_AT_LEAST[name]}")
+        if name in _POSITIVE and value is not None and not 0 < value < float("inf"):
+            raise _out_of_range(name, value, "positive")
+        if name in _NOT_NEGATIVE and not 0 <= value < float("inf"):
+            raise _out_of_range(name, value, "zero or positive")
+
+    @property
+    def workers(self) -> int:
+        """Worker processes asked for: `num_workers`, or one for every core that this process may use."""
+        if self.num_workers:
+            return self.num_workers
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as JSON holds them."""
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the settings that change the numbers of a generation."""
+        return {name: value for name, value in self.to_dict().items() if name not in EXECUTION_FIELDS}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> TrainConfig:
+        """Return the configuration that `to_dict` wrote.
+
+        Raises:
+            ConfigError: A key is unknown or missing, or a value is out of range.
+        """
+        check_fields(values)
+        if "env" not in values:
+            raise ConfigError("the configuration names no environment (key 'env').")
+        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+
+
+def flag(name: str) -> str:
+    """Return the flag of `train` that sets field `name`."""
+    return "--" + {"num_workers": "workers"}.get(name, name).replace("_", "-")
+
+
+def check_fields(names: Mapping[str, Any]) -> None:
+    """Refuse names that are no settings.
+
+    Raises:
+        ConfigError: A name is unknown; the message names the nearest.
+    """
+    known = [field.name for field in fields(TrainConfig)]
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            hint = f" Did you mean {close[0]!r}?" if close else ""
+            raise ConfigError(f"unknown setting {name!r}.{hint} Settings: {', '.join(known)}.")
+
+
+def _out_of_range(name: str, value: Any, allowed: str) -> ConfigError:
+    return ConfigError(f"{name} must be {allowed}, got {value!r}. Set {flag(name)}.")

@@ -1,0 +1,126 @@
+"""Evaluation: the mean policies without noise, on fresh episodes. Source: algorithm specification section 5."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shes.backends.backend import Backend
+from shes.es.level import LevelState, TrainState
+from shes.es.streams import Purpose, stream
+from shes.experiments.build import build_backend, build_design, build_plan, open_noise_table
+from shes.experiments.config import TrainConfig
+from shes.experiments.run_folder import RunFolder
+from shes.hierarchy.agent import LevelParameters
+from shes.hierarchy.episodes import EpisodeTask, Generation, PopulationResults
+from shes.types import CONTROLLER, PRIMITIVE, F64Array
+
+__all__ = ["Evaluation", "evaluate", "evaluate_levels", "evaluation_seeds"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """K episodes of the mean policies."""
+
+    scores: F64Array
+    """Test score of the task [K]."""
+    returns: F64Array
+    """Summed reward of the environment [K]."""
+    primitive_returns: F64Array
+    """Summed reward that the controller paid its primitive [K]."""
+    successes: F64Array
+    """1 where the task counts as solved, else 0 [K]."""
+    steps: F64Array
+    """Environment steps [K]."""
+    diverged: F64Array
+    """1 where the physics blew up, else 0 [K]."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the means and deviations that tables show."""
+        return {
+            "episodes": len(self.scores),
+            "score_mean": float(self.scores.mean()),
+            "score_std": float(self.scores.std()),
+            "return_mean": float(self.returns.mean()),
+            "return_std": float(self.returns.std()),
+            "primitive_return_mean": float(self.primitive_returns.mean()),
+            "success_rate": float(self.successes.mean()),
+            "episode_steps_mean": float(self.steps.mean()),
+            "diverged_episodes": int(self.diverged.sum()),
+        }
+
+
+def evaluation_seeds(state: TrainState, episodes: int, purpose: Purpose = Purpose.EVALUATION_EPISODES) -> list[int]:
+    """Return the episodes' seeds for an evaluation of `state`: other ones at every generation."""
+    return stream(state.seed, purpose, state.generation).integers(0, 2**63, episodes).tolist()
+
+
+def evaluate_levels(
+    levels: Sequence[LevelState], seeds: Sequence[int], backend: Backend, episodes_per_policy: int
+) -> Evaluation:
+    """Run one episode of the mean policies for every seed.
+
+    The episodes go out in blocks of `episodes_per_policy`, the rows that a policy's matmul has in training: so one number
+    of rows serves both, and no result depends on how the blocks are spread.
+    """
+    parameters = tuple(LevelParameters.of(level.theta, level.statistics) for level in levels)
+    rows = episodes_per_policy
+    zeros = (0,) * len(parameters)
+    blocks = [seeds[first : first + rows] for first in range(0, len(seeds), rows)]
+    tasks = [
+        EpisodeTask(
+            member=number,
+            noise_index=zeros,
+            signs=zeros,
+            slots=tuple(range(len(block))),
+            seeds=tuple(block),
+            records_statistics=False,
+        )
+        for number, block in enumerate(blocks)
+    ]
+    backend.broadcast(Generation(levels=parameters, sigma=0.0, is_evaluation=True))
+    results = PopulationResults.empty(len(parameters), len(tasks), rows)
+    for task, result in zip(tasks, backend.map(tasks), strict=True):
+        results.add(task, result)
+    count = len(seeds)  # the last block may be short: its unused slots are at the end
+    return Evaluation(
+        scores=results.score.ravel()[:count],
+        returns=results.returns[CONTROLLER].ravel()[:count],
+        primitive_returns=results.returns[PRIMITIVE].ravel()[:count],
+        successes=results.success.ravel()[:count].astype(np.float64),
+        steps=results.steps.ravel()[:count].astype(np.float64),
+        diverged=results.has_diverged.ravel()[:count].astype(np.float64),
+    )
+
+
+def evaluate(
+    run: Path | str, *, episodes: int = 50, checkpoint: str = "best", num_workers: int = 0, seed: int | None = None
+) -> Evaluation:
+    """Evaluate a checkpoint of a run on episodes that its training never used, not even to choose the checkpoint.
+
+    Args:
+        run: The run folder.
+        episodes: Number of episodes.
+        checkpoint: `best`, `last` or the number of a generation.
+        num_workers: Worker processes; 0 is one for every core. Never changes a number.
+        seed: Seed of the episodes; the run's own, in a stream apart, if none.
+
+    Raises:
+        RunFolderError: `run` is not a run folder.
+        CheckpointError: The checkpoint is missing or damaged.
+        ConfigError: `episodes` is not positive.
+    """
+    folder = RunFolder.open(Path(run))
+    stored = folder.read_config()
+    config = TrainConfig.from_dict({**stored.to_dict(), "num_workers": num_workers, "evaluation_episodes": episodes})
+    state = folder.load(checkpoint).state
+    draws = state if seed is None else TrainState(seed=seed, generation=0, env_steps=0, levels=state.levels)
+    seeds = evaluation_seeds(draws, episodes, Purpose.FRESH_EPISODES)
+    design = build_design(config)
+    plan = build_plan(config, design, open_noise_table(config, design))
+    with build_backend(config, plan) as backend:
+        return evaluate_levels(state.levels, seeds, backend, config.episodes_per_policy)

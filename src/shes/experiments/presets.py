@@ -1,0 +1,63 @@
+"""Presets: what a run's settings start from. Source: algorithm specification section 7; SHES paper, Table I."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from shes.errors import UnknownNameError
+from shes.experiments.config import TrainConfig, check_fields
+
+__all__ = ["PRESETS", "make_config"]
+
+PRESETS: dict[str, dict[str, Any]] = {
+    # Table I to the letter; what it leaves out, as the authors' code does it.
+    "paper": {
+        "population_size": 1000,
+        "episodes_per_policy": 5,
+        "sigma": 0.02,
+        "learning_rate": 0.01,
+        "generations": 3000,
+        "hidden": (256, 256, 256),
+        "biases": "glorot_normal",
+        "rank_ties": "index",
+        "common_random_numbers": False,
+        "statistics_fraction": 0.01,
+        "reset_noise": 0.0,
+        "evaluation_episodes": 10,
+        "noise_table_size": 250_000_000,
+    },
+    # Learns visibly on a few cores: the defaults of TrainConfig.
+    "laptop": {},
+    # Seconds: to see that everything works, not to learn.
+    "smoke": {
+        "population_size": 16,
+        "generations": 3,
+        "horizon": 50,
+        "hidden": (16,),
+        "evaluation_interval": 2,
+        "evaluation_episodes": 4,
+        "noise_table_size": 1_000_000,
+    },
+}
+
+_PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {}
+"""What a preset sets otherwise for an environment: (preset, environment) -> settings."""
+
+
+def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
+    """Return the settings of `preset` for `env`, with `overrides` by name.
+
+    Raises:
+        UnknownNameError: `preset` or `env` is not known.
+        ConfigError: A setting is unknown or out of range.
+    """
+    if preset not in PRESETS:
+        raise UnknownNameError("preset", preset, PRESETS, "Set --preset.")
+    overrides = overrides or {}
+    check_fields(overrides)
+    values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **overrides}
+    if "hidden" in values:
+        hidden = values["hidden"]
+        values["hidden"] = (hidden,) if isinstance(hidden, int) else tuple(hidden)
+    return TrainConfig(env=env, preset=preset, **values)

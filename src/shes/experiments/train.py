@@ -1,0 +1,306 @@
+"""Training: the generator of `algorithm.py`, with files, evaluations, an end and an interruption around it."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Protocol
+
+from shes.algorithm import GenerationReport, evolve
+from shes.backends.backend import Backend
+from shes.errors import ConfigError
+from shes.experiments.build import (
+    build_backend,
+    build_design,
+    build_plan,
+    build_settings,
+    build_state,
+    open_noise_table,
+)
+from shes.experiments.checkpoint import Best, Checkpoint, CheckpointWriter, save_checkpoint
+from shes.experiments.config import EXECUTION_FIELDS, TrainConfig, check_fields, flag
+from shes.experiments.evaluate import evaluate_levels, evaluation_seeds
+from shes.experiments.presets import make_config
+from shes.experiments.records import Records, Row, progress_row, read_csv
+from shes.experiments.run_folder import RunFolder, default_path
+from shes.experiments.storage import storage_errors
+
+__all__ = ["Listener", "Run", "resume", "start_run", "train"]
+
+logger = logging.getLogger("shes.run")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A run that has ended."""
+
+    path: Path
+    """The run folder."""
+    config: TrainConfig
+    generation: int
+    """Generations made."""
+    best: Best
+    """The best evaluation."""
+
+
+class Listener(Protocol):
+    """Hears of a run's progress."""
+
+    def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
+        """Hear that the run at `path` begins after `generation`."""
+
+    def on_generation(self, row: Row) -> None:
+        """Hear of a row of `progress.csv`."""
+
+    def on_evaluation(self, row: Row) -> None:
+        """Hear of a row of `evaluation.csv`."""
+
+    def on_event(self, event: str) -> None:
+        """Hear of something unusual: a lost worker, a warning of the simulator."""
+
+
+def train(
+    env: str,
+    *,
+    preset: str = "laptop",
+    out: Path | str | None = None,
+    listener: Listener | None = None,
+    **settings: Any,
+) -> Run:
+    """Train on `env` and return the run.
+
+    Args:
+        env: Environment, e.g. `ant-gather`.
+        preset: `paper`, `laptop` or `smoke`.
+        out: The run folder, which must not hold a run yet; a new one below `runs/` if none.
+        listener: Hears of the progress.
+        settings: Any field of `TrainConfig`, e.g. `seed=0, num_workers=4`.
+
+    Raises:
+        UnknownNameError: An environment, preset or other name is not known.
+        ConfigError: A setting is unknown or out of range.
+        RunFolderError: `out` already holds a run.
+        StorageError: A file cannot be written.
+        WorkerError: A worker failed, or workers keep dying.
+        PolicyError: A policy returned NaN.
+    """
+    return start_run(make_config(env, preset, settings), out, listener)
+
+
+def start_run(config: TrainConfig, out: Path | str | None = None, listener: Listener | None = None) -> Run:
+    """Begin a run with the settings of `config`; see `train`."""
+    design = build_design(config)
+    open_noise_table(config, design)  # what can be wrong with it shows before there is a folder
+    folder = RunFolder.create(default_path(config) if out is None else Path(out), config)
+    checkpoint = Checkpoint(state=build_state(config, design), best=Best(), numbers=config.numbers())
+    for name in ("best", "last"):
+        save_checkpoint(folder.checkpoint_path(name), checkpoint)
+    return _go_on(folder, config, checkpoint, listener)
+
+
+def resume(path: Path | str, *, listener: Listener | None = None, **settings: Any) -> Run:
+    """Go on with the run at `path` as if it had never stopped, from its last checkpoint.
+
+    Args:
+        path: The run folder.
+        listener: Hears of the progress.
+        settings: Settings that do not change numbers, e.g. `generations=2000, num_workers=8`.
+
+    Raises:
+        RunFolderError: `path` is not a run folder.
+        CheckpointError: The last checkpoint is damaged or of another run.
+        ConfigError: A setting would change the run's numbers, or the run has reached its last generation.
+    """
+    folder = RunFolder.open(Path(path))
+    stored = folder.read_config()
+    check_fields(settings)
+    for name in settings:
+        if name not in EXECUTION_FIELDS - {"preset"}:
+            allowed = ", ".join(flag(field) for field in sorted(EXECUTION_FIELDS - {"preset"}))
+            raise ConfigError(
+                f"{flag(name)} would change the numbers of the run; resume takes {allowed}. Start another run to change it."
+            )
+    config = replace(stored, **{"minutes": None, **settings})
+    checkpoint = folder.load("last")
+    if checkpoint.state.generation >= config.generations:
+        raise ConfigError(
+            f"the run has made all of its {config.generations} generations. "
+            f"To go on: shes resume {path} --generations {2 * config.generations}"
+        )
+    folder.record_resume(checkpoint.state.generation, config)
+    return _go_on(folder, config, checkpoint, listener)
+
+
+def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, listener: Listener | None) -> Run:
+    """Run from `checkpoint` to the end of the generations or minutes, or to an interruption."""
+    design = build_design(config)
+    table = open_noise_table(config, design)
+    with ExitStack() as stack:
+        stack.enter_context(_run_log(folder))
+        interruption = stack.enter_context(_Interruption())
+        records = stack.enter_context(closing(Records(folder, checkpoint.state.generation)))
+        writer = stack.enter_context(closing(CheckpointWriter()))
+        backend = stack.enter_context(build_backend(config, build_plan(config, design, table)))
+        pool = stack.enter_context(ThreadPoolExecutor(min(config.workers, 8), thread_name_prefix="shes-gradient"))
+        session = _Session(folder, config, checkpoint, records, writer, backend, listener)
+        generations = evolve(checkpoint.state, build_settings(config), table, backend, pool)
+        logger.info("begins after generation %d with %d workers", checkpoint.state.generation, backend.num_workers)
+        while not session.is_over() and not interruption.is_requested:
+            logger.info("generation %d begins", session.checkpoint.state.generation + 1)
+            with interruption.at_once():
+                report = next(generations)
+            session.add(report, interruption)
+            logger.info("generation %d ends", report.state.generation)
+        generations.close()
+    if interruption.is_requested:
+        raise KeyboardInterrupt
+    state = session.checkpoint.state
+    return Run(path=folder.path, config=config, generation=state.generation, best=session.checkpoint.best)
+
+
+class _Session:
+    """What happens after every generation."""
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        config: TrainConfig,
+        checkpoint: Checkpoint,
+        records: Records,
+        writer: CheckpointWriter,
+        backend: Backend,
+        listener: Listener | None,
+    ) -> None:
+        self.checkpoint = checkpoint
+        self._folder, self._config = folder, config
+        self._records, self._writer, self._backend, self._listener = records, writer, backend, listener
+        self._earlier_s = _wall_time(folder)
+        self._start = self._generation_start = perf_counter()
+        if listener is not None:
+            listener.on_start(folder.path, config, checkpoint.state.generation, backend.num_workers)
+
+    def is_over(self) -> bool:
+        """Tell whether the run, or this call's time, has come to its end."""
+        minutes = self._config.minutes
+        is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
+        return is_late or self.checkpoint.state.generation >= self._config.generations
+
+    def add(self, report: GenerationReport, interruption: _Interruption) -> None:
+        """Write down a generation, evaluate where it is due, and put the checkpoint on its way."""
+        state = report.state
+        now = perf_counter()
+        row = progress_row(report, self._earlier_s + now - self._start, now - self._generation_start)
+        self._generation_start = now
+        self._tell_events(report.results.log)
+        best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
+        if state.generation == 1 or state.generation % self._config.evaluation_interval == 0:
+            with interruption.at_once():
+                evaluation = self._evaluate(report)
+            self._records.add_evaluation(evaluation)
+            if best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
+                best = Best(
+                    generation=state.generation,
+                    score=evaluation["score_mean"],
+                    mean_return=evaluation["return_mean"],
+                )
+                # `best` before `last`: a run that dies between them does this generation, and its evaluation, again.
+                paths.insert(0, self._folder.checkpoint_path("best"))
+            self._tell("on_evaluation", evaluation)
+            self._generation_start = perf_counter()
+        if state.generation % self._config.keep_checkpoints == 0:
+            paths.append(self._folder.checkpoint_path(str(state.generation)))
+        self._records.add_progress(row)
+        self.checkpoint = Checkpoint(state=state, best=best, numbers=self.checkpoint.numbers)
+        self._writer.write(paths, self.checkpoint)
+        self._tell("on_generation", row)
+
+    def _evaluate(self, report: GenerationReport) -> Row:
+        """Return the row of `evaluation.csv` for the mean policies after this generation."""
+        seeds = evaluation_seeds(report.state, self._config.evaluation_episodes)
+        found = evaluate_levels(report.state.levels, seeds, self._backend, self._config.episodes_per_policy)
+        return {
+            "generation": report.state.generation,
+            "env_steps": report.state.env_steps,
+            "wall_time_s": round(self._earlier_s + perf_counter() - self._start, 3),
+            **found.summary(),
+        }
+
+    def _tell_events(self, lines: list[str]) -> None:
+        """Log what the simulators and the workers had to say."""
+        for event in (*(f"MuJoCo: {line}" for line in lines), *self._backend.take_events()):
+            logger.warning(event)
+            self._tell("on_event", event)
+
+    def _tell(self, method: str, content: Any) -> None:
+        if self._listener is not None:
+            getattr(self._listener, method)(content)
+
+
+def _wall_time(folder: RunFolder) -> float:
+    """Return the seconds that the run took so far, by its table."""
+    times = read_csv(folder.progress).get("wall_time_s", []) if folder.progress.exists() else []
+    return times[-1] if times else 0.0
+
+
+class _Interruption:
+    """Ctrl-C (or SIGTERM): ends a generation at once, but never a file; the second one ends everything at once.
+
+    A generation that was cut short is done again by `shes resume`: the numbers are the same.
+    """
+
+    def __init__(self) -> None:
+        self.is_requested = False
+        self._may_raise = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> _Interruption:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._previous[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: object) -> None:
+        del number, frame
+        is_second, self.is_requested = self.is_requested, True
+        if self._may_raise or is_second:
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Let an interruption end what is done inside, because it writes nothing."""
+        if self.is_requested:
+            raise KeyboardInterrupt
+        self._may_raise = True
+        try:
+            yield
+        finally:
+            self._may_raise = False
+
+
+@contextmanager
+def _run_log(folder: RunFolder) -> Iterator[None]:
+    """Send the log of the run to its `log.txt`."""
+    with storage_errors(folder.log):
+        handler = logging.FileHandler(folder.log, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    previous = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.level, logger.propagate = previous
+        handler.close()

@@ -1,0 +1,204 @@
+"""The only loop over environment steps: many policy pairs in lockstep, refilled as they finish.
+
+A worker has P lanes; a lane runs the E episodes of one member of the population, each in its own slot. A finished
+episode leaves the physics and the statistics but keeps its row of the policy's matmul, so no result depends on which
+members share a worker (design, One generation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from shes.envs.task import Task
+from shes.errors import PolicyError
+from shes.es.level import perturb
+from shes.es.noise import NoiseTable
+from shes.hierarchy.agent import AgentDesign, HierarchicalAgent
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, LevelMoments
+from shes.types import CONTROLLER, LEVEL_NAMES, PRIMITIVE, BoolArray, F32Array, F64Array, IntArray
+
+__all__ = ["EXPLORATION_STD", "Rollout"]
+
+EXPLORATION_STD = 0.01
+"""Standard deviation of the exploration noise on the controller's output and on the control (authors' code)."""
+
+Work = tuple[int, EpisodeTask]
+"""A task with its number in the order of results."""
+
+
+@dataclass(kw_only=True)
+class _Lane:
+    """A member of the population at work."""
+
+    number: int
+    task: EpisodeTask
+    running: set[int]
+    """Places in `task.slots` of the episodes that have not ended."""
+    results: EpisodeResults
+
+
+class Rollout:
+    """Runs episodes of one environment for one agent design on one thread."""
+
+    def __init__(
+        self, design: AgentDesign, make_task: Callable[[int], Task], num_lanes: int, num_episodes: int, horizon: int
+    ) -> None:
+        """Make room for `num_lanes` members of `num_episodes` episodes of at most `horizon` steps.
+
+        `make_task` returns the task for a number of episodes N = P * E.
+        """
+        self.num_episodes, self.horizon = num_episodes, horizon
+        self.agent = HierarchicalAgent(design, num_lanes, num_episodes)
+        self.task = make_task(num_lanes * num_episodes)
+        self._lanes: list[_Lane | None] = [None] * num_lanes
+        rows = num_lanes * num_episodes
+        decisions = -(-horizon // design.controller_interval)
+        self._controller_noise: F32Array = np.zeros((num_lanes, decisions, num_episodes, 2), np.float32)
+        self._primitive_noise: F32Array = np.zeros((num_lanes, horizon, num_episodes, self.task.action_size), np.float32)
+        self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
+        self._steps: IntArray = np.zeros(rows, dtype=np.int64)
+        self._primitive_return: F64Array = np.zeros(rows)
+        self._explores = False
+
+    @property
+    def num_lanes(self) -> int:
+        """Members of the population at work at a time, P."""
+        return len(self._lanes)
+
+    def run(
+        self, work: Iterator[Work], generation: Generation, table: NoiseTable
+    ) -> Iterator[tuple[int, EpisodeResults]]:
+        """Run `work` to its end, a task per lane at a time; yield numbered results as they come.
+
+        Raises:
+            PolicyError: A policy returned NaN or infinity.
+        """
+        self._explores = not generation.is_evaluation
+        self.agent.normalise_by(generation.levels)
+        self._lanes = [None] * self.num_lanes
+        self._is_running[:] = False
+        is_exhausted = False
+        while True:
+            for place in range(0 if is_exhausted else self.num_lanes):
+                if self._lanes[place] is None:
+                    item = next(work, None)
+                    if item is None:
+                        is_exhausted = True
+                        break
+                    self._start(place, item, generation, table)
+            if not self._is_running.any():
+                return
+            self.agent.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
+            yield from self._step()
+
+    def _start(self, place: int, item: Work, generation: Generation, table: NoiseTable) -> None:
+        """Put a task into lane `place`: perturb the policies, reset the episodes, draw their exploration noise."""
+        number, task = item
+        for level, parameters in enumerate(generation.levels):
+            dim = len(parameters.theta)
+            noise = table.slice(task.noise_index[level], dim)
+            perturb(parameters.theta, noise, generation.sigma * task.signs[level], self.agent.theta[level][place])
+        rows = place * self.num_episodes + np.array(task.slots, dtype=np.int64)
+        self.task.reset(rows, task.seeds)
+        self.agent.start(place)
+        if self._explores:
+            self._draw_exploration(place, task)
+        self._is_running[rows] = True
+        self._steps[rows] = 0
+        self._primitive_return[rows] = 0
+        results = _empty_results(task, self.agent.design.observation_sizes)
+        self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(rows))), results=results)
+
+    def _draw_exploration(self, place: int, task: EpisodeTask) -> None:
+        """Draw the exploration noise of whole episodes from their seeds: no draw depends on another episode."""
+        for slot, seed in zip(task.slots, task.seeds, strict=True):
+            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
+            for noise in (self._controller_noise, self._primitive_noise):
+                drawn = rng.standard_normal((noise.shape[1], noise.shape[3]), dtype=np.float32)
+                noise[place, :, slot] = drawn * np.float32(EXPLORATION_STD)
+
+    def _step(self) -> Iterator[tuple[int, EpisodeResults]]:
+        """Advance every running episode by one control step; yield the tasks that this finished."""
+        task, agent = self.task, self.agent
+        action = agent.act(task.observe(), task.position, task.heading, *self._exploration())
+        if not np.isfinite(action).all():
+            self._refuse(action)
+        running = np.flatnonzero(self._is_running)
+        task.step(running, action)
+        self._steps[running] += 1
+        # What a diverged simulation is worth is not known: its last step pays nothing.
+        self._primitive_return += agent.primitive_reward(task.position) * ~task.diverged
+        ended = self._is_running & (task.terminated | task.diverged | (self._steps >= self.horizon))
+        if ended.any():
+            yield from self._finish(np.flatnonzero(ended))
+
+    def _exploration(self) -> tuple[F32Array | None, F32Array | None]:
+        """Return this step's noise [P, E, 2] and [P, E, A], or none in evaluation."""
+        if not self._explores:
+            return None, None
+        clock = np.minimum(self.agent.clock, self.horizon - 1)
+        lanes = np.arange(len(clock))
+        decision = clock // self.agent.design.controller_interval
+        return self._controller_noise[lanes, decision], self._primitive_noise[lanes, clock]
+
+    def _finish(self, rows: IntArray) -> Iterator[tuple[int, EpisodeResults]]:
+        """Take the results of the episodes in `rows`; yield the lanes in which none is left."""
+        task = self.task
+        score, success, terminated = task.score, task.success, task.terminated
+        for row in rows.tolist():
+            place, slot = divmod(row, self.num_episodes)
+            lane = self._lanes[place]
+            assert lane is not None
+            k = lane.task.slots.index(slot)
+            results = lane.results
+            results.returns[CONTROLLER, k] = task.running_return[row]
+            results.returns[PRIMITIVE, k] = self._primitive_return[row]
+            results.score[k], results.success[k] = score[row], success[row]
+            results.steps[k] = self._steps[row]
+            results.has_diverged[k] = task.diverged[row]
+            results.has_terminated[k] = terminated[row] and not task.diverged[row]
+            for moments, summed in zip(results.moments or (), self.agent.moments, strict=False):
+                moments.count[k] = summed.count[row]
+                moments.total[k] = summed.total[row]
+                moments.total_squares[k] = summed.total_squares[row]
+            self._is_running[row] = False
+            lane.running.discard(k)
+            if not lane.running:
+                self._lanes[place] = None
+                yield lane.number, results
+
+    def _refuse(self, action: F32Array) -> None:
+        """Say whose policy returned what is not finite; a lane without work cannot be the reason."""
+        for row in np.flatnonzero(~np.isfinite(action).all(axis=1)).tolist():
+            lane = self._lanes[row // self.num_episodes]
+            if lane is None:
+                continue
+            place = row // self.num_episodes
+            bad = [not np.isfinite(theta[place]).all() for theta in self.agent.theta]
+            which = " and ".join(name for name, is_bad in zip(LEVEL_NAMES, bad, strict=True) if is_bad)
+            raise PolicyError(
+                f"the policy of member {lane.task.member} returned NaN or infinity at step {int(self._steps[row])}"
+                f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
+                f"{lane.task.seeds[0]}. Lower --learning-rate or --sigma, and resume from an earlier checkpoint."
+            )
+
+
+def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
+    """Return results to be filled for the episodes of `task`, whose levels observe `sizes` values."""
+    k = len(task.slots)
+    moments = tuple(
+        LevelMoments(count=np.zeros(k, np.int64), total=np.zeros((k, size)), total_squares=np.zeros((k, size)))
+        for size in sizes
+    )
+    return EpisodeResults(
+        returns=np.zeros((len(sizes), k)),
+        score=np.zeros(k),
+        success=np.zeros(k, np.bool_),
+        steps=np.zeros(k, np.int64),
+        has_terminated=np.zeros(k, np.bool_),
+        has_diverged=np.zeros(k, np.bool_),
+        moments=moments if task.records_statistics else None,
+    )

@@ -1,0 +1,1 @@
+"""Policies: a flat parameter vector becomes a batched action."""

@@ -1,0 +1,75 @@
+"""Multilayer perceptron over a flat parameter vector, for many policies at once.
+
+Source: SHES paper and its code: tanh after every layer, the output included (algorithm specification section 1).
+A stacked matmul gives a policy the same bits whatever other policies are stacked with it, as long as its number of rows
+stays the same; so callers keep a policy's row count E for its whole life.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from shes.errors import ConfigError, UnknownNameError
+from shes.types import F32Array
+
+__all__ = ["BIAS_INITIALISATIONS", "MLP", "aligned_rows"]
+
+BIAS_INITIALISATIONS = ("zero", "glorot_normal")
+"""`glorot_normal` is the paper's code: a bias vector of n has fan (1, n), so standard deviation sqrt(2 / (1 + n))."""
+
+_CACHE_LINE = 64  # bytes
+
+
+def aligned_rows(rows: int, columns: int) -> F32Array:
+    """Return zeros [rows, columns] of which every row starts on a cache line: no policy's place changes its bits."""
+    per_line = _CACHE_LINE // 4
+    stride = -(-columns // per_line) * per_line
+    raw = np.zeros(rows * stride + per_line, np.float32)
+    offset = (-raw.ctypes.data % _CACHE_LINE) // 4
+    return raw[offset : offset + rows * stride].reshape(rows, stride)[:, :columns]
+
+
+class MLP:
+    """Layer sizes of a network; its parameters are a flat vector [D]: weights [in, out], then biases, layer by layer."""
+
+    def __init__(self, num_inputs: int, hidden: tuple[int, ...], num_outputs: int) -> None:
+        """Take `num_inputs` to `num_outputs` through `hidden` layers.
+
+        Raises:
+            ConfigError: A layer is not positive.
+        """
+        self.sizes = (num_inputs, *hidden, num_outputs)
+        if min(self.sizes) < 1:
+            raise ConfigError(f"hidden layers must be positive numbers, got {hidden}. Set --hidden, e.g. --hidden 64 64.")
+        self.num_params = sum((fan_in + 1) * fan_out for fan_in, fan_out in pairwise(self.sizes))
+
+    def initial(self, rng: np.random.Generator, bias_initialisation: str = "zero") -> F32Array:
+        """Return start parameters [D]: Glorot-normal weights, and biases as named.
+
+        Raises:
+            UnknownNameError: `bias_initialisation` is not one of `BIAS_INITIALISATIONS`.
+        """
+        if bias_initialisation not in BIAS_INITIALISATIONS:
+            raise UnknownNameError("bias initialisation", bias_initialisation, BIAS_INITIALISATIONS, "Set --biases.")
+        parts: list[F32Array] = []
+        for fan_in, fan_out in pairwise(self.sizes):
+            weights = rng.standard_normal(fan_in * fan_out) * np.sqrt(2 / (fan_in + fan_out))
+            biases = rng.standard_normal(fan_out) * np.sqrt(2 / (1 + fan_out))
+            parts += [weights.astype(np.float32), (biases * (bias_initialisation != "zero")).astype(np.float32)]
+        return np.concatenate(parts)
+
+    def act(self, theta: F32Array, observation: F32Array) -> F32Array:
+        """Return the outputs [P, E, A] in [-1, 1] of policies `theta` [P, D] on normalised `observation` [P, E, O]."""
+        policies = theta.shape[0]
+        layer, start = observation, 0
+        for fan_in, fan_out in pairwise(self.sizes):
+            end = start + fan_in * fan_out
+            weights = theta[:, start:end].reshape(policies, fan_in, fan_out)
+            biases = theta[:, None, end : end + fan_out]
+            layer = np.matmul(layer, weights)
+            layer += biases
+            np.tanh(layer, out=layer)
+            start = end + fan_out
+        return layer

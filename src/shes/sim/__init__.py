@@ -1,0 +1,1 @@
+"""Simulators: N copies of one MuJoCo model, on the CPU."""

@@ -1,0 +1,69 @@
+"""MuJoCo on the CPU: N simulations on one thread of `mujoco.batch`, equal to the bit to a loop over `mj_step`."""
+
+from __future__ import annotations
+
+import logging
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from shes.sim.simulator import Simulator
+from shes.types import IntArray
+
+__all__ = ["CpuSimulator", "log_physics_warnings"]
+
+logger = logging.getLogger("shes.mujoco")
+
+_DIVERGENCE = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_BADCTRL,
+    )
+]
+
+
+def log_physics_warnings() -> None:
+    """Send MuJoCo's warnings to the logger `shes.mujoco`, not to stderr and a file in the working directory.
+
+    An installed handler is left alone: it is the caller's.
+    """
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(logger.warning)
+
+
+class CpuSimulator(Simulator):
+    """N simulations stepped by the calling thread."""
+
+    def __init__(self, model: mujoco.MjModel, num_sims: int) -> None:
+        """Make `num_sims` simulations of `model`, all in its default state."""
+        log_physics_warnings()
+        self.model = model
+        self.num_sims = num_sims
+        self.xp = np
+        self._batch = Batch(model, num_sims, nthread=1)
+        self._batch.reset()
+        self.qpos = self._batch.bind("qpos")
+        self.qvel = self._batch.bind("qvel")
+        self.ctrl = self._batch.bind("ctrl")
+        self._default = self._batch.state[0].copy()
+        # Counters [N, kinds] of the warnings after which MuJoCo resets a simulation by itself, inside the step.
+        first, last = min(_DIVERGENCE), max(_DIVERGENCE)
+        self._counters = self._batch.warning[:, first : last + 1, 1]
+        assert sorted(_DIVERGENCE) == list(range(first, last + 1)), "MuJoCo renumbered its warnings"
+        self._counted = self._counters.copy()
+        self.diverged = np.zeros(num_sims, dtype=np.bool_)
+
+    def reset(self, ids: IntArray) -> None:
+        """Put simulations `ids` into the model's default state; the solver's warm start is part of it."""
+        self._batch.state[ids] = self._default
+        self._counted[ids] = self._counters[ids]
+        self.diverged[ids] = False
+
+    def step(self, ids: IntArray, nstep: int) -> None:
+        """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""
+        self._batch.step(ids, nstep=nstep)
+        np.any(self._counters != self._counted, axis=1, out=self.diverged)

@@ -1,0 +1,39 @@
+"""The Simulator contract: N copies of one MuJoCo model, advanced together."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from types import ModuleType
+
+import mujoco
+
+from shes.types import BoolArray, F64Array, IntArray
+
+__all__ = ["Simulator"]
+
+
+class Simulator(ABC):
+    """N simulations of one model. The arrays are live: what is written is the state at the next step."""
+
+    model: mujoco.MjModel
+    """The model that every simulation runs."""
+    num_sims: int
+    """Number of simulations, N."""
+    xp: ModuleType
+    """Array module of the arrays below: NumPy on the CPU."""
+    qpos: F64Array
+    """Generalised positions [N, nq]."""
+    qvel: F64Array
+    """Generalised velocities [N, nv]."""
+    ctrl: F64Array
+    """Controls [N, nu]."""
+    diverged: BoolArray
+    """Whether a simulation has blown up since its reset [N]. Its state is then MuJoCo's own reset state: finite."""
+
+    @abstractmethod
+    def reset(self, ids: IntArray) -> None:
+        """Put simulations `ids` into the model's default state, exactly, and forget that they diverged."""
+
+    @abstractmethod
+    def step(self, ids: IntArray, nstep: int) -> None:
+        """Advance simulations `ids` (sorted, unique) by `nstep` physics steps; the others do not move."""

@@ -1,0 +1,105 @@
+"""What a worker process does: hold the environments, receive a generation, run the episodes it is handed."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from shes.envs.registry import make_task
+from shes.envs.task import TaskOptions
+from shes.es.noise import NoiseTable
+from shes.hierarchy.agent import AgentDesign
+from shes.hierarchy.episodes import EpisodeResults, Generation
+from shes.hierarchy.rollout import Rollout, Work
+
+__all__ = ["RolloutWorker", "WorkerPlan", "lanes_that_fit"]
+
+_MAX_LOG_LINES = 20  # of the simulator, kept with one task's results
+_CACHE_BYTES = 12 * 2**20  # weights in use at once beyond this are read from memory at every step
+_MIN_ROWS, _MAX_ROWS = 32, 96  # episodes in lockstep: enough to share Python's work, few enough for the caches
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerPlan:
+    """Everything that a worker needs to know once; sent to it when it starts."""
+
+    env: str
+    """Name of the environment."""
+    training: TaskOptions
+    """Options of the environment in training."""
+    evaluation: TaskOptions
+    """Options of the environment in evaluation."""
+    design: AgentDesign
+    """What the agent is made of."""
+    noise_table: Path
+    """File of the noise table on this machine."""
+    episodes_per_policy: int
+    """Episodes of a member, E: the rows of every matmul."""
+    horizon: int
+    """Steps after which an episode is over."""
+    chunk_size: int
+    """Members of the population in lockstep; 0 chooses. Never changes a number."""
+
+
+def lanes_that_fit(parameters: int, episodes_per_policy: int) -> int:
+    """Return how many policies of `parameters` numbers a worker best runs in lockstep.
+
+    More rows share the cost of a Python step; but weights beyond the core's share of the cache are slower to use.
+    """
+    cached = _CACHE_BYTES // (4 * parameters)
+    return max(1, -(-_MIN_ROWS // episodes_per_policy), min(cached, _MAX_ROWS // episodes_per_policy))
+
+
+class _LogCollector(logging.Handler):
+    """Keeps what the simulator logs, for the results of the task at hand."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if len(self.lines) < _MAX_LOG_LINES:
+            self.lines.append(record.getMessage())
+
+
+class RolloutWorker:
+    """Evaluates tasks: the `Worker` of every backend."""
+
+    def __init__(self, plan: WorkerPlan) -> None:
+        """Open the noise table; environments are built when first used."""
+        self.plan = plan
+        self.table = NoiseTable.open_file(plan.noise_table)
+        self._rollouts: dict[bool, Rollout] = {}
+        self._generation: Generation | None = None
+        self._collector = _LogCollector()
+        simulator_log = logging.getLogger("shes.mujoco")
+        simulator_log.addHandler(self._collector)
+        simulator_log.propagate = False
+
+    def receive(self, state: Generation) -> None:
+        """Take the mean policies that the next tasks perturb."""
+        self._generation = state
+
+    def run(self, work: Iterator[Work], share: int) -> Iterator[tuple[int, EpisodeResults]]:
+        """Run `work`, of which about `share` tasks are this worker's; yield numbered results as they come."""
+        assert self._generation is not None, "receive() comes first"
+        rollout = self._rollout(self._generation.is_evaluation, share)
+        for number, results in rollout.run(work, self._generation, self.table):
+            lines, self._collector.lines = tuple(self._collector.lines), []
+            yield number, replace(results, log=lines) if lines else results
+
+    def _rollout(self, is_evaluation: bool, share: int) -> Rollout:
+        """Return the rollout for training or evaluation with lanes for `share` tasks, building it where needed."""
+        plan = self.plan
+        chunk = plan.chunk_size or lanes_that_fit(sum(plan.design.dims), plan.episodes_per_policy)
+        lanes = max(1, min(chunk, share))
+        rollout = self._rollouts.get(is_evaluation)
+        if rollout is None or rollout.num_lanes != lanes:
+            options = plan.evaluation if is_evaluation else plan.training
+            make = partial(make_task, plan.env, options=options)
+            rollout = Rollout(plan.design, make, lanes, plan.episodes_per_policy, plan.horizon)
+            self._rollouts[is_evaluation] = rollout
+        return rollout

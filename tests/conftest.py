@@ -1,0 +1,24 @@
+"""What every test shares: one BLAS thread, no display, no touch of the user's cache."""
+
+import os
+
+# Before NumPy is imported: BLAS reads them once, and its thread count changes bits. Worker processes inherit them.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["MPLBACKEND"] = "Agg"
+
+import hypothesis
+import pytest
+
+# No deadline: a busy machine is no failure. In CI the examples are the same each time.
+hypothesis.settings.register_profile("shes", deadline=None, derandomize="CI" in os.environ)
+hypothesis.settings.load_profile("shes")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache_dir(tmp_path_factory):
+    """Folder that stands in for the user's cache (SHES_CACHE_DIR) in this session, worker processes included."""
+    path = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SHES_CACHE_DIR", str(path))
+        yield path
