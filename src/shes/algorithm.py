@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from time import perf_counter
 
 from shes.backends.backend import Backend
-from shes.es.level import TrainState, UpdateRule, draw_noise_index, update_level
+from shes.es.level import LevelParameters, TrainState, UpdateRule, draw_noise_index, update_level
 from shes.es.mirror import check_population, sign_matrix
 from shes.es.noise import NoiseTable
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.agent import LevelParameters
 from shes.hierarchy.episodes import EpisodeTask, Generation, PopulationResults, spread
 from shes.types import IntArray
 

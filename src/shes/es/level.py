@@ -19,7 +19,15 @@ from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = ["LevelState", "TrainState", "UpdateRule", "draw_noise_index", "perturb", "update_level"]
+__all__ = [
+    "LevelParameters",
+    "LevelState",
+    "TrainState",
+    "UpdateRule",
+    "draw_noise_index",
+    "perturb",
+    "update_level",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +54,20 @@ class TrainState:
     """Environment steps of training so far."""
     levels: tuple[LevelState, ...]
     """The levels, controller first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelParameters:
+    """What a level needs to act: parameters [D] and normalisation [O]."""
+
+    theta: F32Array
+    mean: F64Array
+    inverse_std: F64Array
+
+    @classmethod
+    def of(cls, theta: F32Array, statistics: ObservationStatistics) -> LevelParameters:
+        """Freeze `theta` with the normalisation that `statistics` give."""
+        return cls(theta=theta, mean=statistics.mean, inverse_std=1 / statistics.std)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from shes.algorithm import evolve, population_tasks, sample_noise
 from shes.envs.registry import make_task
 from shes.envs.task import FRAME_SKIP, Task
 from shes.es.gradient import group_weights, weighted_noise_sum
-from shes.es.level import LevelState, draw_noise_index, update_level
+from shes.es.level import LevelParameters, LevelState, draw_noise_index, update_level
 from shes.es.mirror import check_population, sign_matrix
 from shes.es.ranking import centred_ranks
 from shes.experiments.build import (
@@ -33,7 +33,6 @@ from shes.experiments.build import (
 )
 from shes.experiments.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.experiments.config import TrainConfig
-from shes.hierarchy.agent import LevelParameters
 from shes.hierarchy.episodes import Generation
 from shes.hierarchy.rollout import Rollout
 from shes.types import F64Array, FloatArray, IntArray

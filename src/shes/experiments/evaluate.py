@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from shes.backends.backend import Backend
-from shes.es.level import LevelState, TrainState
+from shes.es.level import LevelParameters, LevelState, TrainState
 from shes.es.streams import Purpose, stream
 from shes.experiments.build import build_backend, build_design, build_plan, open_noise_table
 from shes.experiments.config import TrainConfig
 from shes.experiments.run_folder import RunFolder
-from shes.hierarchy.agent import LevelParameters
 from shes.hierarchy.episodes import EpisodeTask, Generation, PopulationResults
 from shes.types import CONTROLLER, PRIMITIVE, F64Array
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from shes.errors import ShapeError
-from shes.es.level import LevelState
+from shes.es.level import LevelParameters, LevelState
 from shes.experiments.build import build_design, build_task
 from shes.experiments.config import TrainConfig
 from shes.experiments.run_folder import RunFolder
-from shes.hierarchy.agent import HierarchicalAgent, LevelParameters
+from shes.hierarchy.agent import HierarchicalAgent
 from shes.types import F64Array
 
 __all__ = ["Agent", "load"]

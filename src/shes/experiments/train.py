@@ -100,7 +100,7 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     open_noise_table(config, design)  # what can be wrong with it shows before there is a folder
     folder = RunFolder.create(default_path(config) if out is None else Path(out), config)
     checkpoint = Checkpoint(state=build_state(config, design), best=Best(), numbers=config.numbers())
-    for name in ("best", "last"):
+    for name in ("0", "best", "last"):
         save_checkpoint(folder.checkpoint_path(name), checkpoint)
     return _go_on(folder, config, checkpoint, listener)
 

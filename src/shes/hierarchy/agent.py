@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shes.es.statistics import ObservationStatistics, normalise
+from shes.es.level import LevelParameters
+from shes.es.statistics import normalise
 from shes.hierarchy.goals import GoalEncoding
 from shes.hierarchy.rewards import PrimitiveReward
 from shes.policies.mlp import MLP, aligned_rows
 from shes.types import CONTROLLER, PRIMITIVE, F32Array, F64Array, IntArray
 
-__all__ = ["AgentDesign", "HierarchicalAgent", "LevelParameters", "Moments"]
+__all__ = ["AgentDesign", "HierarchicalAgent", "Moments"]
 
 MIN_COMPONENT_M = np.sqrt(0.5)
 """With a minimum goal distance, each component of a goal vector is pushed out to this: the goal is 1 m away or more."""
@@ -53,20 +54,6 @@ class AgentDesign:
     def observation_sizes(self) -> tuple[int, int]:
         """Inputs of each level."""
         return (self.controller.sizes[0], self.primitive.sizes[0])
-
-
-@dataclass(frozen=True, kw_only=True)
-class LevelParameters:
-    """What a level needs to act: parameters [D] and normalisation [O]."""
-
-    theta: F32Array
-    mean: F64Array
-    inverse_std: F64Array
-
-    @classmethod
-    def of(cls, theta: F32Array, statistics: ObservationStatistics) -> LevelParameters:
-        """Freeze `theta` with the normalisation that `statistics` give."""
-        return cls(theta=theta, mean=statistics.mean, inverse_std=1 / statistics.std)
 
 
 class Moments:

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shes.es.level import LevelState
-from shes.hierarchy.agent import LevelParameters
+from shes.es.level import LevelParameters, LevelState
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["EpisodeResults", "EpisodeTask", "Generation", "LevelMoments", "PopulationResults", "spread"]
