@@ -39,7 +39,9 @@ class WorkerPlan:
     episodes_per_policy: int
     """Episodes of a member, E: the rows of every matmul."""
     horizon: int
-    """Steps after which an episode is over."""
+    """Steps after which an episode of training is over."""
+    evaluation_horizon: int
+    """Steps after which an episode of evaluation is over."""
     chunk_size: int
     """Members of the population in lockstep; 0 chooses. Never changes a number."""
 
@@ -100,6 +102,7 @@ class RolloutWorker:
         if rollout is None or rollout.num_lanes != lanes:
             options = plan.evaluation if is_evaluation else plan.training
             make = partial(make_task, plan.env, options=options)
-            rollout = Rollout(plan.design, make, lanes, plan.episodes_per_policy, plan.horizon)
+            horizon = plan.evaluation_horizon if is_evaluation else plan.horizon
+            rollout = Rollout(plan.design, make, lanes, plan.episodes_per_policy, horizon)
             self._rollouts[is_evaluation] = rollout
         return rollout

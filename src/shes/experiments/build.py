@@ -112,6 +112,7 @@ def build_plan(config: TrainConfig, design: AgentDesign, table: NoiseTable) -> W
         noise_table=table.path,
         episodes_per_policy=config.episodes_per_policy,
         horizon=config.horizon,
+        evaluation_horizon=config.evaluation_horizon or config.horizon,
         chunk_size=config.chunk_size,
     )
 

@@ -6,6 +6,7 @@ import difflib
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from numbers import Integral, Real
 from typing import Any
 
 from shes.envs.registry import check_name
@@ -40,6 +41,7 @@ _AT_LEAST: dict[str, int] = {
     "controller_interval": 1,
     "episodes_per_policy": 1,
     "evaluation_episodes": 1,
+    "evaluation_horizon": 1,
     "evaluation_interval": 1,
     "generations": 1,
     "horizon": 1,
@@ -50,6 +52,9 @@ _AT_LEAST: dict[str, int] = {
 }
 _POSITIVE = ("goal_distance", "learning_rate", "minutes", "sigma")
 _NOT_NEGATIVE = ("evaluation_reset_noise", "reset_noise", "weight_decay")
+_FRACTIONS = ("statistics_fraction",)
+_SWITCHES = ("common_random_numbers", "minimum_goal_distance")
+_OPTIONAL = ("evaluation_horizon", "minutes")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +114,9 @@ class TrainConfig:
     """What the primitive is paid: progress (section II-B, equation 1)."""
 
     horizon: int = 500
-    """Control steps in an episode (Table I)."""
+    """Control steps in an episode of training (Table I: 500)."""
+    evaluation_horizon: int | None = None
+    """Control steps in an episode of evaluation; the same as in training if none."""
     integrator: str = "euler"
     """MuJoCo's integrator: euler, rk4 or implicitfast."""
     reset_noise: float = 0.1
@@ -138,21 +145,26 @@ class TrainConfig:
                 raise UnknownNameError(name.replace("_", " "), str(getattr(self, name)), choices, f"Set {flag(name)}.")
         for name in (field.name for field in fields(self)):
             self._check_number(name, getattr(self, name))
-        if not 0 <= self.statistics_fraction <= 1:
-            raise _out_of_range("statistics_fraction", self.statistics_fraction, "between 0 and 1")
-        if any(not isinstance(size, int) or size < 1 for size in self.hidden):
+        if any(not isinstance(size, Integral) or size < 1 for size in self.hidden):
             raise _out_of_range("hidden", self.hidden, "positive whole numbers, e.g. --hidden 64 64")
         check_population(self.population_size, self.mirrored, 2)
 
     @staticmethod
     def _check_number(name: str, value: Any) -> None:
-        """Refuse a number out of its range."""
-        if name in _AT_LEAST and (not isinstance(value, int) or isinstance(value, bool) or value < _AT_LEAST[name]):
+        """Refuse a number that is none, or out of its range."""
+        if value is None and name in _OPTIONAL:
+            return
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
+        if name in _AT_LEAST and not (isinstance(value, Integral) and is_number and value >= _AT_LEAST[name]):
             raise _out_of_range(name, value, f"a whole number of at least {_AT_LEAST[name]}")
-        if name in _POSITIVE and value is not None and not 0 < value < float("inf"):
-            raise _out_of_range(name, value, "positive")
-        if name in _NOT_NEGATIVE and not 0 <= value < float("inf"):
-            raise _out_of_range(name, value, "zero or positive")
+        if name in _POSITIVE and not (is_number and 0 < value < float("inf")):
+            raise _out_of_range(name, value, "a positive number")
+        if name in _NOT_NEGATIVE and not (is_number and 0 <= value < float("inf")):
+            raise _out_of_range(name, value, "zero or a positive number")
+        if name in _FRACTIONS and not (is_number and 0 <= value <= 1):
+            raise _out_of_range(name, value, "between 0 and 1")
+        if name in _SWITCHES and not isinstance(value, bool):
+            raise _out_of_range(name, value, "true or false")
 
     @property
     def workers(self) -> int:

@@ -1,0 +1,178 @@
+"""What every simulator promises. A new simulator is one line in `SIMULATORS`."""
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import Simulator
+from tests.envs.reference_gather import ant_gather_xml
+
+SIMULATORS = {"cpu": CpuSimulator}
+NUM_SIMS = 5
+ALL = np.arange(NUM_SIMS)
+
+
+@pytest.fixture(params=SIMULATORS)
+def make(request):
+    """Return a new simulator of the ant, NUM_SIMS copies of it unless told otherwise."""
+    model = mujoco.MjModel.from_xml_string(ant_gather_xml())
+
+    def build(num_sims=NUM_SIMS):
+        return SIMULATORS[request.param](model, num_sims)
+
+    return build
+
+
+def host(array):
+    """Return a copy as a NumPy array, wherever the simulator keeps it."""
+    return np.array(array.get() if hasattr(array, "get") else array)
+
+
+def state(simulator):
+    return np.concatenate([host(simulator.qpos), host(simulator.qvel)], axis=1)
+
+
+def kick(simulator, seed=0):
+    """Give every simulation another velocity and other controls."""
+    rng = np.random.default_rng(seed)
+    simulator.qvel[:] = simulator.xp.asarray(rng.normal(0, 0.5, simulator.qvel.shape))
+    simulator.ctrl[:] = simulator.xp.asarray(rng.uniform(-30, 30, simulator.ctrl.shape))
+
+
+def test_a_simulator_fulfils_the_contract_class(make):
+    assert isinstance(make(), Simulator)
+
+
+def test_arrays_have_one_row_per_simulation(make):
+    simulator = make()
+    model = simulator.model
+    assert simulator.num_sims == NUM_SIMS
+    assert simulator.qpos.shape == (NUM_SIMS, model.nq)
+    assert simulator.qvel.shape == (NUM_SIMS, model.nv)
+    assert simulator.ctrl.shape == (NUM_SIMS, model.nu)
+    assert simulator.diverged.shape == (NUM_SIMS,)
+    assert simulator.diverged.dtype == np.bool_
+
+
+def test_a_new_simulator_stands_in_the_default_state(make):
+    simulator = make()
+    assert_array_equal(host(simulator.qpos), np.tile(simulator.model.qpos0, (NUM_SIMS, 1)))
+    assert not host(simulator.qvel).any()
+    assert not host(simulator.diverged).any()
+
+
+def test_arrays_are_live(make):
+    simulator = make()
+    arrays = simulator.qpos, simulator.qvel
+    kick(simulator)
+    before = [host(array) for array in arrays]
+    simulator.step(ALL, 5)
+    assert simulator.qpos is arrays[0]
+    assert simulator.qvel is arrays[1]
+    for array, old in zip(arrays, before, strict=True):
+        assert (host(array) != old).any(axis=1).all()
+
+
+def test_what_is_written_is_the_state_at_the_next_step(make):
+    simulator = make()
+    simulator.qpos[2, 0] = 5.0
+    simulator.qvel[2, 0] = 1.0
+    simulator.step(ALL, 1)
+    assert host(simulator.qpos)[2, 0] == pytest.approx(5.02, abs=5e-3)
+    assert host(simulator.qpos)[1, 0] == pytest.approx(0.0, abs=5e-3)
+
+
+def test_controls_act(make):
+    simulator = make()
+    simulator.ctrl[1] = 30
+    simulator.step(ALL, 5)
+    joints = host(simulator.qpos)[:, 7:]
+    assert np.abs(joints[1] - joints[0]).min() > 1e-3
+    assert_array_equal(joints[2], joints[0])
+
+
+@pytest.mark.parametrize("ids", [[], [0], [4], [1, 3], [0, 1, 2, 3, 4]])
+def test_simulations_that_are_not_stepped_do_not_move(make, ids):
+    simulator = make()
+    kick(simulator)
+    before = state(simulator)
+    simulator.step(np.array(ids, dtype=np.int64), 5)
+    has_moved = (state(simulator) != before).any(axis=1)
+    assert_array_equal(has_moved, np.isin(ALL, ids))
+
+
+def test_a_simulation_does_not_depend_on_which_others_are_stepped(make):
+    together, apart = make(), make()
+    for simulator in (together, apart):
+        kick(simulator)
+    together.step(ALL, 5)
+    for ids in ([1, 3], [4], [0, 2]):
+        apart.step(np.array(ids), 5)
+    assert_array_equal(state(together), state(apart))
+
+
+def test_a_simulation_does_not_depend_on_how_many_there_are(make):
+    many, one = make(), make(1)
+    kick(many)
+    one.qvel[:], one.ctrl[:] = many.qvel[3:4], many.ctrl[3:4]
+    for _ in range(20):
+        many.step(ALL, 5)
+        one.step(np.arange(1), 5)
+    assert_array_equal(state(many)[3], state(one)[0])
+
+
+def test_five_steps_in_one_call_equal_five_calls(make):
+    once, often = make(), make()
+    for simulator in (once, often):
+        kick(simulator)
+    once.step(ALL, 5)
+    for _ in range(5):
+        often.step(ALL, 1)
+    assert_array_equal(state(once), state(often))
+
+
+def test_a_reset_moves_only_the_simulations_asked_for(make):
+    simulator = make()
+    fresh = state(simulator)
+    kick(simulator)
+    simulator.step(ALL, 20)
+    before = state(simulator)
+    simulator.reset(np.array([1, 4]))
+    assert_array_equal(state(simulator)[[1, 4]], fresh[[1, 4]])
+    assert_array_equal(state(simulator)[[0, 2, 3]], before[[0, 2, 3]])
+
+
+def test_a_reset_simulation_cannot_be_told_from_a_new_one(make):
+    used, new = make(), make()
+    kick(used, seed=1)
+    used.step(ALL, 60)
+    used.reset(ALL)
+    for simulator in (used, new):
+        simulator.qpos[:, 2] = 0.3
+        kick(simulator, seed=2)
+    for _ in range(20):
+        used.step(ALL, 5)
+        new.step(ALL, 5)
+        assert_array_equal(state(used), state(new))
+
+
+def test_a_simulation_that_blows_up_stays_finite_and_is_the_only_one_marked(make):
+    simulator = make()
+    simulator.qvel[3, 0] = 1e12
+    simulator.step(ALL, 5)
+    assert_array_equal(host(simulator.diverged), ALL == 3)
+    assert np.isfinite(state(simulator)).all()
+
+
+def test_the_mark_of_a_divergence_goes_with_the_reset_and_comes_with_the_next_divergence(make):
+    simulator = make()
+    for _ in range(3):
+        simulator.qvel[3, 0] = 1e12
+        simulator.step(ALL, 5)
+        assert_array_equal(host(simulator.diverged), ALL == 3)
+        simulator.reset(np.array([3]))
+        assert not host(simulator.diverged).any()
+        simulator.step(ALL, 5)
+        assert not host(simulator.diverged).any()
