@@ -97,15 +97,17 @@ class Gather(Task):
             self.objects[i] = _draw_places(rng, 2 * NUM_OBJECTS).reshape(2, NUM_OBJECTS, 2)
         self.present[ids] = True
         self._best_return[ids] = 0
-        self._measure()
+        self._measure(ids)
 
-    def _measure(self) -> None:
-        """Measure from the robots to the objects."""
-        np.subtract(self.objects, self.position[:, None, None, :], out=self._offset)
-        np.einsum("nkoi,nkoi->nko", self._offset, self._offset, out=self._squared_distance)
+    def _measure(self, ids: IntArray | slice) -> None:
+        """Measure from the robots of episodes `ids` to their objects."""
+        offset = self.objects[ids] - self.position[ids][:, None, None, :]
+        self._offset[ids] = offset
+        offset *= offset
+        self._squared_distance[ids] = offset[..., 0] + offset[..., 1]
 
     def _update_features(self) -> F64Array:
-        self._measure()
+        self._measure(slice(None))
         caught = self.present & (self._squared_distance < CATCH_RANGE_M**2)
         reward = np.zeros(self.num_episodes)
         if caught.any():

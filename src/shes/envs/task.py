@@ -73,7 +73,9 @@ class Task(ABC):
         self.options = options
         self.num_episodes = num_episodes
         self.sim = simulator(self.build_model(body, options), num_episodes)
-        self.time = np.zeros(num_episodes, dtype=np.int64)
+        self.time: IntArray = np.zeros(num_episodes, dtype=np.int64)
+        """Control steps since the reset [N]."""
+        self._heading: F64Array | None = None  # of the present state, once asked for
         self.reward: F64Array = np.zeros(num_episodes)
         """Reward of the last step [N]; 0 where the simulation diverged."""
         self.running_return: F64Array = np.zeros(num_episodes)
@@ -136,7 +138,9 @@ class Task(ABC):
     @property
     def heading(self) -> F64Array:
         """Yaw of the robot [N] in radians."""
-        return self.body.heading(self.sim.qpos)
+        if self._heading is None:
+            self._heading = self.body.heading(self.sim.qpos)
+        return self._heading
 
     @property
     def terminated(self) -> BoolArray:
@@ -154,6 +158,7 @@ class Task(ABC):
         rngs = [np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed), spawn_key=(0,)))) for seed in seeds]
         for i, rng in zip(ids, rngs, strict=True):
             self._place_robot(int(i), rng)
+        self._heading = None
         self.time[ids] = 0
         self.reward[ids] = 0
         self.running_return[ids] = 0
@@ -166,6 +171,7 @@ class Task(ABC):
         """
         self.sim.ctrl[:] = action
         self.sim.step(ids, FRAME_SKIP)
+        self._heading = None
         self.time += 1
         np.multiply(self._update_features(), ~self.sim.diverged, out=self.reward)
         self.running_return += self.reward

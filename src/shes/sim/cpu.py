@@ -66,4 +66,6 @@ class CpuSimulator(Simulator):
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""
         self._batch.step(ids, nstep=nstep)
-        np.any(self._counters != self._counted, axis=1, out=self.diverged)
+        risen = self._counters != self._counted
+        if risen.any():
+            np.any(risen, axis=1, out=self.diverged)
