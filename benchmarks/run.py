@@ -1,4 +1,4 @@
-"""The table of ratios in the README: `make bench`. Each row is `shes bench` in a process of its own, on an idle machine.
+"""The table of ratios in the README: `make bench`, on an idle machine. Each row is `shes bench` in its own process.
 
 Prints the table and, with `--out FILE`, writes every number as CSV.
 """
@@ -21,7 +21,17 @@ ROLLOUTS = [
     (
         "Ant Gather, 3 x 256, 1 worker",
         0.75,
-        ["ant-gather", "--preset", "paper", "--population-size", "40", "--noise-table-size", "25000000", "--workers", "1"],
+        [
+            "ant-gather",
+            "--preset",
+            "paper",
+            "--population-size",
+            "40",
+            "--noise-table-size",
+            "25000000",
+            "--workers",
+            "1",
+        ],
     ),
     ("Point Gather, 64 x 64, 1 worker", None, ["point-gather", "--workers", "1"]),
 ]

@@ -8,7 +8,7 @@ learning rate), `n` (the population size) and the noise `epsilon` are its symbol
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from time import perf_counter
@@ -62,12 +62,12 @@ class GenerationReport:
 
 def evolve(
     state: TrainState, settings: Settings, table: NoiseTable, backend: Backend, pool: ThreadPoolExecutor | None = None
-) -> Iterator[GenerationReport]:
+) -> Generator[GenerationReport, None, None]:
     """Yield a report after every generation, for ever, from `state` on. `pool` shares the gradient's columns."""
     signs = sign_matrix(settings.mirrored, len(state.levels))
     while True:  # line 1
         start = perf_counter()
-        # line 2: the n roll-outs are tasks of a few integers each. line 3: sample epsilon, as places in the noise table.
+        # line 2: n roll-outs, tasks of a few integers each. line 3: sample epsilon, as places in the noise table.
         noise_index = sample_noise(state, settings, table)
         tasks = spread(population_tasks(state, settings, noise_index), backend.num_workers)
         # line 3: f = F(theta + epsilon * sigma), for controller and primitive at once.
@@ -111,7 +111,7 @@ def population_tasks(state: TrainState, settings: Settings, noise_index: IntArra
     episodes = settings.episodes_per_policy
     rng = stream(state.seed, Purpose.TRAINING_EPISODES, state.generation)
     seeds = rng.integers(0, 2**63, (groups, 1 if settings.has_common_random_numbers else members, episodes))
-    sample = stream(state.seed, Purpose.STATISTICS_SAMPLE, state.generation).random(groups)
+    sample = stream(state.seed, Purpose.STATISTICS_SAMPLE, state.generation).uniform(0, 1, groups).tolist()
     return [
         EpisodeTask(
             member=group * members + member,
@@ -119,7 +119,7 @@ def population_tasks(state: TrainState, settings: Settings, noise_index: IntArra
             signs=tuple(signs[member].tolist()),
             slots=tuple(range(episodes)),
             seeds=tuple(seeds[group, member % seeds.shape[1]].tolist()),
-            records_statistics=bool(sample[group] < settings.statistics_fraction),
+            records_statistics=sample[group] < settings.statistics_fraction,
         )
         for group in range(groups)
         for member in range(members)

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
-
-# One BLAS thread, before NumPy is imported: threads change bits, and the work is spread over processes anyway.
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_variable, "1")
 
 import tyro
 from rich.console import Console
@@ -97,7 +92,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     words = [_ALIASES.get(word, word) for word in words if word != "--debug"]
-    words = [f"{_ALIASES[name]}={value}" if name in _ALIASES else word for word in words for name, _, value in [word.partition("=")]]
+    words = [
+        f"{_ALIASES[name]}={value}" if name in _ALIASES else word
+        for word in words
+        for name, _, value in [word.partition("=")]
+    ]
     try:
         return _dispatch(words)
     except KeyboardInterrupt:

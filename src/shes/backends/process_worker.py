@@ -77,7 +77,7 @@ def main() -> None:
             return  # the parent has closed the connection
         except ShesError as error:
             connection.send(("refused", error))
-        except BaseException:
+        except BaseException:  # noqa: BLE001 - whatever it is, the parent must hear of it
             connection.send(("failed", traceback.format_exc()))
 
 

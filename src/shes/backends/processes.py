@@ -1,7 +1,7 @@
-"""The processes backend: workers on this machine, connected by pipes; a lost worker is replaced and its work done again.
+"""The processes backend: workers on this machine; a lost worker is replaced and its work done again.
 
-Own processes rather than a `ProcessPoolExecutor`, which breaks as a whole when one worker is killed and outlives a killed
-parent. Workers are started as a module, so a caller's script needs no `__main__` guard.
+Own processes rather than a `ProcessPoolExecutor`, which breaks as a whole when one worker is killed and outlives a
+killed parent. Workers are started as a module, so a caller's script needs no `__main__` guard.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
@@ -185,10 +186,8 @@ class ProcessesBackend(Backend):
     @staticmethod
     def _send(process: _Process, message: tuple[Any, ...]) -> None:
         """Send a message; that a worker is gone shows when it is next read from."""
-        try:
+        with suppress(OSError):
             process.connection.send(message)
-        except OSError:
-            pass
 
     def _end_all(self) -> None:
         processes, self._processes = self._processes, []

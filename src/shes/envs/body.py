@@ -39,4 +39,3 @@ class Body(ABC):
     def position(self, qpos: F64Array) -> F64Array:
         """Return the place [N, 2] in metres of robots at `qpos` [N, num_qpos]: a view."""
         return qpos[..., :2]
-

@@ -1,7 +1,7 @@
 """The Task contract: an environment over a batch of N episodes, written once for training, evaluation and Gymnasium.
 
-Source: environment specification, Common and Tasks. A task owns its simulator; nothing here loops over episodes except a
-reset, where every episode draws from its own seed.
+Source: environment specification, Common and Tasks. A task owns its simulator; nothing here loops over episodes
+except a reset, where every episode draws from its own seed.
 """
 
 from __future__ import annotations
@@ -155,7 +155,9 @@ class Task(ABC):
     def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
         """Start episodes `ids` anew, each from its own seed (a non-negative integer)."""
         self.sim.reset(ids)
-        rngs = [np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed), spawn_key=(0,)))) for seed in seeds]
+        rngs = [
+            np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed), spawn_key=(0,)))) for seed in seeds
+        ]
         for i, rng in zip(ids, rngs, strict=True):
             self._place_robot(int(i), rng)
         self._heading = None

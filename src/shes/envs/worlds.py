@@ -1,7 +1,7 @@
 """Worlds: a grid of cells becomes static boxes in a MuJoCo model. Source: environment specification, Worlds.
 
-`#` wall, `.` free, `r` the robot's cell, which is the origin. Column j is x = 8 j - x_robot, row i is y = 8 i - y_robot,
-row 0 first.
+`#` wall, `.` free, `r` the robot's cell, which is the origin. Column j is x = 8 j - x_robot, row i is
+y = 8 i - y_robot, row 0 first.
 """
 
 from __future__ import annotations
@@ -10,7 +10,16 @@ import mujoco
 
 from shes.errors import UnknownNameError
 
-__all__ = ["CELL_SIZE_M", "GATHER", "INTEGRATORS", "TIMESTEP_S", "WALL_HEIGHT_M", "add_walls", "empty_world", "wall_boxes"]
+__all__ = [
+    "CELL_SIZE_M",
+    "GATHER",
+    "INTEGRATORS",
+    "TIMESTEP_S",
+    "WALL_HEIGHT_M",
+    "add_walls",
+    "empty_world",
+    "wall_boxes",
+]
 
 CELL_SIZE_M = 8.0
 WALL_HEIGHT_M = 4.0
@@ -50,7 +59,11 @@ def empty_world(name: str, integrator: str) -> mujoco.MjSpec:
     geom.solref = [0.02, 1.0]
     geom.solimp = [0.8, 0.8, 0.01, 0.5, 2.0]
     spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[FLOOR_HALF_SIZE_M] * 3, conaffinity=1, rgba=[0.8, 0.9, 0.8, 1]
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[FLOOR_HALF_SIZE_M] * 3,
+        conaffinity=1,
+        rgba=[0.8, 0.9, 0.8, 1],
     )
     return spec
 

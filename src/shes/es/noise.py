@@ -110,7 +110,9 @@ class NoiseTable:
         head = _block(seed, 0, min(_CHECKED, size))
         tail = _block(seed, last, min(_CHECKED, size - last * _BLOCK))
         start = last * _BLOCK
-        return bool(np.array_equal(values[: len(head)], head) and np.array_equal(values[start : start + len(tail)], tail))
+        return bool(
+            np.array_equal(values[: len(head)], head) and np.array_equal(values[start : start + len(tail)], tail)
+        )
 
     @staticmethod
     def _build(path: Path, size: int, seed: int) -> None:

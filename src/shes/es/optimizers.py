@@ -38,8 +38,14 @@ class Adam:
     def step(self, gradient: F32Array, state: AdamState, learning_rate: float) -> tuple[F32Array, AdamState]:
         """Return the step [D] to add to the parameters, and the next state. `gradient` [D] points uphill."""
         steps = state.steps + 1
-        first = np.float32(self.beta1) * state.first + np.float32(1 - self.beta1) * gradient
-        second = np.float32(self.beta2) * state.second + np.float32(1 - self.beta2) * (gradient * gradient)
+        first = _mix(state.first, gradient, self.beta1)
+        second = _mix(state.second, gradient * gradient, self.beta2)
         rate = learning_rate * np.sqrt(1 - self.beta2**steps) / (1 - self.beta1**steps)
         step = np.float32(rate) * first / (np.sqrt(second) + np.float32(self.epsilon))
-        return step, AdamState(first=first, second=second, steps=steps)
+        return step.astype(np.float32, copy=False), AdamState(first=first, second=second, steps=steps)
+
+
+def _mix(old: F32Array, new: F32Array, share: float) -> F32Array:
+    """Return `share * old + (1 - share) * new` [D] in float32."""
+    mixed = np.float32(share) * old + np.float32(1 - share) * new
+    return mixed.astype(np.float32, copy=False)

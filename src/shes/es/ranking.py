@@ -38,6 +38,8 @@ def centred_ranks(fitness: F64Array, ties: str = "average") -> F64Array:
     ranks = np.empty(count)
     ranks[order] = np.arange(count)
     if ties == "average":
-        _, first, inverse, repeats = np.unique(fitness[order], return_index=True, return_inverse=True, return_counts=True)
+        _, first, inverse, repeats = np.unique(
+            fitness[order], return_index=True, return_inverse=True, return_counts=True
+        )
         ranks[order] = (first + (repeats - 1) / 2)[inverse]
     return ranks / (count - 1) - 0.5

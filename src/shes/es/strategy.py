@@ -136,6 +136,7 @@ class EvolutionStrategy:
         if tuple(x.shape for x in starts) != tuple((dim,) for dim in self.dims):
             raise ShapeError(f"initial must have the shape of dim {self.dims}, got {[x.shape for x in starts]}.")
         levels = tuple(
-            LevelState(theta=x, optimizer=Adam().start(len(x)), statistics=ObservationStatistics.empty(0)) for x in starts
+            LevelState(theta=x, optimizer=Adam().start(len(x)), statistics=ObservationStatistics.empty(0))
+            for x in starts
         )
         return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)

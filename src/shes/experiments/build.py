@@ -77,9 +77,7 @@ def build_settings(config: TrainConfig) -> Settings:
 
 def build_update_rule(config: TrainConfig) -> UpdateRule:
     """Return how fitness becomes a step."""
-    return UpdateRule(
-        learning_rate=config.learning_rate, weight_decay=config.weight_decay, rank_ties=config.rank_ties
-    )
+    return UpdateRule(learning_rate=config.learning_rate, weight_decay=config.weight_decay, rank_ties=config.rank_ties)
 
 
 def build_state(config: TrainConfig, design: AgentDesign) -> TrainState:

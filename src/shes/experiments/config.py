@@ -6,8 +6,9 @@ import difflib
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from numbers import Integral, Real
 from typing import Any
+
+import numpy as np
 
 from shes.envs.registry import check_name
 from shes.envs.worlds import INTEGRATORS
@@ -145,7 +146,7 @@ class TrainConfig:
                 raise UnknownNameError(name.replace("_", " "), str(getattr(self, name)), choices, f"Set {flag(name)}.")
         for name in (field.name for field in fields(self)):
             self._check_number(name, getattr(self, name))
-        if any(not isinstance(size, Integral) or size < 1 for size in self.hidden):
+        if any(not isinstance(size, int | np.integer) or size < 1 for size in self.hidden):
             raise _out_of_range("hidden", self.hidden, "positive whole numbers, e.g. --hidden 64 64")
         check_population(self.population_size, self.mirrored, 2)
 
@@ -154,14 +155,16 @@ class TrainConfig:
         """Refuse a number that is none, or out of its range."""
         if value is None and name in _OPTIONAL:
             return
-        is_number = isinstance(value, Real) and not isinstance(value, bool)
-        if name in _AT_LEAST and not (isinstance(value, Integral) and is_number and value >= _AT_LEAST[name]):
+        is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+        is_whole = is_number and isinstance(value, int | np.integer)
+        number: float = float(str(value)) if is_number else float("nan")
+        if name in _AT_LEAST and not (is_whole and number >= _AT_LEAST[name]):
             raise _out_of_range(name, value, f"a whole number of at least {_AT_LEAST[name]}")
-        if name in _POSITIVE and not (is_number and 0 < value < float("inf")):
+        if name in _POSITIVE and not 0 < number < float("inf"):
             raise _out_of_range(name, value, "a positive number")
-        if name in _NOT_NEGATIVE and not (is_number and 0 <= value < float("inf")):
+        if name in _NOT_NEGATIVE and not 0 <= number < float("inf"):
             raise _out_of_range(name, value, "zero or a positive number")
-        if name in _FRACTIONS and not (is_number and 0 <= value <= 1):
+        if name in _FRACTIONS and not 0 <= number <= 1:
             raise _out_of_range(name, value, "between 0 and 1")
         if name in _SWITCHES and not isinstance(value, bool):
             raise _out_of_range(name, value, "true or false")
@@ -191,7 +194,10 @@ class TrainConfig:
         check_fields(values)
         if "env" not in values:
             raise ConfigError("the configuration names no environment (key 'env').")
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+        settings: dict[str, Any] = {
+            n: tuple(value) if isinstance(value, list) else value for n, value in values.items()
+        }
+        return cls(**settings)
 
 
 def flag(name: str) -> str:

@@ -24,10 +24,10 @@ EPISODES = 50
 def main() -> int:
     """Run the demo in the working directory; return the exit code."""
     console = Console()
-    path = Path("runs") / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
+    path = Path("runs") / f"demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     console.print(
-        "A point robot learns, by evolution, to collect food (+1) and leave poison (-1): a controller that sets goals, and "
-        "a primitive that reaches them. Two to three minutes on two cores; Ctrl-C stops and keeps everything.",
+        "A point robot learns, by evolution, to collect food (+1) and leave poison (-1): a controller that sets goals, "
+        "and a primitive that reaches them. Two to three minutes on two cores; Ctrl-C stops and keeps everything.",
         highlight=False,
     )
     display = ProgressDisplay(console)

@@ -63,7 +63,7 @@ def evaluate_levels(
 ) -> Evaluation:
     """Run one episode of the mean policies for every seed.
 
-    The episodes go out in blocks of `episodes_per_policy`, the rows that a policy's matmul has in training: so one number
+    The episodes go out in blocks of `episodes_per_policy`, the rows that a policy's matmul has in training: one number
     of rows serves both, and no result depends on how the blocks are spread.
     """
     parameters = tuple(LevelParameters.of(level.theta, level.statistics) for level in levels)

@@ -66,8 +66,9 @@ class Agent:
         rows = seen[None] if seen.ndim == 1 else seen
         if rows.shape != (self.num_envs, self.observation_size):
             raise ShapeError(
-                f"observation must have shape ({self.observation_size},) or ({self.num_envs}, {self.observation_size}), "
-                f"got {seen.shape}. This agent was trained on {self.config.env}; load it with num_envs=... for several."
+                f"observation must have shape ({self.observation_size},) or "
+                f"({self.num_envs}, {self.observation_size}), got {seen.shape}. "
+                f"This agent was trained on {self.config.env}; load it with num_envs=... for several."
             )
         qpos = rows[:, self._robot]
         control = self._agent.act(rows, self._body.position(qpos), self._body.heading(qpos))

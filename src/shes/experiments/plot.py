@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.typing import ColorType
 
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
 from shes.experiments.config import TrainConfig
@@ -102,7 +103,7 @@ def _draw_panel(axis: Axes, folders: list[RunFolder], table: str, column: str, x
 
 
 def _draw_spread(
-    axis: Axes, folders: list[RunFolder], curve: _Curve, table: str, column: str, color: str
+    axis: Axes, folders: list[RunFolder], curve: _Curve, table: str, column: str, color: ColorType
 ) -> None:
     """Shade two standard errors of a single run's evaluations."""
     if (table, column) != ("evaluation", "score_mean"):
@@ -124,7 +125,9 @@ def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> _Curve:
     scale = 1 / 60 if x == "wall_time_s" else 1.0
     settings = {name: value for name, value in config.numbers().items() if name != "seed"}
     group = json.dumps([config.preset, settings], sort_keys=True)
-    return _Curve(run=folder.path, name=_name(config), group=group, x=np.array(columns[x]) * scale, y=np.array(columns[column]))
+    return _Curve(
+        run=folder.path, name=_name(config), group=group, x=np.array(columns[x]) * scale, y=np.array(columns[column])
+    )
 
 
 def _name(config: TrainConfig) -> str:

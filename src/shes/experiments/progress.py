@@ -78,7 +78,8 @@ class ProgressDisplay:
         workers = f"{num_workers} worker{'s' * (num_workers != 1)}" if config.backend != "serial" else "this process"
         after = f" after generation {generation}" if generation else ""
         self._console.print(
-            f"Training [bold]{config.env}[/bold] ({config.preset}) on {workers}{after}. Run folder: [cyan]{path}[/cyan]",
+            f"Training [bold]{config.env}[/bold] ({config.preset}) on {workers}{after}. "
+            f"Run folder: [cyan]{path}[/cyan]",
             highlight=False,
             soft_wrap=True,
         )

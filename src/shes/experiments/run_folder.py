@@ -25,7 +25,7 @@ _PACKAGES = ("shes", "mujoco", "numpy", "gymnasium")
 
 def default_path(config: TrainConfig) -> Path:
     """Return a new folder below `runs/` in the working directory."""
-    return Path("runs") / f"{config.env}-{config.preset}-seed{config.seed}-{datetime.now():%Y%m%d-%H%M%S}"
+    return Path("runs") / f"{config.env}-{config.preset}-seed{config.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
 
 
 class RunFolder:
@@ -52,7 +52,8 @@ class RunFolder:
         folder = cls(path)
         if folder.config.exists():
             raise RunFolderError(
-                f"{path} already holds a run. Go on with it by `shes resume {path}`, or choose another folder with --out."
+                f"{path} already holds a run. Go on with it by `shes resume {path}`, "
+                "or choose another folder with --out."
             )
         if path.exists() and not path.is_dir():
             raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")

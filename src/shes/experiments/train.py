@@ -125,7 +125,8 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
         if name not in EXECUTION_FIELDS - {"preset"}:
             allowed = ", ".join(flag(field) for field in sorted(EXECUTION_FIELDS - {"preset"}))
             raise ConfigError(
-                f"{flag(name)} would change the numbers of the run; resume takes {allowed}. Start another run to change it."
+                f"{flag(name)} would change the numbers of the run; resume takes {allowed}. "
+                "Start another run to change it."
             )
     config = replace(stored, **{"minutes": None, **settings})
     checkpoint = folder.load("last")

@@ -1,7 +1,7 @@
 """The hierarchical agent: a controller sets a goal every c steps, a primitive acts on it every step.
 
-Source: SHES paper II-A to II-C; algorithm specification sections 1 to 3. P policy pairs run at once, each in E episodes;
-N = P * E. Nothing here knows of physics, fitness or noise tables.
+Source: SHES paper II-A to II-C; algorithm specification sections 1 to 3. P policy pairs run at once, each in E
+episodes; N = P * E. Nothing here knows of physics, fitness or noise tables.
 """
 
 from __future__ import annotations
@@ -158,9 +158,7 @@ class HierarchicalAgent:
             self.goal - self.goal_origin,
         )
 
-    def _set_goals(
-        self, due: IntArray, observation: F64Array, position: F64Array, noise: F32Array | None
-    ) -> None:
+    def _set_goals(self, due: IntArray, observation: F64Array, position: F64Array, noise: F32Array | None) -> None:
         """Let the controllers of pairs `due` set goals relative to `position`."""
         rows = (due[:, None] * self.num_episodes + np.arange(self.num_episodes)).ravel()
         seen = observation[rows]

@@ -119,7 +119,7 @@ class PopulationResults:
         return self.returns.mean(axis=2)
 
     def add(self, task: EpisodeTask, result: EpisodeResults) -> None:
-        """Enter the result of `task`. Sums of observations are rounded in the order of these calls, episode by episode."""
+        """Enter the result of `task`. The order of these calls is that in which sums of observations are rounded."""
         place = (task.member, list(task.slots))
         self.returns[:, task.member, place[1]] = result.returns
         self.score[place], self.success[place] = result.score, result.success
@@ -152,8 +152,8 @@ class PopulationResults:
 def spread(tasks: list[EpisodeTask], num_workers: int) -> list[EpisodeTask]:
     """Return the same episodes in the same order, with the last policies cut into single episodes.
 
-    Whole policies go around as often as every worker can have one; the rest is too few for all workers and is handed out
-    by episodes. A single episode costs the whole policy's matmul, so this is done only where workers would stand idle.
+    Whole policies go around as often as every worker can have one; the rest is too few for all workers and is handed
+    out by episodes. A single episode costs the whole policy's matmul, so this is done only where workers would idle.
     """
     whole = len(tasks) - len(tasks) % num_workers
     singles = [

@@ -20,7 +20,9 @@ class PrimitiveReward(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def __call__(self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array) -> F64Array:
+    def __call__(
+        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
+    ) -> F64Array:
         """Return the reward [N] of a step.
 
         Args:
@@ -36,7 +38,9 @@ class ProgressReward(PrimitiveReward):
 
     name = "progress"
 
-    def __call__(self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array) -> F64Array:
+    def __call__(
+        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
+    ) -> F64Array:
         """Return the share of the way covered, plus the bonus at the goal [N]."""
         del displacement, goal
         return 1 - distance / start_distance + (distance < REACHED_M)

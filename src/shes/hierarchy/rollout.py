@@ -57,7 +57,9 @@ class Rollout:
         rows = num_lanes * num_episodes
         decisions = -(-horizon // design.controller_interval)
         self._controller_noise: F32Array = np.zeros((num_lanes, decisions, num_episodes, 2), np.float32)
-        self._primitive_noise: F32Array = np.zeros((num_lanes, horizon, num_episodes, self.task.action_size), np.float32)
+        self._primitive_noise: F32Array = np.zeros(
+            (num_lanes, horizon, num_episodes, self.task.action_size), np.float32
+        )
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
         self._steps: IntArray = np.zeros(rows, dtype=np.int64)
         self._primitive_return: F64Array = np.zeros(rows)

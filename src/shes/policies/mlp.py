@@ -32,7 +32,7 @@ def aligned_rows(rows: int, columns: int) -> F32Array:
 
 
 class MLP:
-    """Layer sizes of a network; its parameters are a flat vector [D]: weights [in, out], then biases, layer by layer."""
+    """Layer sizes of a network; its parameters are a flat vector [D]: weights [in, out] and biases, layer by layer."""
 
     def __init__(self, num_inputs: int, hidden: tuple[int, ...], num_outputs: int) -> None:
         """Take `num_inputs` to `num_outputs` through `hidden` layers.
@@ -42,7 +42,9 @@ class MLP:
         """
         self.sizes = (num_inputs, *hidden, num_outputs)
         if min(self.sizes) < 1:
-            raise ConfigError(f"hidden layers must be positive numbers, got {hidden}. Set --hidden, e.g. --hidden 64 64.")
+            raise ConfigError(
+                f"hidden layers must be positive numbers, got {hidden}. Set --hidden, e.g. --hidden 64 64."
+            )
         self.num_params = sum((fan_in + 1) * fan_out for fan_in, fan_out in pairwise(self.sizes))
 
     def initial(self, rng: np.random.Generator, bias_initialisation: str = "zero") -> F32Array:

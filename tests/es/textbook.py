@@ -1,0 +1,97 @@
+"""Evolution strategies as the papers write them: loops, float64, one entry per member of the population.
+
+Written from Salimans et al. 2017 (Algorithm 2), the SHES paper (Algorithm 1, II-F) and Kingma and Ba 2014.
+Nothing is grouped: every member has its own noise vector and its own sign, and the sum runs over all n members.
+"""
+
+import math
+
+SIGNS = {
+    ("quad", 1): [(+1,), (-1,)],
+    ("pair", 1): [(+1,), (-1,)],
+    ("none", 1): [(+1,)],
+    ("quad", 2): [(+1, +1), (+1, -1), (-1, +1), (-1, -1)],
+    ("pair", 2): [(+1, +1), (-1, -1)],
+    ("none", 2): [(+1, +1)],
+}
+
+
+def centred_ranks(fitness, ties):
+    """Return the rank of every member, from -0.5 (worst) to 0.5 (best), by counting whom it beats."""
+    shaped = []
+    for i, mine in enumerate(fitness):
+        rank = 0.0
+        for j, other in enumerate(fitness):
+            if other < mine:
+                rank += 1
+            elif other == mine and j != i:
+                if ties == "average":
+                    rank += 0.5
+                elif j < i:
+                    rank += 1
+        shaped.append(rank / (len(fitness) - 1) - 0.5)
+    return shaped
+
+
+class Adam:
+    """Kingma and Ba's Algorithm 1, uphill, with its last three lines replaced as the end of their section 2 says.
+
+    The two differ only in what epsilon is added to: here to sqrt(v), there to sqrt(v^), which is up to 32 times larger.
+    """
+
+    def __init__(self, dim):
+        self.m, self.v, self.t = [0.0] * dim, [0.0] * dim, 0
+
+    def step(self, gradient, rate, beta1=0.9, beta2=0.999, epsilon=1e-8):
+        self.t += 1
+        alpha_t = rate * math.sqrt(1 - beta2**self.t) / (1 - beta1**self.t)
+        step = []
+        for d, g in enumerate(gradient):
+            self.m[d] = beta1 * self.m[d] + (1 - beta1) * g
+            self.v[d] = beta2 * self.v[d] + (1 - beta2) * g * g
+            step.append(alpha_t * self.m[d] / (math.sqrt(self.v[d]) + epsilon))
+        return step
+
+
+class TextbookES:
+    """One or two levels, each with its own fitness, gradient and Adam."""
+
+    def __init__(self, thetas, *, mirrored, sigma, rate, weight_decay=0.0, ties="average"):
+        self.thetas = [[float(x) for x in theta] for theta in thetas]
+        self.adams = [Adam(len(theta)) for theta in thetas]
+        self.gradients = []
+        self.sigma, self.rate, self.weight_decay, self.ties = sigma, rate, weight_decay, ties
+        self.signs = SIGNS[mirrored, len(thetas)]
+
+    def members(self, noise):
+        """Return (sign, noise vector) of every member at every level: [n][L], from `noise` [L][G][D]."""
+        return [
+            [(sign, noise[level][group]) for level, sign in enumerate(signs)]
+            for group in range(len(noise[0]))
+            for signs in self.signs
+        ]
+
+    def candidates(self, noise):
+        """Return the parameters of every member at every level [n][L][D]."""
+        return [
+            [
+                [t + self.sigma * sign * float(e) for t, e in zip(theta, epsilon, strict=True)]
+                for theta, (sign, epsilon) in zip(self.thetas, member, strict=True)
+            ]
+            for member in self.members(noise)
+        ]
+
+    def update(self, fitness, noise):
+        """Take one step from `fitness` [L][n] of the members that `noise` makes."""
+        members = self.members(noise)
+        self.gradients = []
+        for level, theta in enumerate(self.thetas):
+            shaped = centred_ranks(fitness[level], self.ties)
+            gradient = [-self.weight_decay * t for t in theta]
+            for rank, member in zip(shaped, members, strict=True):
+                sign, epsilon = member[level]
+                for d in range(len(theta)):
+                    gradient[d] += rank * sign * float(epsilon[d]) / len(members)
+            step = self.adams[level].step(gradient, self.rate)
+            self.thetas[level] = [t + s for t, s in zip(theta, step, strict=True)]
+            self.gradients.append(gradient)
