@@ -111,7 +111,8 @@ def population_tasks(state: TrainState, settings: Settings, noise_index: IntArra
     episodes = settings.episodes_per_policy
     rng = stream(state.seed, Purpose.TRAINING_EPISODES, state.generation)
     seeds = rng.integers(0, 2**63, (groups, 1 if settings.has_common_random_numbers else members, episodes))
-    sample = stream(state.seed, Purpose.STATISTICS_SAMPLE, state.generation).uniform(0, 1, groups).tolist()
+    sampler = stream(state.seed, Purpose.STATISTICS_SAMPLE, state.generation)
+    records = [sampler.random() < settings.statistics_fraction for _ in range(groups)]
     return [
         EpisodeTask(
             member=group * members + member,
@@ -119,7 +120,7 @@ def population_tasks(state: TrainState, settings: Settings, noise_index: IntArra
             signs=tuple(signs[member].tolist()),
             slots=tuple(range(episodes)),
             seeds=tuple(seeds[group, member % seeds.shape[1]].tolist()),
-            records_statistics=sample[group] < settings.statistics_fraction,
+            records_statistics=records[group],
         )
         for group in range(groups)
         for member in range(members)

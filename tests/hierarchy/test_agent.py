@@ -92,16 +92,14 @@ def test_the_controller_decides_by_what_it_sees_at_steps_0_c_2c_and_then_only():
 
 
 def test_the_goal_is_expressed_anew_at_every_step():
-    # The goal is (2, 1). The robot walks past it and turns.
-    agent = _agent()
+    # Set at (0, 0), the goal is (2, 1). The robot comes nearer, passes below it, and turns to it.
+    agent = _agent(output=(0.5, 0.25))
     for position, heading, sine, cosine, distance in (
+        ((0, 0), 0, 1 / math.sqrt(5), 2 / math.sqrt(5), math.sqrt(5)),
         ((0, 1), 0, 0, 1, 2),
         ((2, 0), 0, 1, 0, 1),
         ((2, 0), math.pi / 2, 0, 1, 1),
-        ((4, 1), 0, 0, -1, 2),
     ):
-        if position == (0, 1):
-            agent = _agent(output=(0.5, 0))
         control = _act(agent, position=position, heading=heading)[0]
         assert control == pytest.approx(np.tanh([sine, cosine, distance]), abs=1e-5)
 
@@ -142,12 +140,9 @@ def test_the_primitive_is_paid_for_its_progress_towards_the_goal():
         ((0, 0), 0),
         ((1.5, 2), 0.5),
         ((-3, -4), -1),
-        ((2.4, 3.2), 0.8),  # 1 m away
         ((2.41, 3.21), 1 - math.hypot(0.59, 0.79) / 5 + 1),
         ((3, 4), 2),
     ):
-        if position == (2.4, 3.2):
-            continue  # on the circle, rounding decides; test_rewards.py has the limit itself
         assert agent.primitive_reward(np.array([position]))[0] == pytest.approx(reward, abs=1e-6)
 
 
@@ -162,6 +157,13 @@ def test_a_goal_where_the_robot_stands_pays_the_bonus_and_is_no_nan():
     agent = _agent(output=(0, 0))
     _act(agent, position=(5, 5))
     assert agent.primitive_reward(np.array([[5.0, 5.0]])).tolist() == [2]
+
+
+@pytest.mark.xfail(reason="the start distance is then 2e-308, and a step of 4 m away from the goal is paid minus infinity")
+def test_walking_away_from_a_goal_where_the_robot_stood_is_paid_something_finite():
+    agent = _agent(output=(0, 0))
+    _act(agent, position=(5, 5))
+    assert np.isfinite(agent.primitive_reward(np.array([[10.0, 5.0]]))).all()
 
 
 def test_controls_are_the_primitives_outputs_times_the_limit():

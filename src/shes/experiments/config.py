@@ -86,10 +86,10 @@ class TrainConfig:
     """Episodes that a policy's fitness is the mean of (Table I: 5)."""
     sigma: float = 0.07
     """Standard deviation of the perturbations (Table I: 0.02)."""
-    learning_rate: float = 0.02
+    learning_rate: float = 0.01
     """Adam's learning rate (Table I: 0.01)."""
-    weight_decay: float = 0.005
-    """Coefficient of the parameters subtracted from the gradient estimate."""
+    weight_decay: float = 0.0
+    """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
     mirrored: str = "quad"
     """How the members of a group mirror its noise: quad, pair or none (section II-F)."""
     rank_ties: str = "average"
@@ -99,7 +99,7 @@ class TrainConfig:
     statistics_fraction: float = 1.0
     """Share of the groups whose observations enter the observation statistics."""
 
-    hidden: tuple[int, ...] = (64, 64)
+    hidden: tuple[int, ...] = (32,)
     """Hidden layers of both policies (paper: 256 256 256)."""
     biases: str = "zero"
     """How biases start: zero or glorot_normal."""
@@ -114,9 +114,9 @@ class TrainConfig:
     primitive_reward: str = "progress"
     """What the primitive is paid: progress (section II-B, equation 1)."""
 
-    horizon: int = 500
+    horizon: int = 200
     """Control steps in an episode of training (Table I: 500)."""
-    evaluation_horizon: int | None = None
+    evaluation_horizon: int | None = 500
     """Control steps in an episode of evaluation; the same as in training if none."""
     integrator: str = "euler"
     """MuJoCo's integrator: euler, rk4 or implicitfast."""

@@ -1,0 +1,105 @@
+"""Writes the golden run: `python -m tests.golden.regenerate`, from the repository's root.
+
+The golden run is three generations on point-gather, tiny. Regenerate it on purpose only, when a change is meant to change
+numbers, and say "changes numbers" in the CHANGELOG.
+"""
+
+import itertools
+import json
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from shes.algorithm import Settings, evolve
+from shes.backends.serial import SerialBackend
+from shes.envs.registry import make_task
+from shes.envs.task import TaskOptions
+from shes.es.level import LevelState, TrainState, UpdateRule
+from shes.es.noise import NoiseTable
+from shes.es.optimizers import Adam
+from shes.es.statistics import ObservationStatistics
+from shes.es.streams import Purpose, stream
+from shes.hierarchy.agent import AgentDesign
+from shes.hierarchy.goals import make_goal_encoding
+from shes.hierarchy.rewards import make_primitive_reward
+from shes.policies.mlp import MLP
+from shes.types import LEVEL_NAMES
+from shes.worker import RolloutWorker, WorkerPlan
+
+GOLDEN_FILE = Path(__file__).with_name("point_gather.json")
+GENERATIONS = 3
+SEED = 1
+
+
+def golden_run(folder):
+    """Run the three generations and return their numbers; the noise table goes into `folder`."""
+    task = make_task("point-gather", 1)
+    encoding = make_goal_encoding("angle")
+    design = AgentDesign(
+        controller=MLP(task.observation_size, (8,), 2),
+        primitive=MLP(encoding.size + task.observation_size, (8,), task.action_size),
+        goal_encoding=encoding,
+        primitive_reward=make_primitive_reward("progress"),
+        goal_distance=4.0,
+        controller_interval=10,
+        has_minimum_goal_distance=True,
+        control_limit=task.control_limit,
+    )
+    table = NoiseTable.open(20_000, directory=folder)
+    levels = []
+    for number, (policy, size) in enumerate(zip(design.policies, design.observation_sizes, strict=True)):
+        theta = policy.initial(stream(SEED, Purpose.INITIAL_PARAMETERS, number))
+        levels.append(
+            LevelState(theta=theta, optimizer=Adam().start(len(theta)), statistics=ObservationStatistics.empty(size))
+        )
+    plan = WorkerPlan(
+        env="point-gather",
+        training=TaskOptions(),
+        evaluation=TaskOptions(evaluation=True),
+        design=design,
+        noise_table=table.path,
+        episodes_per_policy=2,
+        horizon=40,
+        chunk_size=0,
+    )
+    settings = Settings(
+        population_size=16,
+        episodes_per_policy=2,
+        sigma=0.07,
+        update=UpdateRule(learning_rate=0.02, weight_decay=0.005),
+    )
+    state = TrainState(seed=SEED, generation=0, env_steps=0, levels=tuple(levels))
+    with SerialBackend(partial(RolloutWorker, plan)) as backend:
+        reports = itertools.islice(evolve(state, settings, table, backend), GENERATIONS)
+        return {"generations": [_numbers(report) for report in reports]}
+
+
+def _numbers(report):
+    """Return what is compared of one generation."""
+    results = report.results
+    numbers = {"env_steps": report.state.env_steps, "score": float(results.score.mean())}
+    for name, level, fitness in zip(LEVEL_NAMES, report.state.levels, results.fitness, strict=True):
+        numbers[name] = {
+            "fitness_mean": float(fitness.mean()),
+            "fitness_std": float(fitness.std()),
+            "theta_norm": float(np.linalg.norm(level.theta.astype(float))),
+            "theta_first": level.theta[:6].astype(float).round(9).tolist(),
+            "theta_last": level.theta[-4:].astype(float).round(9).tolist(),
+            "observations": level.statistics.count,
+            "observation_mean": level.statistics.mean.round(9).tolist(),
+            "observation_std": level.statistics.std.round(9).tolist(),
+        }
+    return numbers
+
+
+def main():
+    """Write the golden file."""
+    with tempfile.TemporaryDirectory() as folder:
+        numbers = golden_run(Path(folder))
+    GOLDEN_FILE.write_text(json.dumps(numbers, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""A task without physics that keeps the Task contract: deterministic, and exact in whatever batch it runs.
+
+How an episode goes is in its seed: `Script.of(seed)`. Only + - * / are used, so no bit depends on the batch.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Script:
+    """When an episode ends by itself: after so many steps, 0 for never."""
+
+    terminates_after: int
+    diverges_after: int
+
+    @classmethod
+    def of(cls, seed):
+        kind, number = seed % 4, 1 + seed // 4 % 20
+        return cls(terminates_after=number if kind in (1, 3) else 0, diverges_after=number if kind in (2, 3) else 0)
+
+    def steps(self, horizon):
+        return min(x for x in (self.terminates_after, self.diverges_after, horizon) if x)
+
+
+def make_seed(*, terminates_after=0, diverges_after=0, draw=0):
+    """Return a seed whose episode ends as said; `draw` tells seeds of one script apart."""
+    kind = (1 if terminates_after else 0) + (2 if diverges_after else 0)
+    seed = kind + 4 * (max(terminates_after, diverges_after, 1) - 1) + 80 * draw
+    assert Script.of(seed).steps(1000) == max(terminates_after, diverges_after) or 1000
+    return seed
+
+
+class FakeTask:
+    """A point that goes where it is pushed; it is paid for going right, and more the longer the episode."""
+
+    observation_size = 5
+    action_size = 2
+    control_limit = 1.0
+
+    def __init__(self, num_episodes, on_step=None):
+        self.num_episodes = num_episodes
+        self.on_step = on_step
+        self.scripts = [Script(0, 0)] * num_episodes
+        self.seeds = np.full(num_episodes, -1)
+        self.age = np.zeros(num_episodes, int)
+        self.position = np.zeros((num_episodes, 2))
+        self.heading = np.zeros(num_episodes)
+        self.diverged = np.zeros(num_episodes, bool)
+        self.reward = np.zeros(num_episodes)
+        self.running_return = np.zeros(num_episodes)
+        self.wind = np.zeros((num_episodes, 2))
+        self.has_ended = np.ones(num_episodes, bool)
+        self.observes_nan = np.zeros(num_episodes, bool)
+
+    @property
+    def terminated(self):
+        return np.array([0 < s.terminates_after <= age for s, age in zip(self.scripts, self.age, strict=True)])
+
+    @property
+    def score(self):
+        return self.position[:, 0] * ~self.diverged
+
+    @property
+    def success(self):
+        return self.score > 0
+
+    def observe(self):
+        seen = np.column_stack([self.position, self.wind * 10, self.age * 0.01])
+        seen[self.observes_nan] = np.nan
+        return seen
+
+    def reset(self, ids, seeds):
+        assert len(ids) == len(seeds)
+        for i, seed in zip(ids, seeds, strict=True):
+            rng = np.random.default_rng(seed)
+            self.scripts[i], self.seeds[i] = Script.of(seed), seed
+            self.position[i], self.wind[i] = rng.uniform(-2, 2, 2), rng.uniform(-0.1, 0.1, 2)
+            self.heading[i] = rng.uniform(-3, 3)
+        for array in (self.age, self.reward, self.running_return, self.diverged, self.has_ended):
+            array[ids] = 0
+
+    def step(self, ids, action):
+        assert np.all(np.diff(ids) > 0), "ids are sorted and unique"
+        assert not self.has_ended[ids].any(), "an episode that has ended is not stepped"
+        assert action.shape == (self.num_episodes, self.action_size)
+        if self.on_step:
+            self.on_step(self, ids, action)
+        self.position[ids] += 0.3 * action[ids] + self.wind[ids]
+        self.heading[ids] += 0.1 * action[ids, 0]
+        self.age[ids] += 1
+        for i in ids:
+            if self.age[i] == self.scripts[i].diverges_after:
+                self.diverged[i] = True
+                self.position[i] = 0  # the simulator's own reset state: finite
+        # As in a real task, what is computed for rows that did not move means nothing.
+        self.reward = (self.position[:, 0] + 0.25 * self.age) * ~self.diverged
+        self.running_return += self.reward
+        self.has_ended[ids] = (self.terminated | self.diverged)[ids]

@@ -1,0 +1,423 @@
+"""The roll-out on a task without physics: no result depends on lanes, order or company, and episodes end as they should."""
+
+import math
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shes.errors import PolicyError
+from shes.es.noise import NoiseTable
+from shes.es.statistics import ObservationStatistics
+from shes.hierarchy.agent import AgentDesign, LevelParameters
+from shes.hierarchy.episodes import EpisodeTask, Generation
+from shes.hierarchy.goals import AngleEncoding
+from shes.hierarchy.rewards import ProgressReward
+from shes.hierarchy.rollout import EXPLORATION_STD, Rollout
+from shes.policies.mlp import MLP
+from shes.types import CONTROLLER, PRIMITIVE
+from tests.hierarchy.fake_task import FakeTask, Script, make_seed
+
+INTERVAL = 5
+HORIZON = 23
+EPISODES = 3
+SIGMA = 0.2
+
+DESIGN = AgentDesign(
+    controller=MLP(5, (16,), 2),
+    primitive=MLP(8, (16,), 2),
+    goal_encoding=AngleEncoding(),
+    primitive_reward=ProgressReward(),
+    goal_distance=4.0,
+    controller_interval=INTERVAL,
+    has_minimum_goal_distance=True,
+    control_limit=1.0,
+)
+
+
+def _table(size=2000):
+    return NoiseTable(np.random.default_rng(0).standard_normal(size, dtype=np.float32))
+
+
+def _generation(design=DESIGN, *, scale=1.0, sigma=SIGMA, is_evaluation=False):
+    rng = np.random.default_rng(1)
+    levels = []
+    for mlp in design.policies:
+        statistics = ObservationStatistics.empty(mlp.sizes[0]).merge(
+            4, rng.normal(size=mlp.sizes[0]), rng.uniform(4, 9, mlp.sizes[0])
+        )
+        theta = mlp.initial(rng, "glorot_normal") * np.float32(scale)
+        levels.append(LevelParameters.of(theta, statistics))
+    return Generation(levels=tuple(levels), sigma=sigma, is_evaluation=is_evaluation)
+
+
+def _task(member, seeds, *, slots=None, signs=(1, -1), records=True):
+    return EpisodeTask(
+        member=member,
+        noise_index=(7 * member, 100 + 11 * member),
+        signs=signs,
+        slots=tuple(range(len(seeds))) if slots is None else tuple(slots),
+        seeds=tuple(seeds),
+        records_statistics=records,
+    )
+
+
+def _rollout(lanes=1, *, design=DESIGN, episodes=EPISODES, horizon=HORIZON, on_step=None):
+    return Rollout(design, lambda n: FakeTask(n, on_step), lanes, episodes, horizon)
+
+
+def _run(rollout, tasks, generation=None, table=None):
+    """Return the results by member, each of which comes once."""
+    done = list(rollout.run(iter(enumerate(tasks)), generation or _generation(), table or _table()))
+    assert sorted(number for number, _ in done) == list(range(len(tasks)))
+    return {tasks[number].member: results for number, results in done}
+
+
+def _run_in_order(rollout, tasks):
+    results = _run(rollout, tasks)
+    return [results[task.member] for task in tasks]
+
+
+def _bits(results):
+    """Return everything in `results` [K episodes] as bytes, episode by episode."""
+    moments = [a for m in results.moments or () for a in (m.count, m.total, m.total_squares)]
+    arrays = [*results.returns, results.score, results.success, results.steps, results.has_terminated]
+    arrays += [results.has_diverged, *moments]
+    return [b"".join(a[k].tobytes() for a in arrays) for k in range(len(results.steps))]
+
+
+@pytest.fixture(scope="module")
+def population():
+    rng = random.Random(0)  # noqa: S311 - seeds of a test
+    signs = [(1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, 0)]
+    return [
+        _task(member, [rng.randrange(2**63) for _ in range(EPISODES)], signs=signs[member % 6], records=member % 5 != 0)
+        for member in range(14)
+    ]
+
+
+@pytest.fixture(scope="module")
+def alone(population):
+    """Results of every member in a roll-out of its own."""
+    return {task.member: _bits(_run(_rollout(1), [task])[task.member]) for task in population}
+
+
+def test_the_population_has_episodes_of_every_kind(population, alone):
+    scripts = [Script.of(seed) for task in population for seed in task.seeds]
+    ended = [(bool(s.terminates_after), bool(s.diverges_after), s.steps(HORIZON) == HORIZON) for s in scripts]
+    assert {(False, False, True), (True, False, False), (False, True, False), (True, True, False)} <= set(ended)
+    assert len({bits for member in alone.values() for bits in member}) == len(scripts)
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 3, 5, 14, 20])
+def test_results_do_not_depend_on_the_number_of_lanes(population, alone, lanes):
+    results = _run(_rollout(lanes), population)
+    assert {member: _bits(r) for member, r in results.items()} == alone
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_results_do_not_depend_on_the_order_of_tasks_nor_on_who_else_runs(population, alone, seed):
+    tasks = random.Random(seed).sample(population, 9)  # noqa: S311 - the order of a test
+    for member, results in _run(_rollout(4), tasks).items():
+        assert _bits(results) == alone[member]
+
+
+def test_results_do_not_depend_on_what_the_rollout_did_before(population, alone):
+    rollout = _rollout(3)
+    _run(rollout, population[7:], _generation(scale=3, is_evaluation=True))
+    for _ in range(2):
+        assert {m: _bits(r) for m, r in _run(rollout, population[:5]).items()} == {m: alone[m] for m in range(5)}
+
+
+@pytest.mark.parametrize("slots", [(0,), (1,), (2,), (2, 0), (1, 2)])
+def test_an_episode_alone_is_the_same_as_among_the_others_of_its_policy(population, alone, slots):
+    tasks = [
+        _task(t.member, [t.seeds[s] for s in slots], slots=slots, signs=t.signs, records=t.records_statistics)
+        for t in population
+    ]
+    for member, results in _run(_rollout(4), tasks).items():
+        assert _bits(results) == [alone[member][s] for s in slots]
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 6])
+def test_with_one_episode_a_policy_results_do_not_depend_on_lanes(population, lanes):
+    # E = 1: matrix times vector, another path through BLAS; one lane of it is a batch of one row.
+    tasks = [_task(t.member, t.seeds[:1], signs=t.signs) for t in population]
+    expected = {t.member: _bits(_run(_rollout(3, episodes=1), [t])[t.member]) for t in tasks}
+    assert {m: _bits(r) for m, r in _run(_rollout(lanes, episodes=1), tasks).items()} == expected
+
+
+def test_results_come_with_their_numbers_as_soon_as_they_are_there():
+    long, short = make_seed(), make_seed(terminates_after=2)
+    tasks = [_task(0, [long]), _task(1, [short]), _task(2, [short]), _task(3, [short])]
+    work = ((10 * number, task) for number, task in enumerate(tasks))
+    done = [number for number, _ in _rollout(2, episodes=1).run(work, _generation(), _table())]
+    assert done == [10, 20, 30, 0]
+
+
+def test_tasks_are_taken_only_when_a_lane_is_free():
+    taken = []
+
+    def work():
+        for number in range(5):
+            taken.append(number)
+            yield number, _task(number, [make_seed(terminates_after=3)] * EPISODES)
+
+    counts = []
+    for _ in _rollout(2).run(work(), _generation(), _table()):
+        counts.append(len(taken))
+    assert counts == [2, 2, 4, 4, 5]
+
+
+def test_without_work_there_are_no_results():
+    assert _run(_rollout(3), []) == {}
+
+
+@pytest.mark.parametrize("lanes", [1, 3])
+def test_statistics_count_every_step_of_the_primitive_and_every_decision_of_the_controller(population, lanes):
+    tasks = [_task(t.member, t.seeds) for t in population]
+    for task, results in zip(tasks, _run_in_order(_rollout(lanes), tasks), strict=True):
+        expected = [Script.of(seed).steps(HORIZON) for seed in task.seeds]
+        assert results.steps.tolist() == expected
+        assert results.moments[PRIMITIVE].count.tolist() == expected
+        assert results.moments[CONTROLLER].count.tolist() == [math.ceil(steps / INTERVAL) for steps in expected]
+
+
+def test_moments_are_sums_of_what_was_observed():
+    seen = []
+    rollout = _rollout(1, on_step=lambda task, ids, action: seen.append(task.observe()[0]))
+    results = _run(rollout, [_task(0, [make_seed(terminates_after=steps) for steps in (12, 1, 2)])])
+    seen = np.array(seen)
+    assert len(seen) == 12
+    moments = results[0].moments
+    assert moments[CONTROLLER].total[0] == pytest.approx(seen[::INTERVAL].sum(axis=0))
+    assert moments[CONTROLLER].total_squares[0] == pytest.approx((seen[::INTERVAL] ** 2).sum(axis=0))
+    assert moments[PRIMITIVE].total[0, 3:] == pytest.approx(seen.sum(axis=0))
+    assert moments[PRIMITIVE].total_squares[0, :2].sum() == pytest.approx(12)  # sin and cos
+
+
+def test_statistics_come_only_when_asked_for():
+    tasks = [_task(0, [1, 2, 3], records=False), _task(1, [1, 2, 3])]
+    results = _run(_rollout(2), tasks)
+    assert results[0].moments is None
+    assert results[1].moments is not None
+
+
+def test_an_episode_ends_by_its_own_rule_or_at_the_horizon():
+    seeds = [make_seed(terminates_after=4), make_seed(), make_seed(diverges_after=6)]
+    results = _run(_rollout(), [_task(0, seeds)])[0]
+    assert results.steps.tolist() == [4, HORIZON, 6]
+    assert results.has_terminated.tolist() == [True, False, False]
+    assert results.has_diverged.tolist() == [False, False, True]
+
+
+def test_an_episode_that_terminates_at_the_horizon_has_terminated():
+    results = _run(_rollout(horizon=4, episodes=2), [_task(0, [make_seed(terminates_after=4), make_seed()])])[0]
+    assert results.steps.tolist() == [4, 4]
+    assert results.has_terminated.tolist() == [True, False]
+
+
+def test_a_divergence_is_counted_pays_nothing_for_its_step_and_scores_nothing():
+    before = []  # the return before each step
+
+    def on_step(task, ids, action):
+        del ids, action
+        before.append(float(task.running_return[0]))
+
+    rollout = _rollout(episodes=1, on_step=on_step)
+    results = _run(rollout, [_task(0, [make_seed(diverges_after=6, draw=9)])])[0]
+    assert results.has_diverged.tolist() == [True]
+    assert results.has_terminated.tolist() == [False]
+    assert results.steps.tolist() == [6]
+    assert results.score.tolist() == [0]
+    assert results.success.tolist() == [False]
+    assert results.returns[CONTROLLER].tolist() == before[-1:]
+    assert before[-1] != 0
+
+
+def test_the_primitive_too_is_not_paid_for_the_step_of_a_divergence():
+    def play(horizon, diverges_after):
+        def on_step(task, ids, action):
+            del ids, action
+            task.scripts[0] = Script(terminates_after=0, diverges_after=diverges_after)  # everything else is the seed's
+
+        rollout = _rollout(episodes=1, horizon=horizon, on_step=on_step)
+        return _run(rollout, [_task(0, [make_seed()])], _generation(is_evaluation=True))[0]
+
+    assert play(5, 0).steps.tolist() == [5]
+    assert play(9, 6).steps.tolist() == [6]
+    assert play(9, 6).returns[PRIMITIVE] == pytest.approx(play(5, 0).returns[PRIMITIVE])
+    assert play(6, 0).returns[PRIMITIVE] != pytest.approx(play(5, 0).returns[PRIMITIVE])
+
+
+@pytest.mark.parametrize("is_minimum", [True, False])
+def test_an_episode_is_that_of_a_plain_loop(is_minimum):
+    design = replace(DESIGN, has_minimum_goal_distance=is_minimum)
+    generation = _generation(design, is_evaluation=True)
+    seeds = [make_seed(draw=3), make_seed(terminates_after=18, draw=5), make_seed(terminates_after=7, draw=2)]
+    task = _task(3, seeds, signs=(-1, 1))
+    results = _run(_rollout(2, design=design), [task], generation)[3]
+    for k, seed in enumerate(seeds):
+        returns, score = _plain_episode(design, generation, task, seed)
+        assert results.returns[:, k] == pytest.approx(returns, rel=1e-4, abs=1e-4)
+        assert results.score[k] == pytest.approx(score, rel=1e-4, abs=1e-4)
+
+
+def _plain_episode(design, generation, task, seed):
+    """Run one episode with one robot, one step at a time, as the specification says."""
+    noise = _table().values
+
+    def policy(level, observation):
+        mlp, parameters = design.policies[level], generation.levels[level]
+        start = task.noise_index[level]
+        epsilon = noise[start : start + mlp.num_params].astype(float)
+        rest = parameters.theta.astype(float) + task.signs[level] * SIGMA * epsilon
+        x = np.clip((observation - parameters.mean) * parameters.inverse_std, -5, 5)
+        for fan_in, fan_out in zip(mlp.sizes, mlp.sizes[1:], strict=False):
+            weights, biases = rest[: fan_in * fan_out].reshape(fan_in, fan_out), rest[fan_in * fan_out :][:fan_out]
+            rest = rest[fan_in * fan_out + fan_out :]
+            x = np.tanh(x @ weights + biases)
+        return x
+
+    world = FakeTask(1)
+    world.reset([0], [seed])
+    controller_return = primitive_return = 0.0
+    goal = np.zeros(2)
+    start_distance = 0.0
+    for step in range(HORIZON):
+        seen, place = world.observe()[0], world.position[0].copy()
+        if step % INTERVAL == 0:
+            vector = policy(CONTROLLER, seen) * 4
+            if design.has_minimum_goal_distance:
+                vector = np.array([math.copysign(max(abs(v), math.sqrt(0.5)), v) for v in vector])
+            goal = place + vector
+            start_distance = math.dist(goal, place)
+        dx, dy = goal - place
+        bearing = math.atan2(dy, dx) - world.heading[0]
+        features = [math.sin(bearing), math.cos(bearing), math.hypot(dx, dy) / 1000]
+        world.step(np.array([0]), policy(PRIMITIVE, np.array([*features, *seen]))[None])
+        distance = math.dist(goal, world.position[0])
+        controller_return += world.reward[0]
+        primitive_return += 1 - distance / start_distance + (1 if distance < 1 else 0)
+        if world.terminated[0]:
+            break
+    return [controller_return, primitive_return], world.score[0]
+
+
+# Exploration noise ---------------------------------------------------------------------------------------------------
+
+def _constant_run(*, is_evaluation, seeds_of, lanes=4, horizon=60):
+    """Run controllers that say (0.5, 0.5) and primitives that say 0, whatever they see.
+
+    Returns the controls [steps, N, 2], and the goals relative to where they were set [steps, N, 2].
+    """
+    controls, goals = [], []
+
+    def on_step(task, ids, action):
+        del task, ids
+        controls.append(np.array(action))
+        goals.append(rollout.agent.goal - rollout.agent.goal_origin)
+
+    design = replace(DESIGN, has_minimum_goal_distance=False)
+    generation = _generation(design, scale=0, is_evaluation=is_evaluation)
+    generation.levels[CONTROLLER].theta[-2:] = np.arctanh(0.5)
+    rollout = _rollout(lanes, design=design, horizon=horizon, on_step=on_step)
+    _run(rollout, [_task(member, seeds_of(member), signs=(0, 0)) for member in range(lanes)], generation)
+    return np.array(controls), np.array(goals)
+
+
+def _own_seeds(member):
+    return [make_seed(draw=10 * member + k) for k in range(EPISODES)]
+
+
+def test_evaluation_has_no_exploration_noise():
+    controls, goals = _constant_run(is_evaluation=True, seeds_of=_own_seeds)
+    assert not controls.any()
+    assert goals == pytest.approx(2, abs=1e-5)
+
+
+def test_training_adds_noise_of_a_hundredth_to_the_controls_and_to_the_controllers_output():
+    assert EXPLORATION_STD == 0.01
+    controls, goals = _constant_run(is_evaluation=False, seeds_of=_own_seeds)
+    assert controls.std() == pytest.approx(0.01, rel=0.08)
+    assert abs(controls.mean()) < 0.001
+    # At each decision a new draw, held; times the goal distance of 4.
+    decisions = goals[::INTERVAL] - 2
+    assert abs(decisions.mean()) < 0.01
+    assert decisions.std() == pytest.approx(0.04, rel=0.12)
+    assert np.allclose(goals - 2, np.repeat(decisions, INTERVAL, axis=0), atol=1e-9)
+    assert len(np.unique(controls)) > 0.99 * controls.size
+    assert len(np.unique(decisions)) > 0.99 * decisions.size
+
+
+def test_exploration_noise_is_drawn_from_the_episodes_seed_alone():
+    controls, goals = _constant_run(
+        is_evaluation=False, seeds_of=lambda member: [make_seed(draw=1), make_seed(draw=2), make_seed(draw=1)], lanes=2
+    )
+    for array in (controls, goals):
+        by_row = np.moveaxis(array, 1, 0)
+        assert np.allclose(by_row[0], by_row[2], atol=1e-12)
+        assert np.allclose(by_row[0], by_row[3], atol=1e-12)
+        assert not np.allclose(by_row[0], by_row[1])
+
+
+def test_an_interval_of_one_and_one_beyond_the_horizon_work():
+    for interval, decisions in ((1, HORIZON), (100, 1)):
+        design = replace(DESIGN, controller_interval=interval)
+        results = _run(_rollout(2, design=design), [_task(0, [make_seed(draw=k) for k in range(EPISODES)])])[0]
+        assert results.moments[CONTROLLER].count.tolist() == [decisions] * EPISODES
+
+
+# Policies that are not finite ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("level", "name"), [(CONTROLLER, "controller"), (PRIMITIVE, "primitive")])
+def test_a_policy_of_nan_is_refused_by_member_and_level(level, name):
+    table = _table(8000)
+    # No two members share a number of the table.
+    tasks = [replace(_task(m, _own_seeds(m)), noise_index=(500 * m, 4000 + 500 * m)) for m in range(4)]
+    table.values[tasks[3].noise_index[level] + DESIGN.dims[level] - 1] = np.nan
+    for order in (tasks, tasks[::-1]):
+        with pytest.raises(
+            PolicyError,
+            match=rf"member 3 returned NaN or infinity at step 0 \(parameters of its {name} are not finite\).*--sigma",
+        ):
+            _run(_rollout(4), order, table=table)
+
+
+def test_an_observation_of_nan_is_refused_without_blaming_the_parameters():
+    def on_step(task, ids, action):
+        del ids, action
+        task.observes_nan[4] = task.age[4] == 6
+
+    tasks = [_task(member, _own_seeds(member)) for member in (8, 9)]
+    with pytest.raises(PolicyError, match=r"member 9 returned NaN or infinity at step 7; episode seed"):
+        _run(_rollout(2, on_step=on_step), tasks)
+
+
+@pytest.mark.xfail(reason="the message names the seed of the policy's first episode")
+def test_the_seed_in_the_message_is_the_failing_episodes():
+    def on_step(task, ids, action):
+        del ids, action
+        task.observes_nan[1] = True
+
+    task = _task(0, _own_seeds(0))
+    with pytest.raises(PolicyError, match=rf"episode seed {task.seeds[1]}\."):
+        _run(_rollout(on_step=on_step), [task])
+
+
+def test_a_rollout_works_again_after_a_policy_was_refused(population, alone):
+    rollout = _rollout(3)
+    table = NoiseTable(np.full(2000, np.nan, np.float32))
+    with pytest.raises(PolicyError):
+        _run(rollout, population, table=table)
+    assert {m: _bits(r) for m, r in _run(rollout, population).items()} == alone
+
+
+def test_a_lane_without_work_may_be_left_with_anything(population, alone):
+    # Lane 0 is left with a policy of NaN by the run before; then only lanes 0 and 1 of 3 have work.
+    rollout = _rollout(3)
+    with pytest.raises(PolicyError):
+        _run(rollout, population, table=NoiseTable(np.full(2000, np.nan, np.float32)))
+    assert _bits(_run(rollout, population[:1])[0]) == alone[0]

@@ -1,0 +1,44 @@
+"""The README says what is true: its links lead somewhere, its Python runs, its flags and commands exist."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from shes.cli import _COMMANDS
+from shes.experiments.config import TrainConfig, flag
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+LINKS = re.findall(r"\]\((?!http)([^)]+)\)", README)
+
+
+@pytest.mark.parametrize("link", sorted(set(LINKS)))
+def test_link_leads_to_a_file_or_to_the_line_it_names(link):
+    path, _, anchor = link.partition("#L")
+    target = ROOT / path
+    assert target.exists()
+    if anchor:
+        assert "line" in target.read_text(encoding="utf-8").splitlines()[int(anchor) - 1]
+
+
+def test_algorithm_lines_are_all_linked():
+    lines = (ROOT / "src/shes/algorithm.py").read_text(encoding="utf-8").splitlines()
+    marked = {number for number, line in enumerate(lines, 1) if re.search(r"# lines? \d", line) and "`" not in line}
+    linked = {int(link.partition("#L")[2]) for link in LINKS if link.startswith("src/shes/algorithm.py#L")}
+    assert linked == marked
+    assert marked
+
+
+def test_python_example_runs(tmp_path, monkeypatch, capsys):
+    (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "README.md", "exec"), {})  # noqa: S102 - our own README
+    assert len(capsys.readouterr().out.splitlines()) >= 2
+
+
+def test_flags_and_commands_exist():
+    known = {flag(name) for name in TrainConfig.__dataclass_fields__}
+    known |= {"--out", "--episodes", "--json", "--no-common-random-numbers"}
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README)) <= known
+    assert set(re.findall(r"^shes ([a-z]+)", README, flags=re.MULTILINE)) <= set(_COMMANDS)
