@@ -227,6 +227,7 @@ def _show(work: Callable[[ProgressDisplay], Any]) -> int:
             console.print(
                 f"Stopped; everything up to the last finished generation is kept. Go on: shes resume {display.path}",
                 highlight=False,
+                markup=False,
                 soft_wrap=True,
             )
         raise
@@ -234,6 +235,7 @@ def _show(work: Callable[[ProgressDisplay], Any]) -> int:
     console.print(
         f"Done: {run.generation} generations, {best}.\nNext: shes evaluate {run.path} · shes plot {run.path}",
         highlight=False,
+        markup=False,
         soft_wrap=True,
     )
     return 0

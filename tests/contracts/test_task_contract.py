@@ -285,6 +285,18 @@ def test_a_diverged_episode_earns_nothing_and_does_not_score(name):
         assert_same_view(view(spoiled, [0, 2]), view(calm, [0, 2]))
 
 
+def test_a_diverged_episode_earns_nothing_whatever_the_task_pays(name):
+    body, kind = ENVIRONMENTS[name]
+    generous = type("Generous", (kind,), {"_update_features": lambda self: np.ones(self.num_episodes)})
+    task = generous(body(), 3, TaskOptions())
+    task.reset(np.arange(3), range(3))
+    task.sim.qvel[1, 0] = 1e12
+    for _ in range(2):
+        task.step(np.arange(3), np.zeros((3, task.action_size)))
+        assert_array_equal(task.reward, [1, 0, 1])
+    assert_array_equal(task.running_return, [2, 0, 2])
+
+
 def test_a_reset_makes_a_diverged_episode_whole_again(name):
     task, new = start(name, 2), start(name, 2)
     actions = draw_actions(task, 10)

@@ -36,7 +36,9 @@ def test_group_weights_are_signed_sums_over_members(num_groups, mirrored, seed):
         assert weights.dtype == np.float32
         for group in range(num_groups):
             own = shaped[group * len(signs) : (group + 1) * len(signs)]
-            assert weights[group] == pytest.approx(sum(s * f for s, f in zip(signs[:, level], own, strict=True)), abs=1e-6)
+            assert weights[group] == pytest.approx(
+                sum(s * f for s, f in zip(signs[:, level], own, strict=True)), abs=1e-6
+            )
 
 
 def test_the_controllers_signs_are_blind_to_the_primitives_effect():
@@ -91,4 +93,6 @@ def test_no_weight_at_all_is_no_gradient(table):
 
 def test_the_last_slice_of_the_table_counts_whole():
     values = np.arange(100, dtype=np.float32)
-    assert weighted_noise_sum(NoiseTable(values), np.array([90]), np.ones(1, np.float32), 10).tolist() == list(range(90, 100))
+    assert weighted_noise_sum(NoiseTable(values), np.array([90]), np.ones(1, np.float32), 10).tolist() == list(
+        range(90, 100)
+    )

@@ -25,7 +25,9 @@ def table():
 
 def _level(theta):
     return LevelState(
-        theta=theta, optimizer=Adam().start(len(theta)), statistics=ObservationStatistics.empty(3).merge(1, *np.ones((2, 3)))
+        theta=theta,
+        optimizer=Adam().start(len(theta)),
+        statistics=ObservationStatistics.empty(3).merge(1, *np.ones((2, 3))),
     )
 
 
@@ -52,9 +54,7 @@ def test_the_update_is_the_textbooks(table, num_levels, mirrored, ties, kind, we
         fitness = _fitness(rng, num_levels, NUM_GROUPS * len(signs), kind)
         noise = [[table.slice(i, dim) for i in row] for row, dim in zip(index, DIMS, strict=False)]
         before = levels
-        levels = [
-            update_level(level, fitness[i], signs[:, i], index[i], table, rule) for i, level in enumerate(levels)
-        ]
+        levels = [update_level(level, fitness[i], signs[:, i], index[i], table, rule) for i, level in enumerate(levels)]
         book.update(fitness, noise)
         for i, level in enumerate(levels):
             # Adam's first moment, because Adam's step hides the gradient's scale.
@@ -109,7 +109,9 @@ def test_an_update_leaves_the_level_and_the_fitness_as_they_were(table):
     assert after.theta.dtype == np.float32
 
 
-@given(seed=st.integers(0, 2**63), generation=st.integers(0, 10**6), groups=st.integers(1, 50), extra=st.integers(0, 40))
+@given(
+    seed=st.integers(0, 2**63), generation=st.integers(0, 10**6), groups=st.integers(1, 50), extra=st.integers(0, 40)
+)
 def test_every_noise_slice_lies_inside_the_table(seed, generation, groups, extra):
     size = 12 + extra
     index = draw_noise_index(seed, generation, groups, DIMS, size)
@@ -126,8 +128,7 @@ def test_the_first_and_the_last_slice_of_the_table_are_drawn():
 
 def test_noise_places_differ_by_seed_generation_and_level_and_by_nothing_else():
     draws = [
-        draw_noise_index(seed, generation, 20, (5, 5), 10**6)
-        for seed, generation in ((0, 0), (1, 0), (0, 1), (0, 0))
+        draw_noise_index(seed, generation, 20, (5, 5), 10**6) for seed, generation in ((0, 0), (1, 0), (0, 1), (0, 0))
     ]
     assert np.array_equal(draws[0], draws[3])
     rows = [tuple(row) for draw in draws[:3] for row in draw]

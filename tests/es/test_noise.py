@@ -168,7 +168,7 @@ class _FullDisk(io.FileIO):
 
 
 def test_a_full_disk_leaves_nothing_behind_and_names_the_way_out(tmp_path, monkeypatch):
-    monkeypatch.setattr(noise.os, "fdopen", lambda handle, mode: _FullDisk(handle, mode))
+    monkeypatch.setattr(noise.os, "fdopen", _FullDisk)
     with pytest.raises(StorageError, match=r"No space left on device.*SHES_CACHE_DIR.*--noise-table-size") as raised:
         NoiseTable.open(5000, directory=tmp_path)
     assert str(tmp_path) in str(raised.value)
@@ -188,7 +188,7 @@ def test_a_failed_rename_leaves_nothing_behind(tmp_path, monkeypatch):
 def test_a_failed_rebuild_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
     path = NoiseTable.open(5000, directory=tmp_path).path
     path.write_bytes(b"old")
-    monkeypatch.setattr(noise.os, "fdopen", lambda handle, mode: _FullDisk(handle, mode))
+    monkeypatch.setattr(noise.os, "fdopen", _FullDisk)
     with pytest.raises(StorageError):
         NoiseTable.open(5000, directory=tmp_path)
     assert [p.read_bytes() for p in tmp_path.iterdir()] == [b"old"]

@@ -40,7 +40,9 @@ def test_ranks_keep_the_order_of_fitness(fitness, ties):
 
 
 @given(
-    fitness=st.lists(st.integers(-1000, 1000), min_size=2, max_size=60), ties=any_ties, rescale=st.sampled_from(MONOTONE)
+    fitness=st.lists(st.integers(-1000, 1000), min_size=2, max_size=60),
+    ties=any_ties,
+    rescale=st.sampled_from(MONOTONE),
 )
 def test_ranks_do_not_change_under_a_monotone_transform(fitness, ties, rescale):
     values = np.array(fitness, dtype=float)

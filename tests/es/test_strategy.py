@@ -187,7 +187,8 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another():
 
 
 @pytest.mark.parametrize(
-    ("dim", "shapes", "fitness"), [(5, (40, 5), (40,)), ((5,), [(40, 5)], (1, 40)), ((5, 9), [(40, 5), (40, 9)], (2, 40))]
+    ("dim", "shapes", "fitness"),
+    [(5, (40, 5), (40,)), ((5,), [(40, 5)], (1, 40)), ((5, 9), [(40, 5), (40, 9)], (2, 40))],
 )
 def test_shapes_follow_the_levels(dim, shapes, fitness):
     es = _make(dim)

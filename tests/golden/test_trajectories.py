@@ -51,7 +51,8 @@ def test_a_change_of_a_thousandth_is_seen_by_the_golden_trajectory(name):
 
 
 def test_every_golden_trajectory_belongs_to_an_environment():
-    assert {path.stem for path in trajectories.FOLDER.glob("*.json")} == set(ENVIRONMENTS)
+    stored = set(trajectories.FOLDER.glob("trajectory_*.json"))
+    assert stored == {trajectories.golden_file(name) for name in ENVIRONMENTS}
 
 
 def test_the_advice_tells_a_new_mujoco_from_a_changed_task():

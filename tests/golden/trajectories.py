@@ -27,7 +27,7 @@ DECIMALS = 12
 
 def golden_file(name):
     """Return where the golden trajectory of environment `name` lies."""
-    return FOLDER / f"{name}.json"
+    return FOLDER / f"trajectory_{name}.json"
 
 
 def smooth_actions(num_actions, control_limit):

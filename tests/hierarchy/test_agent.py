@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
-from shes.hierarchy.agent import AgentDesign, HierarchicalAgent, LevelParameters, Moments
+from shes.hierarchy.agent import AgentDesign, HierarchicalAgent, Moments
 from shes.hierarchy.goals import AngleEncoding
 from shes.hierarchy.rewards import ProgressReward
 from shes.policies.mlp import MLP
@@ -159,7 +160,9 @@ def test_a_goal_where_the_robot_stands_pays_the_bonus_and_is_no_nan():
     assert agent.primitive_reward(np.array([[5.0, 5.0]])).tolist() == [2]
 
 
-@pytest.mark.xfail(reason="the start distance is then 2e-308, and a step of 4 m away from the goal is paid minus infinity")
+@pytest.mark.xfail(
+    reason="the start distance is then 2e-308, and a step of 4 m away from the goal is paid minus infinity"
+)
 def test_walking_away_from_a_goal_where_the_robot_stood_is_paid_something_finite():
     agent = _agent(output=(0, 0))
     _act(agent, position=(5, 5))
@@ -197,7 +200,9 @@ def test_observations_are_normalised_by_each_levels_own_statistics():
     agent.normalise_by(
         (
             LevelParameters(theta=controller, mean=np.array([10.0, 0.0]), inverse_std=np.array([0.5, 1.0])),
-            LevelParameters(theta=primitive, mean=np.array([0, 2.0, 0, 0, 0]), inverse_std=np.array([1, 0.25, 1, 1, 1])),
+            LevelParameters(
+                theta=primitive, mean=np.array([0, 2.0, 0, 0, 0]), inverse_std=np.array([1, 0.25, 1, 1, 1])
+            ),
         )
     )
     control = _act(agent, observation=(10.5, 100))

@@ -96,7 +96,14 @@ def _fill(tasks):
 
 
 def _bits(results):
-    arrays = [results.returns, results.score, results.success, results.steps, results.has_terminated, results.has_diverged]
+    arrays = [
+        results.returns,
+        results.score,
+        results.success,
+        results.steps,
+        results.has_terminated,
+        results.has_diverged,
+    ]
     arrays += [a for m in results.moments for a in (m.count, m.total, m.total_squares)]
     return [a.tobytes() for a in arrays]
 
@@ -146,7 +153,9 @@ def test_statistics_merge_what_was_recorded_and_nothing_else():
     for i, level in enumerate(results.merge_statistics(_levels())):
         assert level.statistics.count == 2 + sum(int(m[i].count.sum()) for m in recorded)
         assert level.statistics.total == pytest.approx(1 + sum(m[i].total.sum(axis=0) for m in recorded))
-        assert level.statistics.total_squares == pytest.approx(1 + sum(m[i].total_squares.sum(axis=0) for m in recorded))
+        assert level.statistics.total_squares == pytest.approx(
+            1 + sum(m[i].total_squares.sum(axis=0) for m in recorded)
+        )
 
 
 def test_adding_leaves_a_result_as_it_was():

@@ -46,9 +46,7 @@ def test_exactly_at_the_goal_the_features_are_finite_and_the_distance_is_zero():
     assert sine**2 + cosine**2 == pytest.approx(1)
 
 
-@given(
-    x=st.floats(-20, 20), y=st.floats(-20, 20), heading=st.floats(-np.pi, np.pi), turn=st.floats(-np.pi, np.pi)
-)
+@given(x=st.floats(-20, 20), y=st.floats(-20, 20), heading=st.floats(-np.pi, np.pi), turn=st.floats(-np.pi, np.pi))
 def test_turning_robot_and_goal_together_changes_nothing(x, y, heading, turn):
     vector = np.array([x, y])
     assume(np.hypot(x, y) > 1e-3)

@@ -1,4 +1,4 @@
-"""The roll-out on a task without physics: no result depends on lanes, order or company, and episodes end as they should."""
+"""The roll-out on a task without physics: no result depends on lanes, order or company; episodes end as they should."""
 
 import math
 import random
@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from shes.errors import PolicyError
+from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.es.statistics import ObservationStatistics
-from shes.hierarchy.agent import AgentDesign, LevelParameters
+from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.goals import AngleEncoding
 from shes.hierarchy.rewards import ProgressReward
@@ -186,7 +187,7 @@ def test_statistics_count_every_step_of_the_primitive_and_every_decision_of_the_
 
 def test_moments_are_sums_of_what_was_observed():
     seen = []
-    rollout = _rollout(1, on_step=lambda task, ids, action: seen.append(task.observe()[0]))
+    rollout = _rollout(1, on_step=lambda task, *_: seen.append(task.observe()[0]))
     results = _run(rollout, [_task(0, [make_seed(terminates_after=steps) for steps in (12, 1, 2)])])
     seen = np.array(seen)
     assert len(seen) == 12
@@ -305,7 +306,8 @@ def _plain_episode(design, generation, task, seed):
     return [controller_return, primitive_return], world.score[0]
 
 
-# Exploration noise ---------------------------------------------------------------------------------------------------
+# Exploration noise -----------------------------------------------------------
+
 
 def _constant_run(*, is_evaluation, seeds_of, lanes=4, horizon=60):
     """Run controllers that say (0.5, 0.5) and primitives that say 0, whatever they see.
@@ -353,7 +355,7 @@ def test_training_adds_noise_of_a_hundredth_to_the_controls_and_to_the_controlle
 
 def test_exploration_noise_is_drawn_from_the_episodes_seed_alone():
     controls, goals = _constant_run(
-        is_evaluation=False, seeds_of=lambda member: [make_seed(draw=1), make_seed(draw=2), make_seed(draw=1)], lanes=2
+        is_evaluation=False, seeds_of=lambda _: [make_seed(draw=1), make_seed(draw=2), make_seed(draw=1)], lanes=2
     )
     for array in (controls, goals):
         by_row = np.moveaxis(array, 1, 0)
@@ -369,7 +371,7 @@ def test_an_interval_of_one_and_one_beyond_the_horizon_work():
         assert results.moments[CONTROLLER].count.tolist() == [decisions] * EPISODES
 
 
-# Policies that are not finite ------------------------------------------------------------------------------------------
+# Policies that are not finite -----------------------------------------------------------
 
 
 @pytest.mark.parametrize(("level", "name"), [(CONTROLLER, "controller"), (PRIMITIVE, "primitive")])

@@ -1,5 +1,6 @@
 """The MLP: equal to explicit matrices, and to the bit the same wherever a policy stands in the stack."""
 
+import itertools
 import math
 
 import numpy as np
@@ -12,7 +13,7 @@ from shes.policies.mlp import MLP, aligned_rows
 def _layers(theta, sizes):
     """Return the explicit (weights, biases) of a flat parameter vector."""
     layers, rest = [], list(theta)
-    for fan_in, fan_out in zip(sizes, sizes[1:], strict=False):
+    for fan_in, fan_out in itertools.pairwise(sizes):
         weights = [[rest.pop(0) for _ in range(fan_out)] for _ in range(fan_in)]
         layers.append((np.array(weights), np.array([rest.pop(0) for _ in range(fan_out)])))
     assert rest == []

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
 import socket
 import subprocess
 import sys
@@ -41,12 +42,17 @@ class _Process:
         arguments = [str(theirs.fileno()), str(read_end), str(os.getpid())]
         # The same import path as here, so that a worker finds the classes that its tasks are made of.
         path = os.pathsep.join(entry for entry in sys.path if entry)
-        self.popen = subprocess.Popen(
-            [*module, *arguments],
-            pass_fds=(theirs.fileno(), read_end),
-            env={**os.environ, **_ONE_THREAD, "PYTHONPATH": path},
-            stdin=subprocess.DEVNULL,
-        )
+        # The worker inherits the mask: a Ctrl-C in a terminal reaches it even before it can ignore it.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self.popen = subprocess.Popen(
+                [*module, *arguments],
+                pass_fds=(theirs.fileno(), read_end),
+                env={**os.environ, **_ONE_THREAD, "PYTHONPATH": path},
+                stdin=subprocess.DEVNULL,
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         theirs.close()
         os.close(read_end)
         self.connection = Connection(ours.detach())

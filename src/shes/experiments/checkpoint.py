@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,19 @@ from shes.types import LEVEL_NAMES
 __all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "save_checkpoint"]
 
 FORMAT = 1
+# What NumPy and zipfile raise for a file that is cut short, damaged, or of another kind.
+_DAMAGES = (
+    AttributeError,
+    EOFError,
+    KeyError,
+    NotImplementedError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,17 +108,18 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if not path.is_file():
         others = sorted(other.stem for other in path.parent.glob("*.npz")) if path.parent.is_dir() else []
         there = f" There are: {', '.join(others)}." if others else ""
-        raise CheckpointError(f"there is no checkpoint {path}.{there} Choose one with --checkpoint.")
+        raise CheckpointError(
+            f"there is no checkpoint {path}.{there} Choose one with --checkpoint; to resume from one, copy it to last.npz."
+        )
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         return _from_arrays(arrays, path)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, CheckpointError):
-            raise
+    except _DAMAGES as error:
         raise CheckpointError(
             f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {error}). It may be truncated or another "
-            "program's file. Take another one with --checkpoint last, best or a generation."
+            "program's file. Take another one with --checkpoint last, best or a generation; "
+            "to resume from another one, copy it over last.npz."
         ) from error
 
 

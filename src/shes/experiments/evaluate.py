@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from shes.backends.backend import Backend
+from shes.errors import ConfigError
 from shes.es.level import LevelParameters, LevelState, TrainState
 from shes.es.streams import Purpose, stream
 from shes.experiments.build import build_backend, build_design, build_plan, open_noise_table
@@ -111,8 +112,12 @@ def evaluate(
     Raises:
         RunFolderError: `run` is not a run folder.
         CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: `episodes` is not positive.
+        ConfigError: `episodes` is not positive, or `seed` is negative.
     """
+    if episodes < 1:
+        raise ConfigError(f"episodes must be at least 1, got {episodes}. Set --episodes.")
+    if seed is not None and seed < 0:
+        raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
     folder = RunFolder.open(Path(run))
     stored = folder.read_config()
     config = TrainConfig.from_dict({**stored.to_dict(), "num_workers": num_workers, "evaluation_episodes": episodes})

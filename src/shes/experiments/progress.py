@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
+from rich.markup import escape
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
@@ -79,7 +80,7 @@ class ProgressDisplay:
         after = f" after generation {generation}" if generation else ""
         self._console.print(
             f"Training [bold]{config.env}[/bold] ({config.preset}) on {workers}{after}. "
-            f"Run folder: [cyan]{path}[/cyan]",
+            f"Run folder: [cyan]{escape(str(path))}[/cyan]",
             highlight=False,
             soft_wrap=True,
         )

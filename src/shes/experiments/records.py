@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from pathlib import Path
+from time import monotonic, time
 from typing import Any
 
 import numpy as np
-from tensorboardX import SummaryWriter
+from tensorboardX.event_file_writer import EventsWriter
+from tensorboardX.proto.event_pb2 import Event, SessionLog  # type: ignore[attr-defined] - made when imported
+from tensorboardX.summary import scalar
 
 from shes.algorithm import GenerationReport
 from shes.errors import RunFolderError
@@ -19,6 +23,8 @@ from shes.types import CONTROLLER, LEVEL_NAMES, PRIMITIVE, IntArray
 __all__ = ["CsvTable", "Records", "progress_row", "read_csv"]
 
 Row = dict[str, Any]
+
+_FLUSH_EVERY_S = 30.0  # TensorBoard's events
 
 
 def progress_row(report: GenerationReport, wall_time_s: float, generation_s: float) -> Row:
@@ -79,6 +85,7 @@ class CsvTable:
 
         Raises:
             StorageError: It cannot be written.
+            RunFolderError: It is damaged.
         """
         self._path = path
         self._columns: list[str] | None = None
@@ -91,7 +98,14 @@ class CsvTable:
         if not rows:
             return
         self._columns = rows[0]
-        kept = [row for row in rows[1:] if len(row) == len(rows[0]) and int(row[0]) <= keep_until]
+        try:
+            kept = [row for row in rows[1:] if len(row) == len(rows[0]) and int(row[0]) <= keep_until]
+        except ValueError as error:
+            raise RunFolderError(f"{self._path} is damaged: {error}. Restore it from a copy.") from error
+        if not kept:  # the header may be half written: it comes again with the first row
+            self._columns = None
+            write_atomically(self._path, lambda file: file.write(b""))
+            return
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([rows[0], *kept])
         write_atomically(self._path, lambda file: file.write(text.getvalue().encode()))
@@ -112,6 +126,41 @@ class CsvTable:
             file.write(text.getvalue())
 
 
+class _Events:
+    """A file of TensorBoard events, written in this thread.
+
+    Not tensorboardX's `SummaryWriter`: its thread dies of a full disk, and the run then waits for it for ever.
+    """
+
+    def __init__(self, folder: Path, generation: int) -> None:
+        """Begin a file that takes the place of earlier ones' events after `generation`."""
+        self._folder = folder
+        with storage_errors(folder):
+            folder.mkdir(exist_ok=True)
+            # The name holds the second; two parts of a run that begin in the same one must not share a file.
+            self._writer = EventsWriter(str(folder / "events"), f".{os.getpid()}.{generation}")
+            if generation:
+                start = SessionLog(status=SessionLog.START)
+                self._writer.write_event(Event(wall_time=time(), step=generation + 1, session_log=start))
+        self._flush_due = 0.0
+
+    def add(self, group: str, row: Row) -> None:
+        """Write the values of `row`, by generation."""
+        with storage_errors(self._folder):
+            for name, value in row.items():
+                if name != "generation":
+                    summary = scalar(f"{group}/{name}", value)
+                    self._writer.write_event(Event(wall_time=time(), step=row["generation"], summary=summary))
+            if monotonic() >= self._flush_due:
+                self._writer.flush()
+                self._flush_due = monotonic() + _FLUSH_EVERY_S
+
+    def close(self) -> None:
+        """Finish the file."""
+        with storage_errors(self._folder):
+            self._writer.close()
+
+
 class Records:
     """The tables of a run and its TensorBoard events."""
 
@@ -119,24 +168,18 @@ class Records:
         """Go on after `generation`: what the tables say of later ones is forgotten."""
         self._progress = CsvTable(folder.progress, generation)
         self._evaluation = CsvTable(folder.evaluation, generation)
-        with storage_errors(folder.tensorboard):
-            self._events = SummaryWriter(str(folder.tensorboard), purge_step=generation + 1 if generation else None)
+        self._events = _Events(folder.tensorboard, generation)
 
     def add_progress(self, row: Row) -> None:
         """Write down a generation."""
         self._progress.add(row)
-        self._add_events("progress", row)
+        self._events.add("progress", row)
 
     def add_evaluation(self, row: Row) -> None:
         """Write down an evaluation."""
         self._evaluation.add(row)
-        self._add_events("evaluation", row)
+        self._events.add("evaluation", row)
 
     def close(self) -> None:
         """Finish the event file."""
         self._events.close()
-
-    def _add_events(self, group: str, row: Row) -> None:
-        for name, value in row.items():
-            if name != "generation":
-                self._events.add_scalar(f"{group}/{name}", value, row["generation"])

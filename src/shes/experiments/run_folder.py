@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from shes.errors import CheckpointError, ConfigError, RunFolderError
+from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.experiments.checkpoint import Checkpoint, load_checkpoint
 from shes.experiments.config import TrainConfig
 from shes.experiments.storage import storage_errors, write_atomically
@@ -42,8 +42,8 @@ class RunFolder:
         self.log = path / "log.txt"
 
     @classmethod
-    def create(cls, path: Path, config: TrainConfig) -> RunFolder:
-        """Make a run folder at `path`.
+    def create(cls, path: Path) -> RunFolder:
+        """Make a folder at `path`; it holds a run as soon as `record_start` has written its record.
 
         Raises:
             RunFolderError: `path` already holds a run, or is a file.
@@ -59,7 +59,6 @@ class RunFolder:
             raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
         with storage_errors(path):
             folder.checkpoints.mkdir(parents=True, exist_ok=True)
-        folder._write_record({"format": _FORMAT, "config": config.to_dict(), **_provenance(), "resumed": []})
         return folder
 
     @classmethod
@@ -80,15 +79,23 @@ class RunFolder:
 
         Raises:
             RunFolderError: `config.json` is damaged.
-            ConfigError: A setting in it is unknown or out of range.
+            ConfigError: A setting in it is unknown, or its value is not allowed.
         """
         record = self._read_record()
         try:
             return TrainConfig.from_dict(record["config"])
         except (KeyError, TypeError, AttributeError) as error:
             raise RunFolderError(f"{self.config} is damaged: {error!r}. Restore it from a copy.") from error
-        except ConfigError as error:
+        except (ConfigError, UnknownNameError) as error:
             raise ConfigError(f"{self.config}: {error}") from error
+
+    def record_start(self, config: TrainConfig) -> None:
+        """Write down what the run is.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
+        self._write_record({"format": _FORMAT, "config": config.to_dict(), **_provenance(), "resumed": []})
 
     def record_resume(self, generation: int, config: TrainConfig) -> None:
         """Write down that the run went on from `generation`, with what versions and settings."""
@@ -99,7 +106,7 @@ class RunFolder:
 
     def checkpoint_path(self, name: str) -> Path:
         """Return the file of checkpoint `name`: `last`, `best` or the number of a generation."""
-        return self.checkpoints / (f"generation_{int(name):06d}.npz" if name.isdigit() else f"{name}.npz")
+        return self.checkpoints / (f"generation_{int(name):06d}.npz" if name.isdecimal() else f"{name}.npz")
 
     def load(self, name: str) -> Checkpoint:
         """Return checkpoint `name` of this run.

@@ -21,6 +21,7 @@ _MENDS = {
     errno.EROFS: "the file system is read-only: choose another folder with --out",
     errno.EACCES: "permission denied: choose a folder that you may write to with --out",
     errno.EPERM: "permission denied: choose a folder that you may write to with --out",
+    errno.ENOENT: "there is no such folder: create it first, or choose another path with --out",
     errno.ENOTDIR: "a part of the path is a file: choose another folder with --out",
 }
 

@@ -7,7 +7,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -98,10 +98,11 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     """Begin a run with the settings of `config`; see `train`."""
     design = build_design(config)
     open_noise_table(config, design)  # what can be wrong with it shows before there is a folder
-    folder = RunFolder.create(default_path(config) if out is None else Path(out), config)
+    folder = RunFolder.create(default_path(config) if out is None else Path(out))
     checkpoint = Checkpoint(state=build_state(config, design), best=Best(), numbers=config.numbers())
     for name in ("0", "best", "last"):
         save_checkpoint(folder.checkpoint_path(name), checkpoint)
+    folder.record_start(config)  # from here on it is a run, which can be resumed
     return _go_on(folder, config, checkpoint, listener)
 
 
@@ -130,12 +131,13 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
             )
     config = replace(stored, **{"minutes": None, **settings})
     checkpoint = folder.load("last")
-    if checkpoint.state.generation >= config.generations:
+    done = checkpoint.state.generation
+    if done >= config.generations:
         raise ConfigError(
-            f"the run has made all of its {config.generations} generations. "
-            f"To go on: shes resume {path} --generations {2 * config.generations}"
+            f"the run has made {done} generations, and is to end after {config.generations}. "
+            f"To go on: shes resume {path} --generations {2 * done}"
         )
-    folder.record_resume(checkpoint.state.generation, config)
+    folder.record_resume(done, config)
     return _go_on(folder, config, checkpoint, listener)
 
 
@@ -200,6 +202,7 @@ class _Session:
         row = progress_row(report, self._earlier_s + now - self._start, now - self._generation_start)
         self._generation_start = now
         self._tell_events(report.results.log)
+        # `last` last: a run that dies before it does this generation, its evaluation and its other checkpoints again.
         best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
         if state.generation == 1 or state.generation % self._config.evaluation_interval == 0:
             with interruption.at_once():
@@ -211,12 +214,12 @@ class _Session:
                     score=evaluation["score_mean"],
                     mean_return=evaluation["return_mean"],
                 )
-                # `best` before `last`: a run that dies between them does this generation, and its evaluation, again.
                 paths.insert(0, self._folder.checkpoint_path("best"))
+            self._tell_events([])
             self._tell("on_evaluation", evaluation)
             self._generation_start = perf_counter()
         if state.generation % self._config.keep_checkpoints == 0:
-            paths.append(self._folder.checkpoint_path(str(state.generation)))
+            paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
         self._records.add_progress(row)
         self.checkpoint = Checkpoint(state=state, best=best, numbers=self.checkpoint.numbers)
         self._writer.write(paths, self.checkpoint)
@@ -280,20 +283,32 @@ class _Interruption:
     @contextmanager
     def at_once(self) -> Iterator[None]:
         """Let an interruption end what is done inside, because it writes nothing."""
-        if self.is_requested:
-            raise KeyboardInterrupt
-        self._may_raise = True
         try:
+            self._may_raise = True
+            if self.is_requested:
+                raise KeyboardInterrupt
             yield
         finally:
             self._may_raise = False
+
+
+class _LogFile(logging.FileHandler):
+    """A log that no full disk ends the run by: the tables and the checkpoints, written next, say it better."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's own name
+        """Leave the record out."""
+
+    def close(self) -> None:
+        """Close the file, whatever is still unwritten."""
+        with suppress(OSError):
+            super().close()
 
 
 @contextmanager
 def _run_log(folder: RunFolder) -> Iterator[None]:
     """Send the log of the run to its `log.txt`."""
     with storage_errors(folder.log):
-        handler = logging.FileHandler(folder.log, encoding="utf-8")
+        handler = _LogFile(folder.log, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     previous = logger.level, logger.propagate
     logger.addHandler(handler)

@@ -14,6 +14,7 @@ from shes.types import IntArray
 __all__ = ["CpuSimulator", "log_physics_warnings"]
 
 logger = logging.getLogger("shes.mujoco")
+logger.addHandler(logging.NullHandler())  # else Python prints to stderr where a program configured no logging
 
 _DIVERGENCE = [
     int(warning)
@@ -54,18 +55,16 @@ class CpuSimulator(Simulator):
         first, last = min(_DIVERGENCE), max(_DIVERGENCE)
         self._counters = self._batch.warning[:, first : last + 1, 1]
         assert sorted(_DIVERGENCE) == list(range(first, last + 1)), "MuJoCo renumbered its warnings"
-        self._counted = self._counters.copy()
         self.diverged = np.zeros(num_sims, dtype=np.bool_)
 
     def reset(self, ids: IntArray) -> None:
         """Put simulations `ids` into the model's default state; the solver's warm start is part of it."""
         self._batch.state[ids] = self._default
-        self._counted[ids] = self._counters[ids]
+        self._batch.warning[ids] = 0  # MuJoCo counts from 0 again when it resets by itself: every divergence reads 1
         self.diverged[ids] = False
 
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""
         self._batch.step(ids, nstep=nstep)
-        risen = self._counters != self._counted
-        if risen.any():
-            np.any(risen, axis=1, out=self.diverged)
+        if self._counters.any():
+            np.any(self._counters, axis=1, out=self.diverged)

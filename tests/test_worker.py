@@ -1,0 +1,129 @@
+"""What a worker does with the work it is handed: lanes, horizons, and the simulator's messages."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from shes.envs.registry import make_task
+from shes.envs.task import TaskOptions
+from shes.errors import StorageError
+from shes.es.level import LevelParameters
+from shes.es.noise import NoiseTable
+from shes.es.statistics import ObservationStatistics
+from shes.hierarchy.agent import AgentDesign
+from shes.hierarchy.episodes import EpisodeTask, Generation
+from shes.hierarchy.goals import AngleEncoding
+from shes.hierarchy.rewards import ProgressReward
+from shes.policies.mlp import MLP
+from shes.worker import RolloutWorker, WorkerPlan, lanes_that_fit
+
+
+def _plan(**changes):
+    task = make_task("point-gather", 1)
+    design = AgentDesign(
+        controller=MLP(task.observation_size, (4,), 2),
+        primitive=MLP(3 + task.observation_size, (4,), task.action_size),
+        goal_encoding=AngleEncoding(),
+        primitive_reward=ProgressReward(),
+        goal_distance=4.0,
+        controller_interval=5,
+        has_minimum_goal_distance=True,
+        control_limit=task.control_limit,
+    )
+    plan = {
+        "env": "point-gather",
+        "training": TaskOptions(),
+        "evaluation": TaskOptions(evaluation=True),
+        "design": design,
+        "noise_table": NoiseTable.open(5000).path,
+        "episodes_per_policy": 2,
+        "horizon": 6,
+        "evaluation_horizon": 9,
+        "chunk_size": 3,
+    }
+    return WorkerPlan(**{**plan, **changes})
+
+
+def _generation(plan, *, is_evaluation=False):
+    levels = tuple(
+        LevelParameters.of(mlp.initial(np.random.default_rng(0)), ObservationStatistics.empty(mlp.sizes[0]))
+        for mlp in plan.design.policies
+    )
+    return Generation(levels=levels, sigma=0.1, is_evaluation=is_evaluation)
+
+
+def _work(count):
+    return [
+        (n, EpisodeTask(member=n, noise_index=(n, n), signs=(1, 1), slots=(0, 1), seeds=(2 * n, 2 * n + 1)))
+        for n in range(count)
+    ]
+
+
+def _run(worker, generation, count=4, share=4):
+    worker.receive(generation)
+    return dict(worker.run(iter(_work(count)), share))
+
+
+def test_training_and_evaluation_have_their_own_horizon():
+    plan = _plan()
+    worker = RolloutWorker(plan)
+    for is_evaluation, steps in ((False, 6), (True, 9), (False, 6)):
+        results = _run(worker, _generation(plan, is_evaluation=is_evaluation))
+        assert sorted(results) == [0, 1, 2, 3]
+        assert {step for result in results.values() for step in result.steps.tolist()} == {steps}
+
+
+@pytest.mark.parametrize("share", [1, 2, 100])
+def test_the_share_of_a_worker_changes_no_bit(share):
+    plan = _plan()
+    worker = RolloutWorker(plan)
+    expected = _run(worker, _generation(plan))
+    results = _run(worker, _generation(plan), share=share)
+    assert {n: r.returns.tobytes() for n, r in results.items()} == {n: r.returns.tobytes() for n, r in expected.items()}
+
+
+def test_no_more_tasks_are_taken_at_once_than_an_even_share():
+    plan = _plan(chunk_size=50)
+    worker = RolloutWorker(plan)
+    worker.receive(_generation(plan))
+    taken = []
+
+    def work():
+        for item in _work(8):
+            taken.append(item)
+            yield item
+
+    next(iter(worker.run(work(), share=3)))
+    assert len(taken) == 3
+
+
+def test_what_the_simulator_says_comes_with_the_results_once():
+    plan = _plan()
+    worker = RolloutWorker(plan)
+    logging.getLogger("shes.mujoco").warning("Nan, Inf or huge value in QACC")
+    logs = [result.log for result in _run(worker, _generation(plan)).values()]
+    assert sorted(logs) == [(), (), (), ("Nan, Inf or huge value in QACC",)]
+
+
+def test_a_flood_of_messages_is_cut():
+    plan = _plan()
+    worker = RolloutWorker(plan)
+    for _ in range(1000):
+        logging.getLogger("shes.mujoco").warning("again")
+    logs = [line for result in _run(worker, _generation(plan)).values() for line in result.log]
+    assert 1 <= len(logs) <= 100
+
+
+def test_a_worker_without_its_noise_table_says_so(tmp_path):
+    with pytest.raises(StorageError, match="cannot be opened"):
+        RolloutWorker(_plan(noise_table=tmp_path / "gone.f32"))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "episodes", "lanes"),
+    # Small networks: 96 rows. 10 MiB of parameters: only one fits the cache, yet 32 rows must share a step.
+    [(1000, 1, 96), (1000, 5, 19), (65_536, 1, 48), (10 * 2**18, 5, 7), (10**9, 100, 1)],
+)
+def test_lanes_share_the_cache_but_are_never_too_few(parameters, episodes, lanes):
+    assert lanes_that_fit(parameters, episodes) == lanes
