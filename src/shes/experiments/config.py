@@ -80,13 +80,13 @@ class TrainConfig:
     chunk_size: int = 0
     """Policies that a worker runs in lockstep; 0 chooses. Never changes a number."""
 
-    population_size: int = 240
+    population_size: int = 120
     """Policies in a generation, mirrored ones included (Table I: 1000)."""
     episodes_per_policy: int = 1
     """Episodes that a policy's fitness is the mean of (Table I: 5)."""
     sigma: float = 0.07
     """Standard deviation of the perturbations (Table I: 0.02)."""
-    learning_rate: float = 0.01
+    learning_rate: float = 0.02
     """Adam's learning rate (Table I: 0.01)."""
     weight_decay: float = 0.0
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
@@ -104,9 +104,9 @@ class TrainConfig:
     biases: str = "zero"
     """How biases start: zero or glorot_normal."""
     controller_interval: int = 25
-    """Steps that a goal is held (c in Table I)."""
-    goal_distance: float = 4.0
-    """Metres that a controller's output of 1 stands for (Table I)."""
+    """Steps that a goal is held (c in Table I: 25)."""
+    goal_distance: float = 2.0
+    """Metres that a controller's output of 1 stands for (Table I: 4)."""
     minimum_goal_distance: bool = True
     """Whether goals nearer than 1 m are pushed outward."""
     goal_encoding: str = "angle"

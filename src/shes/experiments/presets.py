@@ -14,6 +14,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     # Table I to the letter; what it leaves out, as the authors' code does it.
     "paper": {
         "population_size": 1000,
+        "goal_distance": 4.0,
         "episodes_per_policy": 5,
         "sigma": 0.02,
         "learning_rate": 0.01,
