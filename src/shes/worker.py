@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from shes.hierarchy.rollout import Rollout, Work
 
 __all__ = ["RolloutWorker", "WorkerPlan", "lanes_that_fit"]
 
+_SIMULATOR_LOG = logging.getLogger("shes.mujoco")
 _MAX_LOG_LINES = 20  # of the simulator, kept with one task's results
 _CACHE_BYTES = 12 * 2**20  # weights in use at once beyond this are read from memory at every step
 _MIN_ROWS, _MAX_ROWS = 32, 96  # episodes in lockstep: enough to share Python's work, few enough for the caches
@@ -66,6 +68,17 @@ class _LogCollector(logging.Handler):
         if len(self.lines) < _MAX_LOG_LINES:
             self.lines.append(record.getMessage())
 
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Keep what the simulator logs meanwhile, and keep it from other handlers: it is reported with the results."""
+        propagated, _SIMULATOR_LOG.propagate = _SIMULATOR_LOG.propagate, False
+        _SIMULATOR_LOG.addHandler(self)
+        try:
+            yield
+        finally:
+            _SIMULATOR_LOG.removeHandler(self)
+            _SIMULATOR_LOG.propagate = propagated
+
 
 class RolloutWorker:
     """Evaluates tasks: the `Worker` of every backend."""
@@ -77,9 +90,6 @@ class RolloutWorker:
         self._rollouts: dict[bool, Rollout] = {}
         self._generation: Generation | None = None
         self._collector = _LogCollector()
-        simulator_log = logging.getLogger("shes.mujoco")
-        simulator_log.addHandler(self._collector)
-        simulator_log.propagate = False
 
     def receive(self, state: Generation) -> None:
         """Take the mean policies that the next tasks perturb."""
@@ -89,9 +99,10 @@ class RolloutWorker:
         """Run `work`, of which about `share` tasks are this worker's; yield numbered results as they come."""
         assert self._generation is not None, "receive() comes first"
         rollout = self._rollout(self._generation.is_evaluation, share)
-        for number, results in rollout.run(work, self._generation, self.table):
-            lines, self._collector.lines = tuple(self._collector.lines), []
-            yield number, replace(results, log=lines) if lines else results
+        with self._collector.listening():
+            for number, results in rollout.run(work, self._generation, self.table):
+                lines, self._collector.lines = tuple(self._collector.lines), []
+                yield number, replace(results, log=lines) if lines else results
 
     def _rollout(self, is_evaluation: bool, share: int) -> Rollout:
         """Return the rollout for training or evaluation with lanes for `share` tasks, building it where needed."""

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from shes.errors import ConfigError, UnknownNameError
 from shes.es.gradient import group_weights, weighted_noise_sum
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import Adam, AdamState
-from shes.es.ranking import centred_ranks
+from shes.es.ranking import TIES, centred_ranks
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.types import F32Array, F64Array, IntArray
@@ -82,6 +83,20 @@ class UpdateRule:
     """How equal fitnesses rank: `average` or `index`."""
     adam: Adam = Adam()
     """The optimizer."""
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            ConfigError: A rate is out of range.
+            UnknownNameError: `rank_ties` is not one of `TIES`.
+        """
+        if not 0 < self.learning_rate < float("inf"):
+            raise ConfigError(f"learning_rate must be positive, got {self.learning_rate}.")
+        if not 0 <= self.weight_decay < float("inf"):
+            raise ConfigError(f"weight_decay must be zero or positive, got {self.weight_decay}.")
+        if self.rank_ties not in TIES:
+            raise UnknownNameError("way to rank ties", self.rank_ties, TIES, "Set --rank-ties.")
 
 
 def draw_noise_index(seed: int, generation: int, num_groups: int, dims: tuple[int, ...], table_size: int) -> IntArray:

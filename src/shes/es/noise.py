@@ -108,11 +108,8 @@ class NoiseTable:
             return False
         last = (size - 1) // _BLOCK
         head = _block(seed, 0, min(_CHECKED, size))
-        tail = _block(seed, last, min(_CHECKED, size - last * _BLOCK))
-        start = last * _BLOCK
-        return bool(
-            np.array_equal(values[: len(head)], head) and np.array_equal(values[start : start + len(tail)], tail)
-        )
+        tail = _block(seed, last, size - last * _BLOCK)[-_CHECKED:]
+        return np.array_equal(values[: len(head)], head) and np.array_equal(values[-len(tail) :], tail)
 
     @staticmethod
     def _build(path: Path, size: int, seed: int) -> None:
@@ -124,10 +121,13 @@ class NoiseTable:
             with os.fdopen(handle, "wb") as file:
                 for number in range(-(-size // _BLOCK)):
                     file.write(_block(seed, number, min(_BLOCK, size - number * _BLOCK)).tobytes())
+                file.flush()
+                os.fsync(file.fileno())
+            Path(temporary).chmod(0o644)  # others who share the cache may read it
             Path(temporary).replace(path)
         except OSError as error:
             raise StorageError(
-                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be written to {path.parent}: {error.strerror}. "
+                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be written to {path.parent}: {error.strerror or error}. "
                 "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
             ) from error
         finally:

@@ -74,8 +74,6 @@ class EvolutionStrategy:
             raise ConfigError(f"dim must be a positive number, or one per level, got {dim!r}.")
         if not sigma > 0:
             raise ConfigError(f"sigma must be positive, got {sigma}.")
-        if not learning_rate > 0:
-            raise ConfigError(f"learning_rate must be positive, got {learning_rate}.")
         self.num_groups = check_population(population_size, mirrored, len(self.dims))
         self.population_size = population_size
         self.sigma = sigma
@@ -90,8 +88,8 @@ class EvolutionStrategy:
 
     @property
     def mean(self) -> F32Array | tuple[F32Array, ...]:
-        """The current solution [dim], or one per level."""
-        thetas = tuple(level.theta for level in self.state.levels)
+        """The current solution [dim], or one per level: a copy."""
+        thetas = tuple(level.theta.copy() for level in self.state.levels)
         return thetas[0] if self._single else thetas
 
     def ask(self) -> F32Array | tuple[F32Array, ...]:

@@ -80,15 +80,15 @@ class TrainConfig:
     chunk_size: int = 0
     """Policies that a worker runs in lockstep; 0 chooses. Never changes a number."""
 
-    population_size: int = 120
+    population_size: int = 240
     """Policies in a generation, mirrored ones included (Table I: 1000)."""
     episodes_per_policy: int = 1
     """Episodes that a policy's fitness is the mean of (Table I: 5)."""
     sigma: float = 0.07
     """Standard deviation of the perturbations (Table I: 0.02)."""
-    learning_rate: float = 0.02
+    learning_rate: float = 0.01
     """Adam's learning rate (Table I: 0.01)."""
-    weight_decay: float = 0.0
+    weight_decay: float = 0.005
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
     mirrored: str = "quad"
     """How the members of a group mirror its noise: quad, pair or none (section II-F)."""
@@ -105,8 +105,8 @@ class TrainConfig:
     """How biases start: zero or glorot_normal."""
     controller_interval: int = 25
     """Steps that a goal is held (c in Table I: 25)."""
-    goal_distance: float = 2.0
-    """Metres that a controller's output of 1 stands for (Table I: 4)."""
+    goal_distance: float = 4.0
+    """Metres that a controller's output of 1 stands for (Table I)."""
     minimum_goal_distance: bool = True
     """Whether goals nearer than 1 m are pushed outward."""
     goal_encoding: str = "angle"

@@ -14,11 +14,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     # Table I to the letter; what it leaves out, as the authors' code does it.
     "paper": {
         "population_size": 1000,
-        "goal_distance": 4.0,
         "episodes_per_policy": 5,
         "sigma": 0.02,
-        "learning_rate": 0.01,
-        "weight_decay": 0.005,
         "generations": 3000,
         "hidden": (256, 256, 256),
         "biases": "glorot_normal",

@@ -19,6 +19,7 @@ from shes.types import CONTROLLER, PRIMITIVE, F32Array, F64Array, IntArray
 
 __all__ = ["AgentDesign", "HierarchicalAgent", "Moments"]
 
+_MIN_START_M = 1e-3  # a goal may be set where the robot stands; progress towards it must stay finite
 MIN_COMPONENT_M = np.sqrt(0.5)
 """With a minimum goal distance, each component of a goal vector is pushed out to this: the goal is 1 m away or more."""
 
@@ -176,7 +177,7 @@ class HierarchicalAgent:
         self.goal_origin[rows] = position[rows]
         self.goal[rows] = position[rows] + vector
         # Not the length of `vector`: rounding must not make the goal's distance differ from its start distance.
-        self.goal_start_distance[rows] = np.maximum(_length(self.goal[rows] - position[rows]), np.finfo(float).tiny)
+        self.goal_start_distance[rows] = np.maximum(_length(self.goal[rows] - position[rows]), _MIN_START_M)
 
     def _by_policy(self, rows: F32Array) -> F32Array:
         """View rows [N, O] as [P, E, O]."""

@@ -178,13 +178,14 @@ class Rollout:
             lane = self._lanes[row // self.num_episodes]
             if lane is None:
                 continue
-            place = row // self.num_episodes
+            place, slot = divmod(row, self.num_episodes)
+            seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
             bad = [not np.isfinite(theta[place]).all() for theta in self.agent.theta]
             which = " and ".join(name for name, is_bad in zip(LEVEL_NAMES, bad, strict=True) if is_bad)
             raise PolicyError(
                 f"the policy of member {lane.task.member} returned NaN or infinity at step {int(self._steps[row])}"
                 f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
-                f"{lane.task.seeds[0]}. Lower --learning-rate or --sigma, and resume from an earlier checkpoint."
+                f"{seed}. Lower --learning-rate or --sigma, and resume from an earlier checkpoint."
             )
 
 
