@@ -275,7 +275,7 @@ def test_another_seed_has_other_noise_and_other_episodes(table):
     assert not seeds & other_seeds
 
 
-# On point-gather -------------------------------------------------------------------------------------------------------
+# On point-gather -----------------------------------------------------------------------------------------------------
 
 HORIZON = 30
 

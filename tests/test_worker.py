@@ -98,21 +98,33 @@ def test_no_more_tasks_are_taken_at_once_than_an_even_share():
     assert len(taken) == 3
 
 
-def test_what_the_simulator_says_comes_with_the_results_once():
+def _logs_of_a_run_in_which_the_simulator_says(message, times):
     plan = _plan()
     worker = RolloutWorker(plan)
-    logging.getLogger("shes.mujoco").warning("Nan, Inf or huge value in QACC")
-    logs = [result.log for result in _run(worker, _generation(plan)).values()]
+    worker.receive(_generation(plan))
+
+    def work():
+        for _ in range(times):
+            logging.getLogger("shes.mujoco").warning(message)
+        yield from _work(4)
+
+    return [result.log for _, result in worker.run(work(), 4)]
+
+
+def test_what_the_simulator_says_comes_with_the_results_once():
+    logs = _logs_of_a_run_in_which_the_simulator_says("Nan, Inf or huge value in QACC", 1)
     assert sorted(logs) == [(), (), (), ("Nan, Inf or huge value in QACC",)]
 
 
 def test_a_flood_of_messages_is_cut():
-    plan = _plan()
-    worker = RolloutWorker(plan)
-    for _ in range(1000):
-        logging.getLogger("shes.mujoco").warning("again")
-    logs = [line for result in _run(worker, _generation(plan)).values() for line in result.log]
-    assert 1 <= len(logs) <= 100
+    logs = _logs_of_a_run_in_which_the_simulator_says("again", 1000)
+    assert 1 <= sum(len(lines) for lines in logs) <= 100
+
+
+def test_outside_its_runs_a_worker_leaves_the_simulators_log_alone(caplog):
+    RolloutWorker(_plan())
+    logging.getLogger("shes.mujoco").warning("heard elsewhere")
+    assert caplog.messages == ["heard elsewhere"]
 
 
 def test_a_worker_without_its_noise_table_says_so(tmp_path):

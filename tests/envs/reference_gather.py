@@ -192,8 +192,7 @@ def readings(
             bearing += 2 * math.pi
         index = math.floor((bearing + math.pi) / (2 * math.pi / bins))
         index = min(index, bins - 1)  # a bearing one rounding error below pi
-        if distance_squared < nearest_squared[index]:
-            nearest_squared[index] = distance_squared
+        nearest_squared[index] = min(nearest_squared[index], distance_squared)
     result = np.zeros(bins)
     for index in range(bins):
         if nearest_squared[index] < math.inf:

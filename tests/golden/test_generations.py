@@ -8,7 +8,7 @@ from tests.golden.regenerate import GENERATIONS, GOLDEN_FILE, golden_run
 
 WHAT_TO_DO = (
     "{place} is {value}, the golden file says {golden}. If nothing was meant to change, the last change has a fault. "
-    "If numbers were meant to change, run `python -m tests.golden.regenerate` and say 'changes numbers' in CHANGELOG.md."
+    "If numbers were meant to, run `python -m tests.golden.regenerate` and say 'changes numbers' in CHANGELOG.md."
 )
 
 

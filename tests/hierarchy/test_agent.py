@@ -160,9 +160,6 @@ def test_a_goal_where_the_robot_stands_pays_the_bonus_and_is_no_nan():
     assert agent.primitive_reward(np.array([[5.0, 5.0]])).tolist() == [2]
 
 
-@pytest.mark.xfail(
-    reason="the start distance is then 2e-308, and a step of 4 m away from the goal is paid minus infinity"
-)
 def test_walking_away_from_a_goal_where_the_robot_stood_is_paid_something_finite():
     agent = _agent(output=(0, 0))
     _act(agent, position=(5, 5))

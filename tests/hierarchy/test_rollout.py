@@ -237,6 +237,13 @@ def test_a_divergence_is_counted_pays_nothing_for_its_step_and_scores_nothing():
     assert before[-1] != 0
 
 
+def test_an_episode_that_diverges_as_it_terminates_has_diverged():
+    results = _run(_rollout(episodes=1), [_task(0, [make_seed(terminates_after=6, diverges_after=6)])])[0]
+    assert results.steps.tolist() == [6]
+    assert results.has_diverged.tolist() == [True]
+    assert results.has_terminated.tolist() == [False]
+
+
 def test_the_primitive_too_is_not_paid_for_the_step_of_a_divergence():
     def play(horizon, diverges_after):
         def on_step(task, ids, action):
@@ -398,7 +405,6 @@ def test_an_observation_of_nan_is_refused_without_blaming_the_parameters():
         _run(_rollout(2, on_step=on_step), tasks)
 
 
-@pytest.mark.xfail(reason="the message names the seed of the policy's first episode")
 def test_the_seed_in_the_message_is_the_failing_episodes():
     def on_step(task, ids, action):
         del ids, action

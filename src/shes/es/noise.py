@@ -127,8 +127,8 @@ class NoiseTable:
             Path(temporary).replace(path)
         except OSError as error:
             raise StorageError(
-                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be written to {path.parent}: {error.strerror or error}. "
-                "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
+                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be written to {path.parent}: "
+                f"{error.strerror or error}. Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
             ) from error
         finally:
             if temporary is not None:
