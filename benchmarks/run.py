@@ -12,7 +12,11 @@ import os
 import platform
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from time import sleep
+
+import psutil
 
 # name, what the ratio must at least be, arguments of `shes bench`
 ROLLOUTS = [
@@ -44,6 +48,26 @@ def bench(arguments: list[str]) -> dict[str, float]:
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
+def worker_memory_mb() -> float:
+    """Return the most that a worker of the paper's size holds beyond the noise table, in MB (resident)."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings = "--preset paper --population-size 40 --noise-table-size 25000000 --generations 2 --workers 1"
+        command = [sys.executable, "-m", "shes.cli", "train", "ant-gather", *settings.split(), "--out", f"{folder}/run"]
+        run = psutil.Popen([*command, "--horizon", "100"], stdout=subprocess.DEVNULL)
+        most = 0.0
+        while run.poll() is None:
+            sleep(0.1)
+            try:
+                for worker in run.children():
+                    maps = worker.memory_maps(grouped=True)
+                    most = max(most, sum(m.rss for m in maps if "noise-v" not in m.path) / 1e6)
+            except psutil.Error:
+                continue  # it has just ended
+        if run.returncode:
+            raise SystemExit("the training run failed")
+        return most
+
+
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -65,11 +89,14 @@ def main() -> None:
     print("\nThe parent's work between generations at paper size, milliseconds (medians):")
     for key, value in update.items():
         print(f"  {key:14} {value:,.1f}")
+    memory = worker_memory_mb()
+    print(f"\nA worker at paper size holds at most {memory:,.0f} MB beyond the noise table.")
     if out is not None:
         with out.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(["measure", "value"])
             writer.writerows([f"{row['name']}: {key}", row[key]] for row in rows for key in row if key != "name")
+            writer.writerow(["worker at paper size: MB beyond the noise table", memory])
             writer.writerow(["two workers against one", speedup])
             writer.writerows([f"update at paper size: {key}", value] for key, value in update.items())
 
