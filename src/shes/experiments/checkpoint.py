@@ -109,11 +109,12 @@ def load_checkpoint(path: Path) -> Checkpoint:
         others = sorted(other.stem for other in path.parent.glob("*.npz")) if path.parent.is_dir() else []
         there = f" There are: {', '.join(others)}." if others else ""
         raise CheckpointError(
-            f"there is no checkpoint {path}.{there} Choose one with --checkpoint; to resume from one, copy it to last.npz."
+            f"there is no checkpoint {path}.{there} Choose one with --checkpoint; "
+            "to resume from it, copy it to last.npz."
         )
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
         return _from_arrays(arrays, path)
     except _DAMAGES as error:
         raise CheckpointError(

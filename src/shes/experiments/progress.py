@@ -154,5 +154,6 @@ class ProgressDisplay:
         if self._config is not None and self._config.minutes is not None:
             share = (monotonic() - self._start) / (60 * self._config.minutes)
             total, done = 1000, round(1000 * min(1.0, max(share, done / total)))
-        bar = ProgressBar(total=total, completed=done, width=width)
+        bar = Table.grid()  # ends the bar's line: alone, the bar does not
+        bar.add_row(ProgressBar(total=total, completed=done, width=width))
         return Group(bar, table, *(Text(event, style="yellow") for event in self._events))
