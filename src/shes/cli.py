@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -84,7 +85,7 @@ class EnvsArguments:
     """List the environments."""
 
     json: bool = False
-    """Print one JSON object."""
+    """Print a JSON array of objects."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -107,6 +108,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         _error_console().print(f"[bold red]Error:[/bold red] {_escape(str(error))}", highlight=False, soft_wrap=True)
         return error.exit_code
+    except OSError as error:  # standard output is a full disk or a closed pipe, a path cannot be read, ...
+        if debug:
+            raise
+        _error_console().print(f"[bold red]Error:[/bold red] {_escape(str(error))}", highlight=False, soft_wrap=True)
+        return ConfigError.exit_code
+
+
+def _quote(path: Path) -> str:
+    """Return `path` as a word of a command that can be copied into a shell."""
+    return shlex.quote(str(path))
 
 
 def _escape(text: str) -> str:
@@ -188,6 +199,9 @@ def _config(words: list[str], command: str) -> TrainConfig:
             f"Environments: {', '.join(ENVIRONMENTS)}."
         )
     default = make_config(env or "ant-gather", preset or "laptop")
+    for word in rest:
+        if word.partition("=")[0] == "--env":
+            raise ConfigError(f"the environment comes first, without a flag: shes {command} ENV; got {word}.")
     print_help = {"-h", "--help"} & set(rest)
     if print_help:
         print(
@@ -225,15 +239,19 @@ def _show(work: Callable[[ProgressDisplay], Any]) -> int:
     except KeyboardInterrupt:
         if display.path is not None:
             console.print(
-                f"Stopped; everything up to the last finished generation is kept. Go on: shes resume {display.path}",
+                "Stopped; everything up to the last finished generation is kept. "
+                f"Go on: shes resume {_quote(display.path)}",
                 highlight=False,
                 markup=False,
                 soft_wrap=True,
             )
         raise
-    best = f"best evaluation score {run.best.score:.2f} (generation {run.best.generation})"
+    best = "no evaluation yet"
+    if run.best.generation >= 0:
+        best = f"best evaluation score {run.best.score:.2f} (generation {run.best.generation})"
+    path = _quote(run.path)
     console.print(
-        f"Done: {run.generation} generations, {best}.\nNext: shes evaluate {run.path} · shes plot {run.path}",
+        f"Done: {run.generation} generations, {best}.\nNext: shes evaluate {path} · shes plot {path}",
         highlight=False,
         markup=False,
         soft_wrap=True,

@@ -11,7 +11,6 @@ from collections.abc import Iterable
 __all__ = [
     "CheckpointError",
     "ConfigError",
-    "MissingExtraError",
     "PolicyError",
     "RunFolderError",
     "ShapeError",
@@ -75,10 +74,6 @@ class WorkerError(ShesError, RuntimeError):
     """A worker raised, or workers keep dying on the same work."""
 
     exit_code = 1
-
-
-class MissingExtraError(ShesError, ImportError):
-    """An optional dependency is not installed; the message names the extra."""
 
 
 def nearest_first(name: str, known: Iterable[str]) -> list[str]:

@@ -77,8 +77,8 @@ def test_the_speed_approaches_gear_over_damping():
         task.step(np.arange(1), np.array([[1.0, 0.0]]))
         speeds.append(task.sim.qvel[0, 0])
     time = 0.1 * (1 + np.arange(15))
-    # A force of 3 N on 0.33 kg with a damping of 0.4 N s/m, before the wall.
-    np.testing.assert_allclose(speeds, 7.5 * (1 - np.exp(-time * 0.4 / 0.33)), rtol=0.05)
+    # A force of 6 N on 0.33 kg with a damping of 0.8 N s/m, before the wall.
+    np.testing.assert_allclose(speeds, 7.5 * (1 - np.exp(-time * 0.8 / 0.33)), rtol=0.05)
 
 
 def test_the_heading_is_zero_and_it_cannot_fall():

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shes import storage
 from shes.errors import ConfigError, StorageError
 from shes.es import noise
 from shes.es.noise import NOISE_SEED, NoiseTable, default_cache_dir
@@ -159,16 +160,13 @@ def test_processes_that_have_the_old_file_open_keep_its_numbers(tmp_path, conten
     assert np.array_equal(old.values, content[:2000])
 
 
-class _FullDisk(io.FileIO):
-    """A file that takes nothing: the disk is full."""
-
-    def write(self, data):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+def _full_disk(*_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_a_full_disk_leaves_nothing_behind_and_names_the_way_out(tmp_path, monkeypatch):
-    monkeypatch.setattr(noise.os, "fdopen", _FullDisk)
-    with pytest.raises(StorageError, match=r"No space left on device.*SHES_CACHE_DIR.*--noise-table-size") as raised:
+    monkeypatch.setattr(storage.os, "fsync", _full_disk)
+    with pytest.raises(StorageError, match=r"the disk is full.*SHES_CACHE_DIR.*--noise-table-size") as raised:
         NoiseTable.open(5000, directory=tmp_path)
     assert str(tmp_path) in str(raised.value)
     assert list(tmp_path.iterdir()) == []
@@ -178,8 +176,8 @@ def test_a_failed_rename_leaves_nothing_behind(tmp_path, monkeypatch):
     def refuse(*_):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    monkeypatch.setattr(noise.Path, "replace", refuse)
-    with pytest.raises(StorageError, match="cannot be written"):
+    monkeypatch.setattr(storage.Path, "replace", refuse)
+    with pytest.raises(StorageError, match="cannot write"):
         NoiseTable.open(5000, directory=tmp_path)
     assert list(tmp_path.iterdir()) == []
 
@@ -187,7 +185,7 @@ def test_a_failed_rename_leaves_nothing_behind(tmp_path, monkeypatch):
 def test_a_failed_rebuild_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
     path = NoiseTable.open(5000, directory=tmp_path).path
     path.write_bytes(b"old")
-    monkeypatch.setattr(noise.os, "fdopen", _FullDisk)
+    monkeypatch.setattr(storage.os, "fsync", _full_disk)
     with pytest.raises(StorageError):
         NoiseTable.open(5000, directory=tmp_path)
     assert [p.read_bytes() for p in tmp_path.iterdir()] == [b"old"]

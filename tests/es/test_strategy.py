@@ -211,12 +211,12 @@ def test_several_levels_start_where_they_are_told():
 @pytest.mark.parametrize(
     ("changes", "error", "message"),
     [
-        ({"dim": 0}, ConfigError, "dim must be a positive number, or one per level, got 0"),
+        ({"dim": 0}, ConfigError, "dim must be a positive whole number, or one per level, got 0"),
         ({"dim": ()}, ConfigError, r"dim must be .* got \(\)"),
         ({"dim": (3, -1)}, ConfigError, r"got \(3, -1\)"),
-        ({"sigma": -0.1}, ConfigError, "sigma must be positive, got -0.1"),
-        ({"sigma": 0}, ConfigError, "sigma must be positive, got 0"),
-        ({"sigma": float("nan")}, ConfigError, "sigma must be positive, got nan"),
+        ({"sigma": -0.1}, ConfigError, "sigma must be a positive number, got -0.1"),
+        ({"sigma": 0}, ConfigError, "sigma must be a positive number, got 0"),
+        ({"sigma": float("nan")}, ConfigError, "sigma must be a positive number, got nan"),
         ({"learning_rate": -1}, ConfigError, "learning_rate must be positive, got -1"),
         ({"population_size": 41}, ConfigError, r"multiple of 2 .*got 41\. Set --population-size 40 or 42"),
         ({"dim": (2, 2), "population_size": 42}, ConfigError, "multiple of 4 .*got 42"),

@@ -38,7 +38,8 @@ class _Process:
     def __init__(self, factory: bytes) -> None:
         ours, theirs = socket.socketpair()
         read_end, self._lifeline = os.pipe()
-        module = [sys.executable, "-m", "shes.backends.process_worker"]
+        # -P: a file in the working directory must not stand in for a module of Python's own.
+        module = [sys.executable, "-P", "-m", "shes.backends.process_worker"]
         arguments = [str(theirs.fileno()), str(read_end), str(os.getpid())]
         # The same import path as here, so that a worker finds the classes that its tasks are made of.
         path = os.pathsep.join(entry for entry in sys.path if entry)
@@ -51,14 +52,19 @@ class _Process:
                 env={**os.environ, **_ONE_THREAD, "PYTHONPATH": path},
                 stdin=subprocess.DEVNULL,
             )
+        except OSError:
+            ours.close()
+            os.close(self._lifeline)
+            raise
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        theirs.close()
-        os.close(read_end)
+            theirs.close()
+            os.close(read_end)
         self.connection = Connection(ours.detach())
         self.tasks: dict[int, None] = {}  # numbers at work, in the order they were given
         self.is_running = False
-        self.connection.send_bytes(factory)
+        with suppress(OSError):  # that it is gone already shows when it is read from
+            self.connection.send_bytes(factory)
 
     def end(self) -> None:
         """End the process, at once."""
@@ -123,8 +129,15 @@ class ProcessesBackend(Backend):
         return [process.popen.pid for process in self._processes]
 
     def _start_missing(self) -> None:
-        while len(self._processes) < self.num_workers:
-            self._processes.append(_Process(self._factory))
+        try:
+            while len(self._processes) < self.num_workers:
+                self._processes.append(_Process(self._factory))
+        except OSError as error:
+            self._end_all()
+            raise WorkerError(
+                f"only some of {self.num_workers} worker processes could be started: {error.strerror or error}. "
+                "Lower --workers, or raise the limit on processes and open files (ulimit)."
+            ) from error
 
     def _start_run(self, process: _Process, run: _Run) -> None:
         process.is_running = True

@@ -21,12 +21,10 @@ from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 
-__all__ = ["DEFAULT_HORIZON", "FRAME_SKIP", "VELOCITY_CLIP", "SimulatorFactory", "Task", "TaskOptions"]
+__all__ = ["FRAME_SKIP", "VELOCITY_CLIP", "SimulatorFactory", "Task", "TaskOptions"]
 
 FRAME_SKIP = 5
 """Physics steps per control step: 0.1 s."""
-DEFAULT_HORIZON = 500
-"""Control steps after which an episode is over (the caller counts them)."""
 VELOCITY_CLIP = 10.0
 """Generalised velocities are observed clipped to this, in m/s and rad/s."""
 TIME_SCALE = 0.001

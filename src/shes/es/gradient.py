@@ -27,7 +27,7 @@ def group_weights(shaped: F64Array, signs: NDArray[np.int8]) -> F32Array:
         shaped: Shaped fitness [n] of the population, group after group.
         signs: Signs [M] that the members of a group give to this level's noise vector.
     """
-    return (shaped.reshape(-1, len(signs)) @ signs.astype(np.float64)).astype(np.float32)
+    return (shaped.reshape(-1, len(signs)) * signs).sum(axis=1).astype(np.float32)  # no BLAS: the same bits anywhere
 
 
 def weighted_noise_sum(

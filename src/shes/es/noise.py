@@ -7,12 +7,13 @@ section 2.1; SHES paper II-A). The file is built once from its seed, atomically,
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from shes.errors import ConfigError, StorageError
+from shes.storage import storage_errors, write_atomically
 from shes.types import F32Array
 
 __all__ = ["NOISE_SEED", "NoiseTable", "default_cache_dir"]
@@ -114,22 +115,17 @@ class NoiseTable:
     @staticmethod
     def _build(path: Path, size: int, seed: int) -> None:
         """Write the table beside `path`, then rename it into place."""
-        temporary: str | None = None
+
+        def write(file: IO[bytes]) -> None:
+            for number in range(-(-size // _BLOCK)):
+                file.write(_block(seed, number, min(_BLOCK, size - number * _BLOCK)).tobytes())
+
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-            with os.fdopen(handle, "wb") as file:
-                for number in range(-(-size // _BLOCK)):
-                    file.write(_block(seed, number, min(_BLOCK, size - number * _BLOCK)).tobytes())
-                file.flush()
-                os.fsync(file.fileno())
-            Path(temporary).chmod(0o644)  # others who share the cache may read it
-            Path(temporary).replace(path)
-        except OSError as error:
+            with storage_errors(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, write)
+        except StorageError as error:
             raise StorageError(
-                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be written to {path.parent}: "
-                f"{error.strerror or error}. Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
+                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be kept: {error} "
+                "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
             ) from error
-        finally:
-            if temporary is not None:
-                Path(temporary).unlink(missing_ok=True)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import index
+from typing import SupportsIndex
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -68,12 +70,17 @@ class EvolutionStrategy:
             ConfigError: A value is out of range, or the population is not a multiple of the mirrored group.
             ShapeError: `initial` or `state` does not fit `dim`.
         """
-        self._single = isinstance(dim, int | np.integer)
-        self.dims: tuple[int, ...] = (int(dim),) if isinstance(dim, int | np.integer) else tuple(int(d) for d in dim)
-        if not self.dims or min(self.dims) < 1:
-            raise ConfigError(f"dim must be a positive number, or one per level, got {dim!r}.")
-        if not sigma > 0:
-            raise ConfigError(f"sigma must be positive, got {sigma}.")
+        dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
+        self._single = not isinstance(dim, Sequence)
+        if not dims or not all(_is_whole(size, 1) for size in dims):
+            raise ConfigError(f"dim must be a positive whole number, or one per level, got {dim!r}.")
+        self.dims: tuple[int, ...] = tuple(int(size) for size in dims)
+        if not 0 < sigma < float("inf"):
+            raise ConfigError(f"sigma must be a positive number, got {sigma}.")
+        if not _is_whole(population_size, 1):
+            raise ConfigError(f"population_size must be a positive whole number, got {population_size!r}.")
+        if not _is_whole(seed, 0):
+            raise ConfigError(f"seed must be a whole number of at least 0, got {seed!r}.")
         self.num_groups = check_population(population_size, mirrored, len(self.dims))
         self.population_size = population_size
         self.sigma = sigma
@@ -138,3 +145,8 @@ class EvolutionStrategy:
             for x in starts
         )
         return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
+
+
+def _is_whole(value: object, least: int) -> bool:
+    """Tell whether `value` is a whole number of at least `least`."""
+    return isinstance(value, SupportsIndex) and not isinstance(value, bool) and index(value) >= least

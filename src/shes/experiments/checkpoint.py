@@ -16,7 +16,7 @@ from shes.errors import CheckpointError
 from shes.es.level import LevelState, TrainState
 from shes.es.optimizers import AdamState
 from shes.es.statistics import ObservationStatistics
-from shes.experiments.storage import write_atomically
+from shes.storage import write_atomically
 from shes.types import LEVEL_NAMES
 
 __all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "save_checkpoint"]

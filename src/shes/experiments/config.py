@@ -49,6 +49,7 @@ _AT_LEAST: dict[str, int] = {
     "keep_checkpoints": 1,
     "noise_table_size": 2,
     "num_workers": 0,
+    "population_size": 1,
     "seed": 0,
 }
 _POSITIVE = ("goal_distance", "learning_rate", "minutes", "sigma")
@@ -100,7 +101,7 @@ class TrainConfig:
     """Share of the groups whose observations enter the observation statistics."""
 
     hidden: tuple[int, ...] = (32,)
-    """Hidden layers of both policies (paper: 256 256 256)."""
+    """Hidden layers of both policies (paper: 256 256 256); no number makes them linear."""
     biases: str = "zero"
     """How biases start: zero or glorot_normal."""
     controller_interval: int = 25
@@ -116,7 +117,7 @@ class TrainConfig:
 
     horizon: int = 200
     """Control steps in an episode of training (Table I: 500)."""
-    evaluation_horizon: int | None = 500
+    evaluation_horizon: int | None = None
     """Control steps in an episode of evaluation; the same as in training if none."""
     integrator: str = "euler"
     """MuJoCo's integrator: euler, rk4 or implicitfast."""
@@ -140,14 +141,22 @@ class TrainConfig:
             ConfigError: A value is out of range.
             UnknownNameError: A name is in no registry.
         """
+        for field in fields(self):
+            object.__setattr__(self, field.name, _plain(getattr(self, field.name)))
+        for name in ("env", "preset", *_CHOICES):
+            if not isinstance(getattr(self, name), str):
+                raise _out_of_range(name, getattr(self, name), "a name")
         check_name(self.env)
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise UnknownNameError(name.replace("_", " "), str(getattr(self, name)), choices, f"Set {flag(name)}.")
         for name in (field.name for field in fields(self)):
             self._check_number(name, getattr(self, name))
-        if any(not isinstance(size, int | np.integer) or size < 1 for size in self.hidden):
+        sizes = self.hidden if isinstance(self.hidden, tuple) else (None,)
+        if any(not isinstance(size, int) or isinstance(size, bool) or size < 1 for size in sizes):
             raise _out_of_range("hidden", self.hidden, "positive whole numbers, e.g. --hidden 64 64")
+        if self.seed >= 2**63:
+            raise _out_of_range("seed", self.seed, "less than 2**63")
         check_population(self.population_size, self.mirrored, 2)
 
     @staticmethod
@@ -217,6 +226,15 @@ def check_fields(names: Mapping[str, Any]) -> None:
             close = difflib.get_close_matches(name, known, n=1)
             hint = f" Did you mean {close[0]!r}?" if close else ""
             raise ConfigError(f"unknown setting {name!r}.{hint} Settings: {', '.join(known)}.")
+
+
+def _plain(value: Any) -> Any:
+    """Return a NumPy number as Python's own, and a list as a tuple: JSON gives back what it was given."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value
 
 
 def _out_of_range(name: str, value: Any, allowed: str) -> ConfigError:

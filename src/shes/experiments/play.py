@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from shes.errors import ShapeError
+from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.es.level import LevelParameters, LevelState
 from shes.experiments.build import build_design, build_task
 from shes.experiments.config import TrainConfig
@@ -26,6 +26,8 @@ class Agent:
 
     def __init__(self, config: TrainConfig, levels: tuple[LevelState, ...], num_envs: int = 1) -> None:
         """Take the policies of `levels`; see `load`."""
+        if num_envs < 1:
+            raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs}.")
         self.config = config
         self.num_envs = num_envs
         task = build_task(config, 1, is_evaluation=True)
@@ -61,6 +63,7 @@ class Agent:
 
         Raises:
             ShapeError: `observation` has another shape.
+            PolicyError: `observation` holds NaN or infinity.
         """
         seen = np.asarray(observation, dtype=np.float64)
         rows = seen[None] if seen.ndim == 1 else seen
@@ -69,6 +72,10 @@ class Agent:
                 f"observation must have shape ({self.observation_size},) or "
                 f"({self.num_envs}, {self.observation_size}), got {seen.shape}. "
                 f"This agent was trained on {self.config.env}; load it with num_envs=... for several."
+            )
+        if not np.isfinite(rows).all():
+            raise PolicyError(
+                "the observation holds NaN or infinity: the simulation has blown up. Reset the environment."
             )
         qpos = rows[:, self._robot]
         control = self._agent.act(rows, self._body.position(qpos), self._body.heading(qpos))

@@ -16,7 +16,7 @@ from shes.errors import ConfigError, RunFolderError, UnknownNameError
 from shes.experiments.config import TrainConfig
 from shes.experiments.records import read_csv
 from shes.experiments.run_folder import RunFolder
-from shes.experiments.storage import write_atomically
+from shes.storage import write_atomically
 from shes.types import F64Array
 
 __all__ = ["X_AXES", "interval", "plot"]
@@ -70,7 +70,8 @@ def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str =
         picture_format = target.suffix.lstrip(".").lower()
         if picture_format not in figure.canvas.get_supported_filetypes():
             raise ConfigError(f"out must end in .png, .pdf or .svg, got {str(out)!r}. Set --out.")
-        folders = [RunFolder.open(Path(run)) for run in runs]
+        paths = {Path(run).resolve(): Path(run) for run in runs}  # a run named twice counts once
+        folders = [RunFolder.open(path) for path in paths.values()]
         for axis, (table, column, label) in zip(axes, _PANELS, strict=True):
             _draw_panel(axis, folders, table, column, x)
             axis.set_xlabel(X_AXES[x])
@@ -145,8 +146,9 @@ def _on_one_grid(curves: list[_Curve]) -> tuple[F64Array, F64Array]:
 def interval(values: F64Array, seed: int = 0) -> tuple[F64Array, F64Array]:
     """Return the 95 % bootstrap interval [K], [K] of the mean over runs of `values` [runs, K]."""
     rng = np.random.default_rng(seed)
-    chosen = rng.integers(0, len(values), (_RESAMPLES, len(values)))
-    means = values[chosen].mean(axis=1)
+    runs = len(values)
+    shares = rng.multinomial(runs, np.full(runs, 1 / runs), _RESAMPLES) / runs  # how often a resample takes each run
+    means = shares @ values
     tail = (1 - _CONFIDENCE) / 2
     low, high = np.quantile(means, [tail, 1 - tail], axis=0)
     return low, high

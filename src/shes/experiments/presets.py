@@ -28,13 +28,12 @@ PRESETS: dict[str, dict[str, Any]] = {
         "noise_table_size": 250_000_000,
     },
     # Learns visibly on a few cores: the defaults of TrainConfig.
-    "laptop": {},
+    "laptop": {"evaluation_horizon": 500},
     # Seconds: to see that everything works, not to learn.
     "smoke": {
         "population_size": 16,
         "generations": 3,
         "horizon": 50,
-        "evaluation_horizon": 50,
         "hidden": (16,),
         "evaluation_interval": 2,
         "evaluation_episodes": 4,
@@ -53,12 +52,12 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
         UnknownNameError: `preset` or `env` is not known.
         ConfigError: A setting is unknown or out of range.
     """
-    if preset not in PRESETS:
-        raise UnknownNameError("preset", preset, PRESETS, "Set --preset.")
+    if not isinstance(preset, str) or preset not in PRESETS:
+        raise UnknownNameError("preset", str(preset), PRESETS, "Set --preset.")
     overrides = overrides or {}
     check_fields(overrides)
     values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **overrides}
     if "hidden" in values:
         hidden = values["hidden"]
-        values["hidden"] = (hidden,) if isinstance(hidden, int) else tuple(hidden)
+        values["hidden"] = (hidden,) if isinstance(hidden, int) else hidden
     return TrainConfig(env=env, preset=preset, **values)

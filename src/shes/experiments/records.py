@@ -6,7 +6,7 @@ import csv
 import io
 import os
 from pathlib import Path
-from time import monotonic, time
+from time import time
 from typing import Any
 
 import numpy as np
@@ -17,14 +17,12 @@ from tensorboardX.summary import scalar
 from shes.algorithm import GenerationReport
 from shes.errors import RunFolderError
 from shes.experiments.run_folder import RunFolder
-from shes.experiments.storage import storage_errors, write_atomically
+from shes.storage import storage_errors, write_atomically
 from shes.types import CONTROLLER, LEVEL_NAMES, PRIMITIVE, IntArray
 
 __all__ = ["CsvTable", "Records", "progress_row", "read_csv"]
 
 Row = dict[str, Any]
-
-_FLUSH_EVERY_S = 30.0  # TensorBoard's events
 
 
 def progress_row(report: GenerationReport, wall_time_s: float, generation_s: float) -> Row:
@@ -142,7 +140,6 @@ class _Events:
             if generation:
                 start = SessionLog(status=SessionLog.START)
                 self._writer.write_event(Event(wall_time=time(), step=generation + 1, session_log=start))
-        self._flush_due = 0.0
 
     def add(self, group: str, row: Row) -> None:
         """Write the values of `row`, by generation."""
@@ -151,9 +148,7 @@ class _Events:
                 if name != "generation":
                     summary = scalar(f"{group}/{name}", value)
                     self._writer.write_event(Event(wall_time=time(), step=row["generation"], summary=summary))
-            if monotonic() >= self._flush_due:
-                self._writer.flush()
-                self._flush_due = monotonic() + _FLUSH_EVERY_S
+            self._writer.flush()  # before the checkpoint, which says that this generation is done
 
     def close(self) -> None:
         """Finish the file."""

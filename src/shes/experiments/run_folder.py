@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
-import os
-import platform
-import subprocess
-import sys
-from datetime import UTC, datetime
-from importlib import metadata
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.experiments.checkpoint import Checkpoint, load_checkpoint
 from shes.experiments.config import TrainConfig
-from shes.experiments.storage import storage_errors, write_atomically
+from shes.experiments.provenance import provenance
+from shes.storage import storage_errors, write_atomically
 
-__all__ = ["RunFolder", "default_path"]
+__all__ = ["RunFolder", "new_folder"]
 
 _FORMAT = 1
-_PACKAGES = ("shes", "mujoco", "numpy", "gymnasium")
 
 
-def default_path(config: TrainConfig) -> Path:
-    """Return a new folder below `runs/` in the working directory."""
-    return Path("runs") / f"{config.env}-{config.preset}-seed{config.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+def new_folder(config: TrainConfig) -> Path:
+    """Make a new folder below `runs/` in the working directory; no two runs are given the same one.
+
+    Raises:
+        StorageError: It cannot be made.
+    """
+    name = f"{config.env}-{config.preset}-seed{config.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    number = 1
+    while True:
+        path = Path("runs") / (name if number == 1 else f"{name}-{number}")
+        with storage_errors(path), suppress(FileExistsError):
+            path.mkdir(parents=True)
+            return path
+        number += 1
 
 
 class RunFolder:
@@ -40,13 +49,33 @@ class RunFolder:
         self.checkpoints = path / "checkpoints"
         self.tensorboard = path / "tensorboard"
         self.log = path / "log.txt"
+        self._lock = path / ".lock"
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep other processes from running in this folder.
+
+        Raises:
+            RunFolderError: Another process does.
+            StorageError: The folder cannot be written.
+        """
+        with storage_errors(self._lock):
+            file = self._lock.open("w")
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise RunFolderError(
+                    f"{self.path} is in use: a run is being trained in it. Wait for its end, or choose another folder."
+                ) from error
+            yield
 
     @classmethod
     def create(cls, path: Path) -> RunFolder:
         """Make a folder at `path`; it holds a run as soon as `record_start` has written its record.
 
         Raises:
-            RunFolderError: `path` already holds a run, or is a file.
+            RunFolderError: `path` already holds a run or parts of one, or is a file.
             StorageError: It cannot be written.
         """
         folder = cls(path)
@@ -57,6 +86,14 @@ class RunFolder:
             )
         if path.exists() and not path.is_dir():
             raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
+        # A start that was cut short leaves a lock and first checkpoints; whatever else is there is not ours.
+        checkpoints = [] if folder._lock.exists() else folder.checkpoints.glob("*.npz")
+        for taken in (folder.progress, folder.evaluation, *checkpoints):
+            if taken.exists():
+                raise RunFolderError(
+                    f"{path} holds {taken.relative_to(path)} but no config.json: parts of a run, or another program's "
+                    "files. Choose another folder with --out."
+                )
         with storage_errors(path):
             folder.checkpoints.mkdir(parents=True, exist_ok=True)
         return folder
@@ -95,20 +132,25 @@ class RunFolder:
         Raises:
             StorageError: It cannot be written.
         """
-        self._write_record({"format": _FORMAT, "config": config.to_dict(), **_provenance(), "resumed": []})
+        self._write_record({"format": _FORMAT, "config": config.to_dict(), **provenance(), "resumed": []})
 
-    def record_resume(self, generation: int, config: TrainConfig) -> None:
-        """Write down that the run went on from `generation`, with what versions and settings."""
+    def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
+        """Write down that the run went on from `generation`; return what versions have changed since it began."""
         record = self._read_record()
+        here, began = provenance(), record.get("versions", {})
+        changes = [
+            f"{name} {began.get(name)} -> {now}" for name, now in here["versions"].items() if began.get(name) != now
+        ]
         record["config"] = config.to_dict()
-        record["resumed"] = [*record.get("resumed", []), {"generation": generation, **_provenance()}]
+        record["resumed"] = [*record.get("resumed", []), {"generation": generation, **here}]
         self._write_record(record)
+        return changes
 
-    def checkpoint_path(self, name: str) -> Path:
+    def checkpoint_path(self, name: str | int) -> Path:
         """Return the file of checkpoint `name`: `last`, `best` or the number of a generation."""
-        return self.checkpoints / (f"generation_{int(name):06d}.npz" if name.isdecimal() else f"{name}.npz")
+        return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
-    def load(self, name: str) -> Checkpoint:
+    def load(self, name: str | int) -> Checkpoint:
         """Return checkpoint `name` of this run.
 
         Raises:
@@ -136,40 +178,3 @@ class RunFolder:
     def _write_record(self, record: dict[str, Any]) -> None:
         text = json.dumps(record, indent=2) + "\n"
         write_atomically(self.config, lambda file: file.write(text.encode()))
-
-
-def _provenance() -> dict[str, Any]:
-    """Return when, where, by what command and with what versions this process runs."""
-    versions = {name: metadata.version(name) for name in _PACKAGES}
-    return {
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": ["shes", *sys.argv[1:]],
-        "versions": {"python": platform.python_version(), **versions},
-        "git_commit": _git_commit(),
-        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
-    }
-
-
-def _git_commit() -> str | None:
-    """Return the commit of the source tree that this package is in, if it is in one."""
-    try:
-        asked = subprocess.run(
-            ["git", "rev-parse", "HEAD"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=5,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return asked.stdout.strip()
-
-
-def _processor() -> str:
-    """Return the processor's name: results repeat to the bit only on processors with the same features."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import shlex
 import signal
 import threading
 from collections.abc import Iterator
@@ -29,8 +31,8 @@ from shes.experiments.config import EXECUTION_FIELDS, TrainConfig, check_fields,
 from shes.experiments.evaluate import evaluate_levels, evaluation_seeds
 from shes.experiments.presets import make_config
 from shes.experiments.records import Records, Row, progress_row, read_csv
-from shes.experiments.run_folder import RunFolder, default_path
-from shes.experiments.storage import storage_errors
+from shes.experiments.run_folder import RunFolder, new_folder
+from shes.storage import storage_errors
 
 __all__ = ["Listener", "Run", "resume", "start_run", "train"]
 
@@ -98,12 +100,24 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     """Begin a run with the settings of `config`; see `train`."""
     design = build_design(config)
     open_noise_table(config, design)  # what can be wrong with it shows before there is a folder
-    folder = RunFolder.create(default_path(config) if out is None else Path(out))
-    checkpoint = Checkpoint(state=build_state(config, design), best=Best(), numbers=config.numbers())
-    for name in ("0", "best", "last"):
-        save_checkpoint(folder.checkpoint_path(name), checkpoint)
-    folder.record_start(config)  # from here on it is a run, which can be resumed
-    return _go_on(folder, config, checkpoint, listener)
+    folder = RunFolder.create(new_folder(config) if out is None else _path(out))
+    with folder.lock():
+        checkpoint = Checkpoint(state=build_state(config, design), best=Best(), numbers=config.numbers())
+        for name in ("0", "best", "last"):
+            save_checkpoint(folder.checkpoint_path(name), checkpoint)
+        folder.record_start(config)  # from here on it is a run, which can be resumed
+        return _go_on(folder, config, checkpoint, listener)
+
+
+def _path(out: Path | str) -> Path:
+    """Return the run folder asked for.
+
+    Raises:
+        ConfigError: It is no path.
+    """
+    if not isinstance(out, str | os.PathLike) or not str(out):
+        raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or leave it away.")
+    return Path(out)
 
 
 def resume(path: Path | str, *, listener: Listener | None = None, **settings: Any) -> Run:
@@ -130,15 +144,21 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
                 "Start another run to change it."
             )
     config = replace(stored, **{"minutes": None, **settings})
-    checkpoint = folder.load("last")
-    done = checkpoint.state.generation
-    if done >= config.generations:
-        raise ConfigError(
-            f"the run has made {done} generations, and is to end after {config.generations}. "
-            f"To go on: shes resume {path} --generations {2 * done}"
-        )
-    folder.record_resume(done, config)
-    return _go_on(folder, config, checkpoint, listener)
+    with folder.lock():
+        checkpoint = folder.load("last")
+        done = checkpoint.state.generation
+        if done >= config.generations:
+            raise ConfigError(
+                f"the run has made {done} generations, and is to end after {config.generations}. "
+                f"To go on: shes resume {shlex.quote(str(path))} --generations {2 * done}"
+            )
+        changes = folder.record_resume(done, config)
+        if changes:
+            event = f"other versions than the run began with ({', '.join(changes)}): numbers may differ from here on"
+            logger.warning(event)
+            if listener is not None:
+                listener.on_event(event)
+        return _go_on(folder, config, checkpoint, listener)
 
 
 def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, listener: Listener | None) -> Run:
@@ -162,7 +182,7 @@ def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, liste
             session.add(report, interruption)
             logger.info("generation %d ends", report.state.generation)
         generations.close()
-    if interruption.is_requested:
+    if interruption.is_requested and not session.is_over():
         raise KeyboardInterrupt
     state = session.checkpoint.state
     return Run(path=folder.path, config=config, generation=state.generation, best=session.checkpoint.best)

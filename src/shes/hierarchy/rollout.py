@@ -185,7 +185,7 @@ class Rollout:
             raise PolicyError(
                 f"the policy of member {lane.task.member} returned NaN or infinity at step {int(self._steps[row])}"
                 f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
-                f"{seed}. Lower --learning-rate or --sigma, and resume from an earlier checkpoint."
+                f"{seed}. Start another run with a lower --learning-rate or --sigma."
             )
 
 

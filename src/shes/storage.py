@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,9 +15,9 @@ from shes.errors import StorageError
 __all__ = ["storage_errors", "write_atomically"]
 
 _MENDS = {
-    errno.ENOSPC: "the disk is full: make room, then go on with `shes resume`",
-    errno.EDQUOT: "the disk quota is used up: make room, then go on with `shes resume`",
-    errno.EFBIG: "the file is larger than allowed here: raise the limit, then go on with `shes resume`",
+    errno.ENOSPC: "the disk is full: make room, then start again (a run that had begun: `shes resume`)",
+    errno.EDQUOT: "the disk quota is used up: make room, then start again (a run that had begun: `shes resume`)",
+    errno.EFBIG: "the file is larger than allowed here: raise the limit, then start again (a run: `shes resume`)",
     errno.EROFS: "the file system is read-only: choose another folder with --out",
     errno.EACCES: "permission denied: choose a folder that you may write to with --out",
     errno.EPERM: "permission denied: choose a folder that you may write to with --out",
@@ -45,18 +45,37 @@ def storage_errors(path: Path) -> Iterator[None]:
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Let `write` fill a new file, make it durable, and put it in the place of `path`; on failure `path` stays.
 
+    What writers that were killed have left beside `path` is removed.
+
     Raises:
         StorageError: The file cannot be written.
     """
-    temporary: str | None = None
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     with storage_errors(path):
+        _remove_abandoned(path)
         try:
-            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-            with os.fdopen(handle, "wb") as file:
+            with temporary.open("wb") as file:
                 write(file)
                 file.flush()
                 os.fsync(file.fileno())
-            Path(temporary).replace(path)
+            temporary.replace(path)
         finally:
-            if temporary is not None:
-                Path(temporary).unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove the unfinished copies of `path` whose writers are gone."""
+    for part in path.parent.glob(f".{path.name}.*.part"):
+        writer = part.name.removeprefix(f".{path.name}.").partition(".")[0]
+        if writer.isdecimal() and not _is_alive(int(writer)):
+            part.unlink(missing_ok=True)
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,195 @@
+"""The processes backend: workers that die are replaced, those that keep dying end the work, and none is left behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from shes.backends.processes import MAX_LOSSES, ProcessesBackend
+from shes.errors import ConfigError, WorkerError
+from tests.backends.workers import Worker, start_dying, start_failing, start_refusing
+from tests.e2e import runs
+
+
+@pytest.fixture
+def backend():
+    with ProcessesBackend(Worker, 2) as made:
+        made.broadcast(100)
+        yield made
+
+
+def test_every_worker_is_a_process_of_its_own_and_has_the_state(backend):
+    done = list(backend.map([("where", 0.05)] * 12))
+    assert {pid for pid, _ in done} == set(backend.pids())
+    assert len(set(backend.pids())) == 2
+    assert {state for _, state in done} == {100}
+
+
+@pytest.mark.parametrize("variable", ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"])
+def test_a_worker_has_one_thread_whatever_the_parent_has(monkeypatch, variable):
+    monkeypatch.setenv(variable, "8")
+    with ProcessesBackend(Worker, 1) as backend:
+        assert list(backend.map([("environment", variable)])) == ["1"]
+
+
+def test_a_worker_that_dies_at_work_is_replaced_and_its_tasks_are_done_again(backend, tmp_path):
+    before = backend.pids()
+    tasks = [("add", 1), ("die_once", tmp_path / "marker"), *[("add", i) for i in range(2, 10)]]
+    assert list(backend.map(tasks)) == [101, 100, *range(102, 110)]
+    (event,) = backend.take_events()
+    (dead,) = set(before) - set(backend.pids())
+    assert event.startswith(f"worker {dead} died (exit code -9); ")
+    assert int(event.partition("; ")[2].split()[0]) >= 1
+    assert event.endswith("tasks are done again")
+    assert len(set(backend.pids())) == 2
+    assert backend.take_events() == []
+
+
+def test_workers_killed_between_two_maps_are_replaced_and_get_the_state(backend):
+    list(backend.map([("add", 1)] * 4))
+    before = backend.pids()
+    for pid in before:
+        os.kill(pid, signal.SIGKILL)
+    assert list(backend.map([("add", i) for i in range(8)])) == list(range(100, 108))
+    assert sorted(backend.take_events()) == sorted(
+        f"worker {pid} died (exit code -9); 0 tasks are done again" for pid in before
+    )
+    assert not set(before) & set(backend.pids())
+    assert not any(psutil.pid_exists(pid) for pid in before)  # not even zombies
+
+
+def test_a_worker_killed_before_a_broadcast_is_replaced_and_gets_the_new_state(backend):
+    list(backend.map([("add", 1)] * 4))
+    os.kill(backend.pids()[0], signal.SIGKILL)
+    backend.broadcast(200)
+    done = list(backend.map([("where", 0.05)] * 12))
+    assert {state for _, state in done} == {200}
+    assert {pid for pid, _ in done} == set(backend.pids())
+
+
+def test_a_task_that_always_kills_its_worker_is_an_error_that_names_the_fix(backend, tmp_path):
+    diary = tmp_path / "diary"
+    message = (
+        rf"workers keep dying \(exit code -9\) on the same task, {MAX_LOSSES} times\. .*memory ran out: "
+        r"lower --workers or --chunk-size\. Everything up to the last checkpoint is kept"
+    )
+    with pytest.raises(WorkerError, match=message):
+        list(backend.map([*[("add", i) for i in range(6)], ("die", diary), ("add", 7)]))
+    assert len(diary.read_text().splitlines()) <= MAX_LOSSES
+    assert len(backend.take_events()) == MAX_LOSSES
+    assert psutil.Process().children() == []
+    backend.broadcast(7)
+    assert list(backend.map([("add", 1)])) == [8]  # without that task it works again
+
+
+def test_losses_are_counted_for_each_map_and_task(backend, tmp_path):
+    for generation in range(MAX_LOSSES + 1):
+        tasks = [("die_once", tmp_path / f"{generation}-{i}") for i in range(2)] + [("add", 1)] * 4
+        assert list(backend.map(tasks)) == [100, 100] + [101] * 4
+    assert len(backend.take_events()) >= MAX_LOSSES + 1
+
+
+def test_workers_that_die_at_once_are_an_error_and_no_endless_loop():
+    with (
+        ProcessesBackend(start_dying, 2) as backend,
+        pytest.raises(WorkerError, match=r"workers keep dying \(exit code 3\) at once\. .*lower --workers"),
+    ):
+        list(backend.map([("add", 1)]))
+    assert len(backend.take_events()) == 2 * MAX_LOSSES
+    assert psutil.Process().children() == []
+
+
+def test_a_worker_that_cannot_be_made_is_an_error_with_its_traceback():
+    with ProcessesBackend(start_failing, 2) as backend, pytest.raises(WorkerError, match="ValueError: no such model"):
+        list(backend.map([("add", 1)]))
+    with ProcessesBackend(start_refusing, 2) as backend, pytest.raises(ConfigError, match="sigma must be positive"):
+        list(backend.map([("add", 1)]))
+    assert psutil.Process().children() == []
+
+
+def test_a_worker_error_names_the_tasks_at_work(backend):
+    with pytest.raises(WorkerError, match=r"while at work on .*\('divide', 0\).*\n(?s:.*)ZeroDivisionError"):
+        list(backend.map([("divide", 0)]))
+
+
+def test_a_result_that_cannot_be_pickled_is_a_worker_error(backend):
+    with pytest.raises(WorkerError, match=r"(?s)a worker failed.*(pickle|local object)"):
+        list(backend.map([("add", 1), ("closure", 2)]))
+    assert psutil.Process().children() == []
+
+
+def test_a_task_that_cannot_be_pickled_leaves_no_process(backend):
+    with pytest.raises(Exception, match=r"pickle|local object"):
+        list(backend.map([("add", lambda: 1)]))
+    assert psutil.Process().children() == []
+    backend.broadcast(7)
+    assert list(backend.map([("add", 1)])) == [8]
+
+
+def test_a_factory_may_be_a_closure():
+    with ProcessesBackend(lambda: Worker(at_once=1), 1) as backend:
+        backend.broadcast(1)
+        assert list(backend.map([("add", 1)] * 3)) == [2, 2, 2]
+
+
+def test_workers_ignore_ctrl_c_from_their_first_moment():
+    with ProcessesBackend(Worker, 3) as backend:
+        before = backend.pids()
+        for _ in range(20):
+            for pid in before:
+                os.kill(pid, signal.SIGINT)
+            time.sleep(0.01)
+        backend.broadcast(1)
+        assert list(backend.map([("add", 1)] * 9)) == [2] * 9
+        assert (backend.take_events(), backend.pids()) == ([], before)
+
+
+def test_starting_workers_leaves_the_signal_mask_as_it_was():
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    with ProcessesBackend(Worker, 1):
+        assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+
+
+def test_replacing_workers_leaves_no_open_file(backend, tmp_path):
+    list(backend.map([("add", 1)] * 4))
+    before = psutil.Process().num_fds()
+    for i in range(3):
+        list(backend.map([("die_once", tmp_path / str(i)), ("add", 1)]))
+    assert psutil.Process().num_fds() == before
+
+
+PARENT = """
+import sys, time
+from shes.backends.processes import ProcessesBackend
+from tests.backends.workers import Worker
+
+backend = ProcessesBackend(lambda: Worker(at_once=1), 2)
+if sys.argv[1] == "at_work":
+    results = backend.map([("where", 0.01)] * 2 + [("where", 600)] * 20)
+    next(results)
+print(*backend.pids(), flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("moment", ["starting", "at_work"])
+def test_workers_do_not_outlive_a_killed_parent(moment):
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, moment],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    try:
+        pids = [int(word) for word in parent.stdout.readline().split()]
+        assert len(pids) == 2
+        assert all(runs.is_alive(pid) for pid in pids)
+    finally:
+        parent.kill()
+        parent.communicate()
+    runs.assert_gone(parent.pid, pids)

@@ -1,0 +1,89 @@
+"""A worker for the tests of backends, which does what a task says. Worker processes import this module."""
+
+import os
+import signal
+import time
+from itertools import islice
+from pathlib import Path
+
+from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError
+
+ERRORS = {
+    "config": ConfigError("sigma must be positive, got -1. Set --sigma."),
+    "name": UnknownNameError("reward", "progres", ["progress", "cosine"], "Set --primitive-reward."),
+    "policy": PolicyError("the policy of member 3 returned NaN."),
+    "shape": ShapeError("got (3,)."),
+}
+"""Errors that a task may ask for."""
+
+
+class Worker:
+    """Runs tasks (verb, argument), a few at a time, and yields their results last first."""
+
+    def __init__(self, at_once=3):
+        self.at_once = at_once
+        self.state = None
+
+    def receive(self, state):
+        self.state = state
+
+    def run(self, work, share):
+        while taken := list(islice(work, min(self.at_once, share))):
+            for number, task in reversed(taken):
+                yield number, self.do(*task)
+
+    def do(self, verb, argument=None):
+        return getattr(self, verb)(argument)
+
+    def add(self, number):
+        """Add the state to a number."""
+        return self.state + number
+
+    def where(self, seconds):
+        """Take some time; return the process and the state."""
+        time.sleep(seconds)
+        return os.getpid(), self.state
+
+    def environment(self, name):
+        return os.environ.get(name)
+
+    def raises(self, name):
+        raise ERRORS[name]
+
+    def divide(self, number):
+        return 1 / number
+
+    def closure(self, value):
+        """Return what cannot be pickled."""
+        return lambda: value
+
+    def repeat(self, size):
+        return b"x" * size
+
+    def die_once(self, marker):
+        """Kill this process the first time; return the state the next time."""
+        if not Path(marker).exists():
+            Path(marker).touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self.state
+
+    def die(self, diary):
+        """Kill this process every time, and leave a line in `diary`."""
+        with Path(diary).open("a") as file:
+            file.write(f"{os.getpid()}\n")
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def start_failing():
+    """Stand for a worker that cannot be made."""
+    raise ValueError("no such model")
+
+
+def start_refusing():
+    """Stand for a worker that refuses its settings."""
+    raise ERRORS["config"]
+
+
+def start_dying():
+    """Stand for a worker whose process dies before it can do anything."""
+    os._exit(3)

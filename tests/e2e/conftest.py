@@ -1,0 +1,60 @@
+"""Runs that end-to-end tests share."""
+
+import os
+import signal
+
+import pytest
+
+from tests.e2e import runs
+
+KILLED = {
+    "preset": "smoke",
+    "seed": 3,
+    "workers": 2,
+    "population_size": 32,
+    "hidden": (8,),
+    "horizon": 200,
+    "evaluation_horizon": 100,
+    "generations": 4,
+    "evaluation_interval": 2,
+    "evaluation_episodes": 4,
+    "keep_checkpoints": 2,
+    "noise_table_size": 1_000_000,
+}
+"""Settings of the runs that are killed: a generation takes long enough to be hit."""
+
+
+@pytest.fixture(scope="session")
+def tiny_run(tmp_path_factory):
+    """Folder of a finished tiny run. Not to be changed: copy it."""
+    return runs.train_tiny(tmp_path_factory.mktemp("tiny") / "run")
+
+
+@pytest.fixture(scope="session")
+def undisturbed(tmp_path_factory):
+    """Folder of a run with the settings of `killed` that nothing happened to."""
+    path = tmp_path_factory.mktemp("undisturbed") / "run"
+    code, out, err = runs.run("train", "point-gather", *runs.flags(**KILLED, out=path))
+    assert (code, err) == (0, ""), out
+    return path
+
+
+@pytest.fixture
+def started(tmp_path):
+    """Return a function that starts such a run with more settings and returns its process and folder.
+
+    Whatever happens, nothing of it is left after the test.
+    """
+    processes = []
+
+    def begin(**settings):
+        path = tmp_path / f"run{len(processes)}"
+        process = runs.start("train", "point-gather", *runs.flags(**{**KILLED, **settings}, out=path))
+        processes.append(process)
+        return process, path
+
+    yield begin
+    for process in processes:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()

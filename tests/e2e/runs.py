@@ -1,0 +1,201 @@
+"""Runs for tests: tiny ones here, others in processes of their own that can be killed; and what their numbers are."""
+
+import csv
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from shes.experiments.train import train
+
+TINY = {
+    "preset": "smoke",
+    "seed": 5,
+    "population_size": 8,
+    "hidden": (4,),
+    "horizon": 20,
+    "evaluation_horizon": 20,
+    "generations": 4,
+    "evaluation_interval": 2,
+    "evaluation_episodes": 3,
+    "keep_checkpoints": 2,
+    "noise_table_size": 1_000_000,
+    "backend": "serial",
+}
+"""Settings of a run that takes a fraction of a second."""
+
+COMMAND = (sys.executable, "-m", "shes.cli")
+PATIENCE_S = 60.0
+"""Longest wait for something that is about to happen: a busy machine is no failure."""
+GONE_WITHIN_S = 2.0
+"""No worker outlives its run for longer."""
+
+
+def train_tiny(path, **settings):
+    """Train on Point Gather in this process; return the run folder."""
+    return train("point-gather", out=path, **{**TINY, **settings}).path
+
+
+def flags(**settings):
+    """Return settings as words of a command line."""
+    words = []
+    for name, value in settings.items():
+        words.append("--" + name.replace("_", "-"))
+        words += [str(item) for item in value] if isinstance(value, tuple) else [str(value)]
+    return words
+
+
+# What the numbers of a run are.
+
+
+def numbers(path):
+    """Return every array of every checkpoint, and every column of the tables but times and rates, by name."""
+    found = {}
+    for file in sorted((Path(path) / "checkpoints").iterdir()):
+        with np.load(file) as arrays:
+            found |= {f"{file.name}/{name}": arrays[name] for name in arrays.files}
+    for table in ("progress.csv", "evaluation.csv"):
+        if not (Path(path) / table).exists():  # before the first generation
+            continue
+        with (Path(path) / table).open(newline="") as file:
+            header, *rows = csv.reader(file)
+        for column, name in enumerate(header):
+            if not name.endswith("_s"):
+                found[f"{table}/{name}"] = np.array([",".join(row[column : column + 1]) for row in rows])
+    return found
+
+
+def differences(first, second):
+    """Return the names of the numbers in which two run folders differ, to the bit."""
+    one, other = numbers(first), numbers(second)
+    return sorted(
+        name
+        for name in one.keys() | other.keys()
+        if name not in one
+        or name not in other
+        or one[name].dtype != other[name].dtype
+        or one[name].shape != other[name].shape
+        or one[name].tobytes() != other[name].tobytes()
+    )
+
+
+# Runs in processes of their own.
+
+
+def start(*words):
+    """Start `shes WORDS` as the leader of a process group of its own."""
+    return subprocess.Popen(
+        [*COMMAND, *(str(word) for word in words)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def finish(process):
+    """Wait for the end of a process; return its exit code and what it printed to stdout and stderr."""
+    out, err = process.communicate(timeout=PATIENCE_S)
+    return process.returncode, out, err
+
+
+def run(*words):
+    """Run `shes WORDS` to its end; return its exit code and what it printed to stdout and stderr."""
+    return finish(start(*words))
+
+
+def wait_until(condition, what, within_s=PATIENCE_S):
+    """Return the first true value of `condition()`."""
+    end = time.monotonic() + within_s
+    while True:
+        value = condition()
+        if value:
+            return value
+        if time.monotonic() > end:
+            raise AssertionError(f"not within {within_s} s: {what}")
+        time.sleep(0.002)
+
+
+def log_lines(path):
+    """Return the log of a run without dates and levels; none before it begins."""
+    log = Path(path) / "log.txt"
+    return [line.split(" ", 3)[3] for line in log.read_text().splitlines()] if log.exists() else []
+
+
+def wait_for_generation(process, path, generation):
+    """Wait until `generation` has begun."""
+    text = f"generation {generation} begins"
+    wait_until(lambda: text in log_lines(path) or process.poll() is not None, text)
+    assert process.poll() is None, f"the run ended too soon: {process.communicate()}"
+
+
+def generation_under_way(path):
+    """Return the generation that has begun and not ended, by the log; None between generations."""
+    begun = re.fullmatch(r"generation (\d+) begins", log_lines(path)[-1])
+    return int(begun[1]) if begun else None
+
+
+def stop_inside_generation(process, path, generation):
+    """Stop (SIGSTOP) the run's main process while it is inside `generation` or a later one, and return which.
+
+    A stopped process writes no log, so what the log says then is where it stands.
+    """
+    wait_for_generation(process, path, generation)
+    wait_until_at_work(workers_of(process.pid)[0])
+    while True:
+        os.kill(process.pid, signal.SIGSTOP)
+        wait_until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_STOPPED, "the process stops")
+        inside = generation_under_way(path)
+        if inside is not None:
+            return inside
+        os.kill(process.pid, signal.SIGCONT)
+        time.sleep(0.02)
+
+
+def wait_until_at_work(pid):
+    """Wait until process `pid` has used some more processor time: a worker without work uses none."""
+    process = psutil.Process(pid)
+    before = sum(process.cpu_times()[:2])
+    wait_until(lambda: sum(process.cpu_times()[:2]) >= before + 0.03, f"worker {pid} works")
+
+
+def workers_of(pid):
+    """Return the process numbers of the living workers whose parent is, or was, process `pid`, oldest first.
+
+    The parent's number is on a worker's command line, so one that lost its parent is found as well. A process that has
+    ended and that nobody has asked for yet (a zombie) has no command line any more.
+    """
+    found = []
+    for process in psutil.process_iter():
+        try:
+            words = process.cmdline()
+        except (psutil.NoSuchProcess, psutil.ZombieProcess):
+            continue
+        if "shes.backends.process_worker" in words and words[-1] == str(pid):
+            found.append(process)
+    return [process.pid for process in sorted(found, key=lambda process: process.create_time())]
+
+
+def is_alive(pid):
+    """Tell whether process `pid` still runs."""
+    try:
+        return psutil.Process(pid).status() not in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
+    except psutil.NoSuchProcess:
+        return False
+
+
+def assert_gone(main_pid, worker_pids):
+    """Fail if a worker of process `main_pid`, one of `worker_pids` or another, is there two seconds from now."""
+    assert worker_pids, "no worker was seen: nothing is proved"
+    wait_until(
+        lambda: not any(is_alive(pid) for pid in worker_pids) and not workers_of(main_pid),
+        f"workers {worker_pids} of {main_pid} are gone",
+        GONE_WITHIN_S,
+    )

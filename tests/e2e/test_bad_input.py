@@ -1,0 +1,524 @@
+"""What the user can get wrong: a message with value, choices and fix, the exit code of the design, and nothing lost."""
+
+import errno
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import shes
+from shes import storage
+from shes.cli import main
+from shes.errors import ConfigError, ShesError
+from shes.experiments.checkpoint import load_checkpoint
+from tests.e2e import runs
+
+MENDABLE, FAILED = 2, 1
+TRAIN = ["train", "point-gather", *runs.flags(**runs.TINY)]
+# Lets the permissions of files hold for root, too: prctl(PR_CAPBSET_DROP, CAP_DAC_OVERRIDE).
+WITHOUT_ROOT = "assert os.geteuid() or ctypes.CDLL(None).prctl(24, 1, 0, 0, 0) == 0"
+
+
+@pytest.fixture
+def run_copy(tiny_run, tmp_path):
+    """A finished tiny run that may be changed."""
+    return shutil.copytree(tiny_run, tmp_path / "copy")
+
+
+@pytest.fixture
+def refused(capsys, tmp_path, monkeypatch):
+    """Return a function that runs a command line that must fail, and returns its message on one line."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words, code=MENDABLE):
+        try:
+            found = main([str(word) for word in words])
+        except SystemExit as left:  # tyro leaves by itself
+            found = left.code
+        out, err = capsys.readouterr()
+        assert found == code
+        assert "Traceback" not in out + err
+        return plain(err)
+
+    return run
+
+
+def plain(text):
+    """Return `text` without tyro's frames, on one line."""
+    return " ".join(re.sub(r"[│╭╮╰╯─]", " ", text).split())
+
+
+# Command lines.
+
+WORDS = {
+    "unknown_command": (
+        ["trian", "x"],
+        r"unknown command 'trian'\. Did you mean 'train'\? Known: train, .*shes --help",
+    ),
+    "no_environment": (
+        ["train", "--preset", "smoke"],
+        r"needs an environment first: shes train ant-gather.*point-gather",
+    ),
+    "unknown_environment": (
+        ["train", "pint-gather"],
+        r"unknown environment 'pint-gather'\. Did you mean 'point-gather'\? Known: point-gather, ant-.*`shes envs`",
+    ),
+    "unknown_preset": (
+        ["train", "point-gather", "--preset", "lapto"],
+        r"unknown preset 'lapto'\. Did you mean 'laptop'\? Known: laptop, paper, smoke\. Set --preset",
+    ),
+    "preset_without_a_value": (["train", "point-gather", "--preset"], r"--preset needs a value"),
+    "unknown_flag": ([*TRAIN, "--sigm", "0.1"], r"Unrecognized options: --sigm.*Perhaps you meant: --sigma FLOAT"),
+    "unknown_short_flag": (
+        [*TRAIN, "--population", "8"],
+        r"Unrecognized options: --population.*Perhaps you meant: --population-size INT",
+    ),
+    "one_word_too_many": ([*TRAIN, "extra"], r"Unrecognized options: extra.*shes train point-gather --help"),
+    "wrong_type": ([*TRAIN, "--sigma", "abc"], r"--sigma: could not convert string to float: 'abc'.*--sigma FLOAT"),
+    "wrong_type_in_a_list": ([*TRAIN, "--hidden", "8", "x"], r"--hidden: .*\['8', 'x'\].*--hidden \[INT"),
+    "negative_sigma": ([*TRAIN, "--sigma", "-0.1"], r"sigma must be a positive number, got -0\.1\. Set --sigma"),
+    "sigma_not_a_number": ([*TRAIN, "--sigma", "nan"], r"sigma must be a positive number, got nan\. Set --sigma"),
+    "negative_workers": (
+        [*TRAIN, "--workers", "-1"],
+        r"num_workers must be a whole number of at least 0, got -1\. Set --workers",
+    ),
+    "population_not_divisible_by_four": (
+        [*TRAIN, "--population-size", "18"],
+        r"population_size must be a positive multiple of 4 .*got 18\. Set --population-size 16 or 20",
+    ),
+    "unknown_reward": (
+        [*TRAIN, "--primitive-reward", "progres"],
+        r"unknown primitive reward 'progres'\. Did you mean 'progress'\?.*Set --primitive-reward",
+    ),
+    "unknown_backend": (
+        [*TRAIN, "--backend", "sereal"],
+        r"unknown backend 'sereal'\. Did you mean 'serial'\?.*Set --backend",
+    ),
+    "noise_table_too_small": (
+        [*TRAIN, "--noise-table-size", "100"],
+        r"noise_table_size is 100, but a level has [\d,]+ parameters and needs at least [\d,]+\. Raise --noise-table-s",
+    ),
+    "resume_without_a_run": (["resume"], r"Missing from shes resume: PATH.*The run folder"),
+    "missing_run": (["resume", "gone"], r"gone does not exist\. Give the folder that `shes train` printed"),
+    "plot_without_a_run": (["plot"], r"plot needs at least one run folder: shes plot RUN"),
+    "plot_of_a_missing_run": (["plot", "gone"], r"gone does not exist\. Give the folder"),
+    "unknown_bench": (["bench", "rolout"], r"unknown bench 'rolout'\. Did you mean 'rollout'\? Known: rollout, update"),
+}
+
+
+@pytest.mark.parametrize("case", WORDS)
+def test_a_wrong_command_line_is_refused_with_its_fix(case, refused, tmp_path):
+    words, message = WORDS[case]
+    assert re.search(message, refused(*words))
+    assert list(tmp_path.iterdir()) == []  # nothing was begun
+
+
+def test_debug_shows_the_traceback():
+    with pytest.raises(ShesError, match="unknown environment"):
+        main(["train", "pint-gather", "--debug"])
+
+
+def test_a_process_prints_one_line_and_with_debug_a_traceback(tmp_path):
+    code, out, err = runs.run("train", "point-gather", "--preset", "lapto")
+    assert (code, out) == (MENDABLE, "")
+    assert err.startswith("Error: unknown preset 'lapto'")
+    assert err.count("\n") == 1
+    code, out, err = runs.run("train", "point-gather", "--preset", "lapto", "--debug")
+    assert code != 0
+    assert "Traceback" in err
+    assert "UnknownNameError: unknown preset 'lapto'" in err
+
+
+# Run folders.
+
+
+def test_a_folder_that_holds_a_run_is_refused_and_untouched(refused, run_copy, tiny_run):
+    message = refused(*TRAIN, "--out", run_copy)
+    assert re.search(
+        rf"{run_copy} already holds a run\. Go on with it by `shes resume .*another folder with --out", message
+    )
+    assert runs.differences(tiny_run, run_copy) == []
+
+
+def test_a_file_as_run_folder_is_refused_and_untouched(refused, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("mine")
+    assert re.search(r"file is a file, not a folder\. Choose another path with --out", refused(*TRAIN, "--out", file))
+    assert file.read_text() == "mine"
+    assert re.search(r"a part of the path is a file.*--out", refused(*TRAIN, "--out", file / "run"))
+
+
+@pytest.mark.parametrize("command", ["resume", "evaluate", "plot"])
+def test_a_folder_that_is_no_run_is_refused(refused, tmp_path, command):
+    assert re.search(r"is not a run folder: it has no config\.json\. Give the folder", refused(command, tmp_path))
+
+
+def test_a_finished_run_is_not_resumed_but_says_how(refused, run_copy):
+    message = refused("resume", run_copy)
+    assert re.search(rf"has made 4 generations, .*To go on: shes resume {run_copy} --generations 8", message)
+    message = refused("resume", run_copy, "--generations", "2")
+    assert re.search(r"has made 4 generations, .*--generations 8", message)
+
+
+def test_resume_refuses_what_would_change_the_numbers(refused, run_copy):
+    assert re.search(r"Unrecognized options: --sigma", refused("resume", run_copy, "--sigma", "1"))
+    with pytest.raises(ConfigError, match=r"--sigma would change the numbers.*takes .*--workers"):
+        shes.resume(run_copy, sigma=1.0, generations=8)
+    with pytest.raises(ConfigError, match=r"unknown setting 'sigm'\. Did you mean 'sigma'"):
+        shes.resume(run_copy, sigm=1.0)
+
+
+CONFIGS = {
+    "not_json": (lambda text: text[: len(text) // 2], r"config\.json cannot be read: .*Restore it from a copy"),
+    "empty": (lambda text: text[:0], r"config\.json cannot be read: "),
+    "other_json": (lambda text: f"[{text}]", r"config\.json is not the record of a SHES run"),
+    "other_format": (
+        lambda text: text.replace('"format": 1', '"format": 9'),
+        r"not the record of a SHES run of format 1",
+    ),
+    "no_settings": (
+        lambda text: text.replace('"config": {', '"konfig": {'),
+        r"config\.json is damaged: KeyError\('config'\)",
+    ),
+    "unknown_key": (
+        lambda text: text.replace('"sigma"', '"sigmma"'),
+        r"config\.json: unknown setting 'sigmma'\. Did you mean 'sigma'\?",
+    ),
+    "wrong_type": (
+        lambda text: re.sub(r'"sigma": [\d.]+', '"sigma": "big"', text),
+        r"sigma must be a positive number, got 'big'",
+    ),
+    "unknown_environment": (
+        lambda text: text.replace('"env": "point-gather"', '"env": "pont-gather"'),
+        r"config\.json: unknown environment 'pont-gather'\. Did you mean 'point-gather'\?",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CONFIGS)
+@pytest.mark.parametrize("command", ["resume", "evaluate", "plot"])
+def test_a_damaged_record_is_refused(refused, run_copy, case, command):
+    damage, message = CONFIGS[case]
+    config = run_copy / "config.json"
+    config.write_text(damage(config.read_text()))
+    assert re.search(message, refused(command, run_copy))
+
+
+# Checkpoints.
+
+
+def cut_in_half(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def write_npy(path):
+    with path.open("wb") as file:
+        np.save(file, np.zeros(3))
+
+
+CHECKPOINTS = {
+    "truncated": cut_in_half,
+    "empty": lambda path: path.write_bytes(b""),
+    "text": lambda path: path.write_text("hello"),
+    "foreign_npz": lambda path: np.savez(path, weights=np.zeros(3)),
+    "foreign_npy": write_npy,
+}
+
+
+@pytest.mark.parametrize("case", CHECKPOINTS)
+@pytest.mark.parametrize(("command", "name"), [("resume", "last"), ("evaluate", "best")])
+def test_a_damaged_checkpoint_is_refused_and_nothing_else_is_touched(refused, run_copy, case, command, name):
+    CHECKPOINTS[case](run_copy / "checkpoints" / f"{name}.npz")
+    before = {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()}
+    more = ["--generations", "6"] if command == "resume" else []
+    message = refused(command, run_copy, *more)
+    assert re.search(rf"{name}\.npz is not a whole SHES checkpoint .*--checkpoint last, best or a generation", message)
+    assert "copy it over last.npz" in message
+    assert {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()} == before
+
+
+def test_the_fix_for_a_damaged_last_checkpoint_works(run_copy, tiny_run):
+    checkpoints = run_copy / "checkpoints"
+    cut_in_half(checkpoints / "last.npz")
+    shutil.copy(checkpoints / "generation_000002.npz", checkpoints / "last.npz")
+    shes.resume(run_copy)
+    assert runs.differences(tiny_run, run_copy) == []
+
+
+def test_a_checkpoint_of_another_run_is_refused(refused, run_copy, tmp_path):
+    other = runs.train_tiny(tmp_path / "other", sigma=0.5, seed=6)
+    for name in ("last", "best"):
+        shutil.copy(other / "checkpoints" / f"{name}.npz", run_copy / "checkpoints" / f"{name}.npz")
+    message = refused("resume", run_copy, "--generations", "6")
+    assert re.search(
+        r"last\.npz is of another run: seed is 6, not 5, sigma is 0\.5, not .*Put back the checkpoint", message
+    )
+    assert re.search(r"best\.npz is of another run", refused("evaluate", run_copy))
+
+
+def test_a_checkpoint_that_does_not_exist_is_refused_by_naming_those_that_do(refused, run_copy):
+    message = refused("evaluate", run_copy, "--checkpoint", "77")
+    there = (
+        r"There are: best, generation_000000, generation_000002, generation_000004, last\. Choose one with --checkpoint"
+    )
+    assert re.search(rf"there is no checkpoint .*generation_000077\.npz\. {there}", message)
+    (run_copy / "checkpoints" / "last.npz").unlink()
+    assert re.search(r"there is no checkpoint .*last\.npz\. .*copy it to last\.npz", refused("resume", run_copy))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--episodes", "0"], r"episodes must be at least 1, got 0\. Set --episodes"),
+        (["--seed", "-1"], r"seed must be a whole number of at least 0, got -1\. Set --seed"),
+        (["--workers", "-1"], r"num_workers must be .*got -1\. Set --workers"),
+        (["--checkpoint", "../x"], r"there is no checkpoint"),
+    ],
+)
+def test_evaluate_refuses_wrong_values_by_its_own_flags(refused, run_copy, words, message):
+    assert re.search(message, refused("evaluate", run_copy, *words))
+
+
+# Policies that return NaN.
+
+
+def spoil(path, level):
+    """Put a NaN into the parameters of a checkpoint."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays[f"{level}/theta"][-1] = np.nan
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize("backend", ["serial", "processes"])
+@pytest.mark.parametrize("level", ["controller", "primitive"])
+def test_a_policy_that_returns_nan_ends_the_run_and_leaves_the_folder_intact(refused, run_copy, level, backend):
+    spoil(run_copy / "checkpoints" / "last.npz", level)
+    before = runs.numbers(run_copy)
+    message = refused("resume", run_copy, "--generations", "6", "--backend", backend, "--workers", "2", code=FAILED)
+    assert re.search(r"policy of member \d+ returned NaN or infinity at step 0", message)
+    if level == "primitive":
+        assert "parameters of its primitive are not finite" in message
+    after = runs.numbers(run_copy)
+    assert {name: value.tobytes() for name, value in before.items()} == {
+        name: value.tobytes() for name, value in after.items()
+    }
+    assert not list(run_copy.rglob("*.part"))
+
+
+def test_evaluating_a_policy_that_returns_nan_fails(refused, run_copy):
+    spoil(run_copy / "checkpoints" / "best.npz", "primitive")
+    assert re.search(r"returned NaN or infinity", refused("evaluate", run_copy, "--workers", "1", code=FAILED))
+
+
+# Disks.
+
+
+def full(*arguments, **keywords):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.fixture
+def fill_disk(monkeypatch):
+    """Return a function that makes the next writes to files named `name` fail, half way through; undo ends it."""
+
+    def fill(name):
+        original = storage.write_atomically
+
+        def write_atomically(path, write):
+            if not re.fullmatch(name, path.name):
+                return original(path, write)
+
+            def half(file):
+                write(file)
+                file.truncate(file.tell() // 2)
+                full()
+
+            return original(path, half)
+
+        monkeypatch.setattr("shes.experiments.checkpoint.write_atomically", write_atomically)
+        monkeypatch.setattr("shes.experiments.run_folder.write_atomically", write_atomically)
+
+    return fill
+
+
+class FromGeneration:
+    """A listener that calls `action` after generation `number`; 0 is the start."""
+
+    def __init__(self, number, action):
+        self.number, self.action = number, action
+
+    def on_start(self, *arguments):
+        self.on_generation({"generation": 0})
+
+    def on_generation(self, row):
+        if row["generation"] == self.number:
+            self.action()
+
+    def on_evaluation(self, row):
+        pass
+
+    def on_event(self, event):
+        pass
+
+
+def intact(path):
+    """Fail if a checkpoint is not whole or a half-written file is left; return the last one's generation."""
+    assert not list(path.rglob("*.part"))
+    for file in (path / "checkpoints").iterdir():
+        load_checkpoint(file)
+    return load_checkpoint(path / "checkpoints" / "last.npz").state.generation
+
+
+@pytest.mark.parametrize(("name", "generation"), [(r"last\.npz", 2), (r"best\.npz", 0), (r"generation_000004\.npz", 2)])
+def test_a_full_disk_while_writing_a_checkpoint_loses_nothing(
+    tmp_path, tiny_run, fill_disk, monkeypatch, name, generation
+):
+    path = tmp_path / "run"
+    with pytest.raises(ShesError, match=r"cannot write .*\.npz: the disk is full: make room.*`shes resume`") as error:
+        runs.train_tiny(path, listener=FromGeneration(generation, lambda: fill_disk(name)))
+    assert error.value.exit_code == MENDABLE
+    # The checkpoint of that generation may not have been begun when the disk got full.
+    assert intact(path) in (generation - 1, generation, generation + 1)
+    monkeypatch.undo()
+    shes.resume(path)
+    assert runs.differences(tiny_run, path) == []
+
+
+@pytest.mark.parametrize("name", [r"generation_000000\.npz", r"last\.npz", r"config\.json"])
+def test_a_full_disk_at_the_start_leaves_a_folder_that_can_be_used_again(
+    tmp_path, tiny_run, fill_disk, monkeypatch, name
+):
+    path = tmp_path / "run"
+    fill_disk(name)
+    with pytest.raises(ShesError, match="the disk is full"):
+        runs.train_tiny(path)
+    assert not list(path.rglob("*.part"))
+    monkeypatch.undo()
+    runs.train_tiny(path)
+    assert runs.differences(tiny_run, path) == []
+
+
+@pytest.mark.parametrize("table", ["progress.csv", "evaluation.csv"])
+@pytest.mark.parametrize("generation", [0, 1, 2])
+def test_a_full_disk_while_writing_a_table_loses_nothing(tmp_path, tiny_run, monkeypatch, table, generation):
+    """Half a row, even half a header, is on the disk when it is full."""
+    path = tmp_path / "run"
+    original = Path.open
+
+    class Half:
+        def __init__(self, file):
+            self.file = file
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *exception):
+            self.file.close()
+
+        def write(self, text):
+            self.file.write(text[:20])
+            full()
+
+    def open_full(self, mode="r", **keywords):
+        file = original(self, mode, **keywords)
+        return Half(file) if self.name == table and mode == "a" else file
+
+    with pytest.raises(
+        ShesError, match=rf"cannot write .*{table}: the disk is full: make room.*`shes resume`"
+    ) as error:
+        runs.train_tiny(path, listener=FromGeneration(generation, lambda: monkeypatch.setattr(Path, "open", open_full)))
+    assert error.value.exit_code == MENDABLE
+    monkeypatch.undo()
+    assert intact(path) in (generation, generation + 1)
+    shes.resume(path)
+    assert runs.differences(tiny_run, path) == []
+
+
+def test_a_full_disk_while_writing_tensorboard_events_ends_the_run_and_loses_nothing(tmp_path, tiny_run, monkeypatch):
+    path = tmp_path / "run"
+
+    def fill():
+        monkeypatch.setattr("tensorboardX.record_writer.RecordWriter.write", full)
+
+    with pytest.raises(ShesError, match=r"cannot write .*tensorboard: the disk is full"):
+        runs.train_tiny(path, listener=FromGeneration(2, fill))
+    monkeypatch.undo()
+    intact(path)
+    shes.resume(path)
+    assert runs.differences(tiny_run, path) == []
+
+
+def test_a_log_that_cannot_be_written_stops_nothing(tmp_path, tiny_run, monkeypatch, capsys):
+    monkeypatch.setattr("logging.StreamHandler.flush", full)
+    assert runs.differences(tiny_run, runs.train_tiny(tmp_path / "run")) == []
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def in_a_process(prepare, *words):
+    """Run the command in a process that runs the code `prepare` first."""
+    code = f"import ctypes, os, resource, sys\n{prepare}\nos.execv(sys.argv[1], sys.argv[1:])"
+    return subprocess.run(
+        [sys.executable, "-c", code, *runs.COMMAND, *(str(word) for word in words)],
+        capture_output=True,
+        text=True,
+        timeout=runs.PATIENCE_S,
+        check=False,
+    )
+
+
+def test_a_file_that_the_system_cuts_off_is_an_error_and_loses_nothing(tmp_path):
+    """A real limit of the kernel: no file may grow beyond the size of half a checkpoint."""
+    path = runs.train_tiny(tmp_path / "run", generations=2)
+    size = (path / "checkpoints" / "last.npz").stat().st_size // 2
+    limit = f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))"
+    done = in_a_process(limit, "resume", path, "--generations", "4")
+    assert done.returncode == MENDABLE
+    assert re.search(r"Error: cannot write .*\.npz: the file is larger than allowed here", done.stderr)
+    assert "Traceback" not in done.stderr
+    assert intact(path) == 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="capabilities are Linux's")
+def test_a_read_only_folder_is_an_error_that_names_the_fix(tmp_path, run_copy):
+    locked = tmp_path / "locked"
+    locked.mkdir()
+    locked.chmod(0o555)
+    done = in_a_process(WITHOUT_ROOT, *TRAIN, "--out", locked / "run")
+    assert done.returncode == MENDABLE
+    assert re.search(r"Error: cannot write .*locked/run: permission denied: .*--out", done.stderr)
+    assert "Traceback" not in done.stderr
+    assert list(locked.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="capabilities are Linux's")
+def test_a_run_folder_that_became_read_only_can_be_evaluated_but_not_resumed(run_copy, tiny_run):
+    for folder in (run_copy, run_copy / "checkpoints"):
+        folder.chmod(0o555)
+    done = in_a_process(WITHOUT_ROOT, "resume", run_copy, "--generations", "6")
+    assert done.returncode == MENDABLE
+    assert re.search(r"Error: cannot write .*(\.lock|config\.json): permission denied", done.stderr)
+    assert "Traceback" not in done.stderr
+    done = in_a_process(WITHOUT_ROOT, "evaluate", run_copy, "--episodes", "2", "--workers", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["episodes"] == 2
+    assert runs.differences(tiny_run, run_copy) == []
+
+
+def test_a_file_system_that_is_read_only_is_an_error_that_names_the_fix(refused, monkeypatch):
+    def read_only(*arguments, **keywords):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Path, "mkdir", read_only)
+    assert re.search(r"cannot write run: the file system is read-only: .*--out", refused(*TRAIN, "--out", "run"))
+
+
+def test_a_picture_in_a_missing_folder_is_refused(refused, run_copy):
+    message = refused("plot", run_copy, "--out", "none/curves.png")
+    assert re.search(r"cannot write none/curves\.png: there is no such folder: create it first.*--out", message)

@@ -1,0 +1,167 @@
+"""Ctrl-C and SIGTERM: a checkpoint, how to go on, exit code 130, no process left, the same numbers afterwards."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from shes.errors import ShesError
+from shes.experiments import train as training
+from shes.experiments.checkpoint import load_checkpoint
+from shes.experiments.train import resume
+from tests.e2e import runs
+
+INTERRUPTED = 130
+
+
+def assert_interrupted(process, path, workers):
+    """Fail if the run did not end as Ctrl-C promises."""
+    code, out, err = runs.finish(process)
+    assert code == INTERRUPTED
+    assert f"shes resume {path}" in out
+    assert "Interrupted." in err
+    assert "Traceback" not in out + err
+    runs.assert_gone(process.pid, workers)
+    return load_checkpoint(path / "checkpoints" / "last.npz").state.generation
+
+
+def go_on(path, undisturbed):
+    """Fail if a resumed run has other numbers than one that nothing happened to."""
+    assert runs.differences(undisturbed, path)
+    code, out, err = runs.run("resume", path)
+    assert (code, err) == (0, ""), out
+    assert runs.differences(undisturbed, path) == []
+
+
+def interrupt_inside(process, path, send):
+    """Call `send` while the run is inside generation 2 or a later one; return that generation and the workers."""
+    inside = runs.stop_inside_generation(process, path, 2)
+    workers = runs.workers_of(process.pid)
+    send()
+    os.kill(process.pid, signal.SIGCONT)
+    return inside, workers
+
+
+def test_ctrl_c_in_a_terminal_stops_with_a_checkpoint_and_resume_has_the_same_numbers(started, undisturbed):
+    process, path = started()  # a terminal sends the signal to the whole process group
+    inside, workers = interrupt_inside(process, path, lambda: os.killpg(process.pid, signal.SIGINT))
+    assert assert_interrupted(process, path, workers) == inside - 1
+    go_on(path, undisturbed)
+
+
+def test_ctrl_c_while_the_workers_start_is_quiet(started):
+    process, path = started(workers=3)
+    workers = runs.wait_until(lambda: runs.workers_of(process.pid), "the first worker")
+    os.killpg(process.pid, signal.SIGINT)
+    assert assert_interrupted(process, path, workers) == 0
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_the_main_process_alone_stops_it_with_a_checkpoint(started, undisturbed, number):
+    process, path = started()
+    inside, workers = interrupt_inside(process, path, lambda: os.kill(process.pid, number))
+    assert assert_interrupted(process, path, workers) == inside - 1
+    go_on(path, undisturbed)
+
+
+@pytest.mark.extras
+def test_ctrl_c_before_the_first_generation_ended_keeps_the_start(started, undisturbed):
+    process, path = started()
+    runs.wait_for_generation(process, path, 1)
+    workers = runs.workers_of(process.pid)
+    os.killpg(process.pid, signal.SIGINT)
+    assert assert_interrupted(process, path, workers) == 0
+    assert runs.log_lines(path)[-1] == "generation 1 begins"
+    go_on(path, undisturbed)
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize("pause_s", [0.0, 0.01, 0.1])
+def test_a_second_ctrl_c_ends_at_once_and_harms_nothing(started, undisturbed, pause_s):
+    process, path = started()
+    _, workers = interrupt_inside(process, path, lambda: os.killpg(process.pid, signal.SIGINT))
+    time.sleep(pause_s)
+    os.killpg(process.pid, signal.SIGINT)
+    code, _, _ = runs.finish(process)
+    assert code in (INTERRUPTED, -signal.SIGINT)
+    runs.assert_gone(process.pid, workers)
+    load_checkpoint(path / "checkpoints" / "last.npz")
+    go_on(path, undisturbed)
+
+
+# In this process: a signal at an exact place.
+
+
+def interrupted(path, **settings):
+    """Train until the interruption that a test has prepared."""
+    with pytest.raises(KeyboardInterrupt):
+        runs.train_tiny(path, **settings)
+
+
+def test_ctrl_c_in_an_evaluation_does_the_generation_again(tmp_path, tiny_run, monkeypatch):
+    evaluations = []
+
+    def evaluate(*arguments):
+        evaluations.append(arguments)
+        if len(evaluations) == 2:
+            signal.raise_signal(signal.SIGINT)
+            raise AssertionError("the evaluation went on")
+        return original(*arguments)
+
+    original = training.evaluate_levels
+    monkeypatch.setattr(training, "evaluate_levels", evaluate)
+    interrupted(tmp_path / "run")
+    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").state.generation == 1
+    monkeypatch.undo()
+    resume(tmp_path / "run")
+    assert runs.differences(tiny_run, tmp_path / "run") == []
+
+
+class Interrupter:
+    """A listener that sends SIGINT between two generations."""
+
+    def on_start(self, *arguments):
+        pass
+
+    def on_generation(self, row):
+        if row["generation"] == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    def on_evaluation(self, row):
+        pass
+
+    def on_event(self, event):
+        pass
+
+
+def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run):
+    interrupted(tmp_path / "run", listener=Interrupter())
+    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").state.generation == 2
+    resume(tmp_path / "run")
+    assert runs.differences(tiny_run, tmp_path / "run") == []
+
+
+def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, tiny_run, monkeypatch):
+    def save(path, checkpoint):
+        if checkpoint.state.generation == 1:
+            os.kill(os.getpid(), signal.SIGINT)  # this is another thread: the main one gets the signal
+            time.sleep(0.3)
+        return original(path, checkpoint)
+
+    original = training.save_checkpoint
+    monkeypatch.setattr("shes.experiments.checkpoint.save_checkpoint", save)
+    interrupted(tmp_path / "run")
+    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").state.generation == 1
+    monkeypatch.undo()
+    resume(tmp_path / "run")
+    assert runs.differences(tiny_run, tmp_path / "run") == []
+
+
+def test_training_gives_the_signal_handlers_back(tmp_path):
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    interrupted(tmp_path / "run", listener=Interrupter())
+    with pytest.raises(ShesError, match="already holds a run"):
+        runs.train_tiny(tmp_path / "run")
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before

@@ -1,0 +1,196 @@
+"""kill -9, inside a generation, of a run and of its workers: no number changes and no process stays."""
+
+import os
+import re
+import signal
+
+import psutil
+import pytest
+
+import shes
+from shes.experiments import train as training
+from tests.e2e import runs
+
+
+def resume(path):
+    """Go on with the run in a process of its own, to its end."""
+    code, out, err = runs.run("resume", path)
+    assert (code, err) == (0, ""), out
+
+
+def kill(pid):
+    os.kill(pid, signal.SIGKILL)
+
+
+def kill_main_inside(process, path, generation):
+    """Kill the run inside `generation` or a later one; return which. No worker outlives it."""
+    inside = runs.stop_inside_generation(process, path, generation)
+    workers = runs.workers_of(process.pid)
+    assert len(workers) == 2
+    kill(process.pid)
+    assert process.wait() == -signal.SIGKILL
+    runs.assert_gone(process.pid, workers)
+    assert runs.generation_under_way(path) == inside  # it was inside, by the log, and never came out
+    return inside
+
+
+def kill_worker_inside(process, path, generation):
+    """Kill a worker that is at work in `generation` or a later one; return its number and the generation.
+
+    It is stopped first: without it the generation cannot end before it is killed.
+    """
+    runs.wait_for_generation(process, path, generation)
+    worker = runs.workers_of(process.pid)[0]
+    runs.wait_until_at_work(worker)
+    os.kill(worker, signal.SIGSTOP)
+    inside = runs.wait_until(lambda: runs.generation_under_way(path), "the other worker goes on")
+    kill(worker)
+    return worker, inside
+
+
+def losses(path):
+    """Return (worker, generation, tasks) of every loss in the log; the generation is None between generations."""
+    found, inside = [], None
+    for line in runs.log_lines(path):
+        if begun := re.fullmatch(r"generation (\d+) begins", line):
+            inside = int(begun[1])
+        elif re.fullmatch(r"generation \d+ ends", line):
+            inside = None
+        elif lost := re.fullmatch(r"worker (\d+) died \(exit code -9\); (\d+) tasks are done again", line):
+            found.append((int(lost[1]), inside, int(lost[2])))
+    return found
+
+
+def test_a_run_killed_inside_a_generation_goes_on_with_the_same_numbers(started, undisturbed):
+    process, path = started()
+    inside = kill_main_inside(process, path, 3)
+    assert runs.differences(undisturbed, path)  # something is left to do
+    resume(path)
+    assert f"begins after generation {inside - 1} with 2 workers" in runs.log_lines(path)
+    assert runs.differences(undisturbed, path) == []
+
+
+def test_a_worker_killed_inside_a_generation_is_replaced_and_the_numbers_stay_the_same(started, undisturbed):
+    process, path = started()
+    worker, inside = kill_worker_inside(process, path, 2)
+    new = runs.wait_until(
+        lambda: [pid for pid in runs.workers_of(process.pid) if pid != worker and runs.is_alive(pid)][1:],
+        "there are two living workers again",
+    )
+    assert new
+    assert worker not in [child.pid for child in psutil.Process(process.pid).children()]  # not even as a zombie
+    workers = runs.workers_of(process.pid)
+    code, out, err = runs.finish(process)
+    assert (code, err) == (0, ""), out
+    runs.assert_gone(process.pid, workers)
+    ((lost, generation, tasks),) = losses(path)
+    assert (lost, generation) == (worker, inside)
+    assert tasks > 0
+    assert f"worker {worker} died (exit code -9); {tasks} tasks are done again" in out  # and it is said
+    assert runs.differences(undisturbed, path) == []
+
+
+@pytest.mark.extras
+def test_a_run_killed_before_its_first_generation_ended_goes_on_from_the_start(started, undisturbed):
+    process, path = started()
+    runs.wait_for_generation(process, path, 1)
+    workers = runs.workers_of(process.pid)
+    kill(process.pid)
+    runs.assert_gone(process.pid, workers)
+    assert runs.log_lines(path)[-1] == "generation 1 begins"
+    resume(path)
+    assert runs.differences(undisturbed, path) == []
+
+
+def test_rows_after_the_last_checkpoint_are_dropped(tmp_path, tiny_run):
+    """The tables are written before the checkpoint: a kill between them leaves rows too many, or half a row."""
+    path = runs.train_tiny(tmp_path / "run", generations=2)
+    for table in (path / "progress.csv", path / "evaluation.csv"):
+        columns = table.read_text().partition("\n")[0].split(",")
+        with table.open("a") as file:
+            file.write(",".join(["3"] + ["1.5"] * (len(columns) - 1)) + "\n")  # a generation after the checkpoint's
+            file.write("4,12800,0.")  # half a row
+    assert {"progress.csv/generation", "evaluation.csv/generation"} <= runs.numbers(path).keys()
+    shes.resume(path, generations=4)
+    assert runs.differences(tiny_run, path) == []
+
+
+def test_a_worker_killed_in_the_last_evaluation_is_told_and_changes_no_number(tmp_path, tiny_run, monkeypatch):
+    def evaluate(levels, seeds, backend, episodes_per_policy):
+        if evaluate.calls == 2:  # of generation 4, the last
+            kill(backend.pids()[0])
+        evaluate.calls += 1
+        return original(levels, seeds, backend, episodes_per_policy)
+
+    evaluate.calls, original = 0, training.evaluate_levels
+    monkeypatch.setattr(training, "evaluate_levels", evaluate)
+    path = runs.train_tiny(tmp_path / "run", backend="processes", num_workers=2)
+    ((_, generation, _),) = losses(path)
+    assert generation == 4
+    assert runs.differences(tiny_run, path) == []
+
+
+@pytest.mark.extras
+@pytest.mark.timeout(300)
+def test_a_run_killed_in_every_generation_has_the_same_numbers(started, undisturbed):
+    process, path = started()
+    killed = [kill_main_inside(process, path, 1)]
+    while killed[-1] < 4:
+        process = runs.start("resume", path)
+        try:
+            killed.append(kill_main_inside(process, path, killed[-1] + 1))
+        finally:
+            process.kill()
+            process.communicate()
+    assert len(killed) > 1
+    resume(path)
+    assert runs.differences(undisturbed, path) == []
+
+
+@pytest.mark.extras
+@pytest.mark.timeout(300)
+def test_workers_killed_twice_in_every_generation_change_no_number(started, undisturbed):
+    process, path = started()
+    killed = []
+    for generation in (1, 2, 3, 4):
+        for _ in range(2):
+            worker, inside = kill_worker_inside(process, path, generation)
+            killed.append((worker, inside))
+            runs.wait_until(lambda worker=worker: not runs.is_alive(worker), "it is gone")
+            runs.wait_until(lambda: len(runs.workers_of(process.pid)) == 2 or process.poll() is not None, "replaced")
+    code, out, err = runs.finish(process)
+    assert (code, err) == (0, ""), out
+    found = losses(path)
+    assert [(worker, generation) for worker, generation, _ in found] == killed
+    # A worker that still starts has no task to lose.
+    assert len({generation for _, generation, tasks in found if tasks > 0}) >= 2
+    assert runs.differences(undisturbed, path) == []
+
+
+@pytest.mark.extras
+def test_all_workers_killed_at_once_change_no_number(started, undisturbed):
+    process, path = started()
+    runs.wait_for_generation(process, path, 2)
+    workers = runs.workers_of(process.pid)
+    for worker in workers:
+        runs.wait_until_at_work(worker)
+    for worker in workers:
+        kill(worker)
+    code, out, err = runs.finish(process)
+    assert (code, err) == (0, ""), out
+    assert {worker for worker, _, _ in losses(path)} == set(workers)
+    assert runs.differences(undisturbed, path) == []
+
+
+@pytest.mark.extras
+def test_a_killed_run_may_go_on_with_other_workers_chunks_and_backend(started, undisturbed):
+    process, path = started(workers=1, chunk_size=3)
+    inside = runs.stop_inside_generation(process, path, 2)
+    kill(process.pid)
+    process.wait()
+    code, out, err = runs.run("resume", path, "--workers", "3", "--generations", inside)
+    assert (code, err) == (0, ""), out
+    code, out, err = runs.run("resume", path, "--backend", "serial", "--chunk-size", "1", "--generations", 4)
+    if inside < 4:
+        assert (code, err) == (0, ""), out
+    assert runs.differences(undisturbed, path) == []

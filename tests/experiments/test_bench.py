@@ -1,0 +1,46 @@
+"""The benches run and say what they promise. How fast they are is no test."""
+
+import math
+
+import pytest
+
+from shes.experiments.bench import bench_rollout, bench_update
+from shes.experiments.presets import make_config
+
+TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10}
+
+
+@pytest.mark.parametrize("env", ["point-gather", "ant-gather"])
+def test_the_rollout_bench_compares_whole_generations_with_bare_physics(env):
+    config = make_config(env, "smoke", {**TINY, "backend": "serial"})
+    found = bench_rollout(config, repeats=2)
+    assert list(found) == [
+        "env",
+        "hidden",
+        "integrator",
+        "population_size",
+        "episodes_per_policy",
+        "num_workers",
+        "env_steps_per_s",
+        "bare_steps_per_s",
+        "ratio",
+    ]
+    assert (found["env"], found["hidden"], found["population_size"], found["num_workers"]) == (env, [4], 8, 1)
+    assert all(math.isfinite(found[name]) and found[name] > 0 for name in list(found)[-3:])
+
+
+def test_the_update_bench_tells_the_parts():
+    config = make_config("point-gather", "smoke", {**TINY, "num_workers": 2})
+    found = bench_update(config, repeats=2)
+    assert list(found) == [
+        "parameters",
+        "noise_vectors",
+        "total_ms",
+        "rank_ms",
+        "gradient_ms",
+        "adam_ms",
+        "checkpoint_ms",
+    ]
+    assert found["noise_vectors"] == 2
+    assert found["parameters"] > 100
+    assert all(math.isfinite(value) and value > 0 for value in found.values())

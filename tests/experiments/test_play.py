@@ -1,0 +1,123 @@
+"""Trained agents: shapes, goals held for c steps, episodes begun one by one."""
+
+import re
+
+import numpy as np
+import pytest
+
+from shes.errors import CheckpointError, RunFolderError, ShapeError
+from shes.experiments.build import build_task
+from shes.experiments.play import load
+from shes.experiments.run_folder import RunFolder
+
+
+@pytest.fixture(scope="module")
+def observations(tiny_run):
+    """Observations [60, 3, O] of three environments that nobody steers."""
+    config = RunFolder.open(tiny_run).read_config()
+    task = build_task(config, 3, is_evaluation=True)
+    task.reset(np.arange(3), [1, 2, 3])
+    seen = []
+    for _ in range(60):
+        seen.append(task.observe().copy())
+        task.step(np.arange(3), np.full((3, task.action_size), 0.3))
+    return np.array(seen)
+
+
+def test_an_observation_becomes_an_action_in_the_unit_box(tiny_run, observations):
+    agent = load(tiny_run)
+    action = agent.act(observations[0, 0])
+    assert action.shape == (2,)
+    assert action.dtype == np.float64
+    assert (np.abs(action) <= 1).all()
+    assert agent.act(observations[:1, 0]).shape == (1, 2)
+    assert agent.act(observations[0, 0].tolist()).shape == (2,)
+
+
+def test_several_observations_become_several_actions(tiny_run, observations):
+    agent = load(tiny_run, num_envs=3)
+    assert agent.act(observations[0]).shape == (3, 2)
+    assert agent.goal.shape == (3, 2)
+
+
+def test_every_environment_is_played_as_if_it_were_alone(tiny_run, observations):
+    together = load(tiny_run, num_envs=3)
+    alone = [load(tiny_run) for _ in range(3)]
+    for seen in observations:
+        expected = np.stack([agent.act(row) for agent, row in zip(alone, seen, strict=True)])
+        np.testing.assert_array_equal(together.act(seen), expected)
+
+
+def test_a_goal_is_held_for_c_steps(tiny_run, observations):
+    agent = load(tiny_run)
+    interval = agent.config.controller_interval
+    assert interval == 25
+    goals = []
+    for seen in observations[:, 0]:
+        agent.act(seen)
+        goals.append(tuple(agent.goal[0]))
+    assert len(set(goals)) == 3
+    assert len(set(goals[:interval])) == len(set(goals[interval : 2 * interval])) == len(set(goals[50:])) == 1
+
+
+def test_a_goal_lies_about_the_robot(tiny_run, observations):
+    agent = load(tiny_run)
+    agent.act(observations[0, 0])
+    offset = agent.goal[0] - observations[0, 0, :2]
+    distance = agent.config.goal_distance
+    assert (np.abs(offset) <= distance + 1e-6).all()
+    assert np.linalg.norm(offset) >= 1 - 1e-6
+
+
+def test_reset_sets_a_new_goal_at_the_next_step(tiny_run, observations):
+    agent = load(tiny_run, num_envs=3)
+    agent.act(observations[0])
+    before = agent.goal
+    agent.act(observations[10])
+    assert np.array_equal(agent.goal, before)
+    agent.reset(1)
+    agent.act(observations[10])
+    assert [np.array_equal(agent.goal[i], before[i]) for i in range(3)] == [True, False, True]
+    agent.reset()
+    agent.act(observations[20])
+    assert not (agent.goal == before).any()
+
+
+def test_an_agent_that_was_reset_acts_as_a_new_one(tiny_run, observations):
+    agent = load(tiny_run)
+    first = [agent.act(seen) for seen in observations[:30, 0]]
+    agent.reset()
+    assert np.array_equal([agent.act(seen) for seen in observations[:30, 0]], first)
+
+
+def test_the_goal_given_out_is_a_copy(tiny_run, observations):
+    agent = load(tiny_run)
+    agent.act(observations[0, 0])
+    agent.goal[:] = 99
+    assert (agent.goal != 99).all()
+
+
+def test_checkpoints_are_different_agents(tiny_run, observations):
+    actions = [load(tiny_run, checkpoint=name).act(observations[0, 0]) for name in ("0", "2", "last")]
+    assert not np.array_equal(actions[0], actions[1])
+    assert not np.array_equal(actions[1], actions[2])
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 25), (1, 1, 25)])
+def test_an_observation_of_another_shape_is_refused(tiny_run, observations, shape):
+    assert observations.shape[2] == 25
+    message = rf"must have shape \(25,\) or \(1, 25\), got {re.escape(str(shape))}\. .*trained on point-gather"
+    with pytest.raises(ShapeError, match=message):
+        load(tiny_run).act(np.zeros(shape))
+
+
+def test_one_observation_for_several_environments_is_refused(tiny_run, observations):
+    with pytest.raises(ShapeError, match=r"or \(3, 25\), got \(25,\).*num_envs"):
+        load(tiny_run, num_envs=3).act(observations[0, 0])
+
+
+def test_wrong_runs_and_checkpoints_are_refused(tiny_run, tmp_path):
+    with pytest.raises(RunFolderError, match="does not exist"):
+        load(tmp_path / "gone")
+    with pytest.raises(CheckpointError, match="there is no checkpoint"):
+        load(tiny_run, checkpoint="99")

@@ -1,0 +1,77 @@
+"""Presets: what they start from, by numbers written down by hand."""
+
+import pytest
+
+from shes.envs.registry import ENVIRONMENTS
+from shes.errors import ConfigError, UnknownNameError
+from shes.experiments.presets import PRESETS, make_config
+
+PAPER = {
+    # SHES paper, Table I.
+    "population_size": 1000,
+    "episodes_per_policy": 5,
+    "horizon": 500,
+    "controller_interval": 25,
+    "goal_distance": 4.0,
+    "learning_rate": 0.01,
+    "sigma": 0.02,
+    "generations": 3000,
+    # Where Table I is silent: the authors' code (algorithm specification, section 7).
+    "hidden": (256, 256, 256),
+    "biases": "glorot_normal",
+    "weight_decay": 0.005,
+    "mirrored": "quad",
+    "rank_ties": "index",
+    "common_random_numbers": False,
+    "statistics_fraction": 0.01,
+    "minimum_goal_distance": True,
+    "goal_encoding": "angle",
+    "primitive_reward": "progress",
+    "integrator": "euler",
+    "reset_noise": 0.0,
+    "evaluation_reset_noise": 0.1,
+    "evaluation_episodes": 10,
+    "noise_table_size": 250_000_000,
+}
+
+
+@pytest.mark.parametrize("env", ENVIRONMENTS)
+@pytest.mark.parametrize("name", PAPER)
+def test_the_paper_preset_has_the_numbers_of_table_one(env, name):
+    assert getattr(make_config(env, "paper"), name) == PAPER[name]
+
+
+def test_the_paper_preset_evaluates_over_the_horizon_of_table_one():
+    config = make_config("ant-gather", "paper")
+    assert (config.evaluation_horizon or config.horizon) == 500
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("env", ENVIRONMENTS)
+def test_every_preset_suits_every_environment(env, preset):
+    config = make_config(env, preset)
+    assert (config.env, config.preset) == (env, preset)
+
+
+def test_the_presets_are_those_of_the_design():
+    assert set(PRESETS) == {"paper", "laptop", "smoke"}
+
+
+def test_the_smoke_preset_is_small():
+    config = make_config("ant-gather", "smoke")
+    steps = config.generations * config.population_size * config.episodes_per_policy * config.horizon
+    assert steps <= 10_000
+    assert config.noise_table_size <= 1_000_000
+
+
+def test_overrides_win_over_the_preset():
+    config = make_config("point-gather", "paper", {"sigma": 0.5, "hidden": [8]})
+    assert (config.sigma, config.hidden, config.population_size) == (0.5, (8,), 1000)
+    assert make_config("point-gather", "smoke", {"hidden": 8}).hidden == (8,)
+
+
+def test_wrong_names_are_refused():
+    with pytest.raises(UnknownNameError, match=r"unknown preset 'papper'\. Did you mean 'paper'\?.*Set --preset"):
+        make_config("ant-gather", "papper")
+    with pytest.raises(ConfigError, match=r"unknown setting 'lerning_rate'\. Did you mean 'learning_rate'\?"):
+        make_config("ant-gather", "smoke", {"lerning_rate": 1})

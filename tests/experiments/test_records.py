@@ -1,0 +1,245 @@
+"""Tables and TensorBoard events: numbers that read back to the bit, whole rows, nothing of a generation done again."""
+
+import csv
+import errno
+import math
+import os
+import struct
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tensorboardX.proto.event_pb2 import Event, SessionLog
+
+from shes.algorithm import GenerationReport
+from shes.errors import RunFolderError, StorageError
+from shes.experiments.records import CsvTable, Records, progress_row, read_csv
+from shes.experiments.run_folder import RunFolder
+from shes.hierarchy.episodes import PopulationResults
+
+
+def report(noise_index):
+    """A generation of two members with two episodes each."""
+    results = PopulationResults.empty(2, 2, 2)
+    results.returns[:] = [[[1, 3], [5, 7]], [[-1, -3], [0, 0]]]
+    results.score[:] = [[0, 1], [2, 3]]
+    results.success[:] = [[False, True], [True, True]]
+    results.steps[:] = [[10, 20], [30, 40]]
+    results.has_terminated[:] = [[True, False], [False, False]]
+    results.has_diverged[:] = [[False, False], [False, True]]
+    levels = (SimpleNamespace(theta=np.array([3, 4], np.float32)), SimpleNamespace(theta=np.zeros(5, np.float32)))
+    return GenerationReport(
+        state=SimpleNamespace(generation=9, env_steps=1000, levels=levels),
+        results=results,
+        noise_index=np.array(noise_index),
+        rollout_s=1.25,
+        update_s=0.5,
+    )
+
+
+def test_a_row_holds_what_the_generation_saw():
+    row = progress_row(report([[0, 2, 2], [0, 4, 100]]), wall_time_s=12.3456, generation_s=2.0)
+    assert row == {
+        "generation": 9,
+        "env_steps": 1000,
+        "wall_time_s": 12.346,
+        "env_steps_per_s": 50.0,
+        "controller_return_mean": 4.0,  # of the members' means, 2 and 6
+        "controller_return_max": 6.0,
+        "primitive_return_mean": -1.0,
+        "primitive_return_max": 0.0,
+        "score_mean": 1.5,
+        "success_rate": 0.75,
+        "episode_steps_mean": 25.0,
+        "terminated_rate": 0.25,
+        "diverged_episodes": 1,
+        "controller_noise_distinct": 2,
+        "controller_noise_overlapping": 2,  # twice the same place; 0 and 2 only touch
+        "controller_theta_norm": 5.0,
+        "primitive_noise_distinct": 3,
+        "primitive_noise_overlapping": 2,  # 0 and 4 share a normal in vectors of 5
+        "primitive_theta_norm": 0.0,
+        "rollout_s": 1.25,
+        "update_s": 0.5,
+    }
+
+
+VALUES = [0.1 + 0.2, 1e-310, -0.0, 1.7976931348623157e308, math.inf, math.nan, 2.0**53 + 2]
+
+
+def test_numbers_read_back_to_the_bit(tmp_path):
+    table = CsvTable(tmp_path / "a.csv", 0)
+    for generation, value in enumerate(VALUES, 1):
+        table.add({"generation": generation, "x": value})
+    read = read_csv(tmp_path / "a.csv")["x"]
+    assert np.array(read).tobytes() == np.array(VALUES).tobytes()
+
+
+def fill(path, last):
+    table = CsvTable(path, 0)
+    for generation in range(1, last + 1):
+        table.add({"generation": generation, "x": generation / 3})
+    return path.read_text()
+
+
+def test_a_header_comes_once(tmp_path):
+    path = tmp_path / "a.csv"
+    whole = fill(path, 4)
+    path.unlink()
+    fill(path, 2)
+    table = CsvTable(path, 2)
+    for generation in (3, 4):
+        table.add({"generation": generation, "x": generation / 3})
+    assert path.read_text() == whole
+    assert whole.startswith("generation,x\n1,0.333")
+
+
+@pytest.mark.parametrize("more", ["", "5", "5,", "5,0.3", "5,0.3\n", "5,0.3\n6,0.1\n7"])
+def test_rows_after_the_checkpoint_are_dropped_however_they_end(tmp_path, more):
+    path = tmp_path / "a.csv"
+    whole = fill(path, 4)
+    with path.open("a") as file:
+        file.write(more)
+    CsvTable(path, 4)
+    assert path.read_text() == whole
+
+
+@pytest.mark.parametrize("length", range(0, 40, 3))
+def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path, length):
+    """Half a header counts as none; half a row is of a generation that no checkpoint has."""
+    path = tmp_path / "a.csv"
+    whole = fill(path, 4)
+    path.write_text(whole[:length])
+    kept = max(0, whole[:length].count("\n") - 1)
+    table = CsvTable(path, kept)
+    for generation in range(kept + 1, 5):
+        table.add({"generation": generation, "x": generation / 3})
+    assert path.read_text() == whole
+
+
+def test_a_damaged_table_is_refused_and_kept(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("generation,x\none,2\n")
+    with pytest.raises(RunFolderError, match=r"a\.csv is damaged: .*'one'.*Restore it from a copy"):
+        CsvTable(path, 4)
+    assert path.read_text() == "generation,x\none,2\n"
+
+
+@pytest.mark.parametrize("text", ["generation,x\n1,abc\n", "generation,x\n1\n"])
+def test_a_table_that_holds_no_numbers_cannot_be_read(tmp_path, text):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(RunFolderError, match=r"a\.csv cannot be read as a table of numbers"):
+        read_csv(path)
+
+
+def test_a_table_without_rows_has_no_columns(tmp_path):
+    with pytest.raises(RunFolderError, match=r"a\.csv cannot be read"):
+        read_csv(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text("")
+    assert read_csv(tmp_path / "a.csv") == {}
+
+
+# TensorBoard.
+
+
+def events(folder):
+    """Return the events of all files of a folder, file after file, as TensorBoard reads them."""
+    found = []
+    for path in sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime_ns):
+        data = path.read_bytes()
+        while data:
+            (length,) = struct.unpack("Q", data[:8])
+            found.append(Event.FromString(data[12 : 12 + length]))
+            data = data[16 + length :]
+    return found
+
+
+def scalars(folder):
+    return [
+        (event.summary.value[0].tag, event.step, event.summary.value[0].simple_value)
+        for event in events(folder)
+        if event.summary.value
+    ]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return RunFolder.create(tmp_path / "run")
+
+
+def test_events_hold_every_column_by_generation(folder):
+    records = Records(folder, 0)
+    records.add_progress({"generation": 1, "x": 0.5, "y": 2})
+    records.add_evaluation({"generation": 1, "score_mean": 1.5})
+    records.close()
+    assert scalars(folder.tensorboard) == [
+        ("progress/x", 1, 0.5),
+        ("progress/y", 1, 2.0),
+        ("evaluation/score_mean", 1, 1.5),
+    ]
+    assert events(folder.tensorboard)[0].file_version == "brain.Event:2"
+
+
+def test_a_run_that_goes_on_hides_later_events_and_keeps_earlier_files(folder):
+    """Even within a second, which is all that the library's file names hold."""
+    for generation in (0, 1):
+        records = Records(folder, generation)
+        records.add_progress({"generation": generation + 1, "x": generation + 0.5})
+        records.close()
+    assert len(list(folder.tensorboard.iterdir())) == 2
+    assert sorted(scalars(folder.tensorboard)) == [("progress/x", 1, 0.5), ("progress/x", 2, 1.5)]
+    starts = [e for e in events(folder.tensorboard) if e.session_log.status == SessionLog.START]
+    assert [event.step for event in starts] == [2]
+
+
+def test_events_need_no_thread(folder):
+    before = threading.active_count()
+    records = Records(folder, 0)
+    records.add_progress({"generation": 1, "x": 0.5})
+    assert threading.active_count() == before
+    records.close()
+
+
+def test_a_full_disk_is_told_at_once(folder, monkeypatch):
+    records = Records(folder, 0)
+
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("tensorboardX.record_writer.RecordWriter.write", full)
+    with pytest.raises(StorageError, match=r"cannot write .*tensorboard: the disk is full"):
+        records.add_progress({"generation": 1, "x": 0.5})
+    records.close()
+
+
+def test_the_tables_of_a_run_have_the_columns_of_the_design(tiny_run):
+    with (tiny_run / "progress.csv").open(newline="") as file:
+        progress = next(csv.reader(file))
+    with (tiny_run / "evaluation.csv").open(newline="") as file:
+        evaluation = next(csv.reader(file))
+    assert progress[:8] == [
+        "generation",
+        "env_steps",
+        "wall_time_s",
+        "env_steps_per_s",
+        "controller_return_mean",
+        "controller_return_max",
+        "primitive_return_mean",
+        "primitive_return_max",
+    ]
+    assert evaluation[:6] == ["generation", "env_steps", "wall_time_s", "episodes", "score_mean", "score_std"]
+    assert {"return_mean", "success_rate"} <= set(evaluation)
+    assert read_csv(tiny_run / "progress.csv")["generation"] == [1, 2, 3, 4]
+    assert read_csv(tiny_run / "evaluation.csv")["generation"] == [1, 2, 4]
+    assert read_csv(tiny_run / "progress.csv")["env_steps"] == [160, 320, 480, 640]
+
+
+def test_wall_time_goes_on_after_a_resume(run_copy):
+    import shes
+
+    shes.resume(run_copy, generations=6)
+    times = read_csv(run_copy / "progress.csv")["wall_time_s"]
+    assert len(times) == 6
+    assert times == sorted(times)

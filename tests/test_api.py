@@ -1,0 +1,177 @@
+"""`import shes`: light, and the whole way from training to acting."""
+
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import psutil
+import pytest
+
+import shes
+from shes.errors import ConfigError, RunFolderError, ShesError, UnknownNameError
+from shes.experiments.build import build_task
+from tests.e2e import runs
+
+
+def loaded_by(code):
+    """Return the packages that a new interpreter has loaded after `code`."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys; print(*sys.modules)"], capture_output=True, text=True, check=True
+    )
+    return {name.partition(".")[0] for name in done.stdout.split()}
+
+
+def test_import_is_light_and_a_worker_needs_no_face():
+    heavy = {"gymnasium", "matplotlib", "mujoco", "numpy", "rich", "scipy", "tensorboardX", "tyro"}
+    assert not loaded_by("import shes") & heavy
+    assert "numpy" in loaded_by("import shes; shes.es")
+    assert loaded_by("import shes.worker") & heavy <= {"mujoco", "numpy"}
+    assert not loaded_by("import shes; shes.train") & {"gymnasium", "matplotlib", "tyro"}
+    assert not loaded_by("import shes; shes.load") & {"gymnasium", "matplotlib", "tyro"}
+
+
+def test_the_face_has_what_it_says():
+    for name in shes.__all__:
+        assert getattr(shes, name) is not None
+    assert set(shes.__all__) <= set(dir(shes))
+    with pytest.raises(AttributeError, match=r"module 'shes' has no attribute 'trian'; it has Agent, .*train"):
+        _ = shes.trian
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    path = tmp_path_factory.mktemp("api") / "run"
+    return shes.train("point-gather", out=path, **{**runs.TINY, "generations": 2})
+
+
+def test_train_returns_the_run(run):
+    assert (run.generation, run.config.env, run.config.seed) == (2, "point-gather", 5)
+    assert run.best.generation in (1, 2)
+    assert (run.path / "checkpoints" / "last.npz").is_file()
+
+
+def test_train_resume_evaluate_and_load_go_together(run, tmp_path):
+    whole = shes.train("point-gather", out=str(tmp_path / "whole"), **runs.TINY)
+    half = shes.train("point-gather", out=tmp_path / "half", **{**runs.TINY, "generations": 2})
+    resumed = shes.resume(str(half.path), generations=4)
+    assert (resumed.generation, resumed.best) == (whole.generation, whole.best)
+    assert runs.differences(whole.path, resumed.path) == []
+    one, other = (shes.evaluate(path, episodes=3, num_workers=1) for path in (whole.path, str(resumed.path)))
+    assert one.summary() == other.summary()
+    assert one.scores.shape == (3,)
+
+
+def test_a_loaded_agent_plays_as_evaluation_does(run):
+    """Every step of an episode by hand: the same steps, score and return as `evaluate` found."""
+    evaluation = shes.evaluate(run.path, episodes=2, num_workers=1, seed=11)
+    agent = shes.load(run.path)
+    task = build_task(run.config, 1, is_evaluation=True)
+    seeds = shes.experiments.evaluate.evaluation_seeds(
+        shes.experiments.evaluate.TrainState(seed=11, generation=0, env_steps=0, levels=()),
+        2,
+        shes.experiments.evaluate.Purpose.FRESH_EPISODES,
+    )
+    for number, seed in enumerate(seeds):
+        task.reset(np.array([0]), [seed])
+        agent.reset()
+        for _ in range(run.config.evaluation_horizon):
+            action = agent.act(task.observe()[0])
+            assert action.shape == (2,)
+            task.step(np.array([0]), (action * task.control_limit)[None])
+        assert task.score[0] == evaluation.scores[number]
+        assert task.running_return[0] == pytest.approx(evaluation.returns[number])
+
+
+class Listener:
+    """Keeps what it hears."""
+
+    def __init__(self):
+        self.heard = []
+
+    def on_start(self, path, config, generation, num_workers):
+        self.heard.append(("start", path, generation, num_workers))
+
+    def on_generation(self, row):
+        self.heard.append(("generation", row["generation"], row["env_steps"]))
+
+    def on_evaluation(self, row):
+        self.heard.append(("evaluation", row["generation"], row["episodes"]))
+
+    def on_event(self, event):
+        self.heard.append(("event", event))
+
+
+def test_a_listener_hears_of_everything_in_order(tmp_path):
+    listener = Listener()
+    path = runs.train_tiny(tmp_path / "run", listener=listener)
+    assert listener.heard == [
+        ("start", path, 0, 1),
+        ("evaluation", 1, 3),
+        ("generation", 1, 160),
+        ("evaluation", 2, 3),
+        ("generation", 2, 320),
+        ("generation", 3, 480),
+        ("evaluation", 4, 3),
+        ("generation", 4, 640),
+    ]
+
+
+class Failing(Listener):
+    def on_generation(self, row):
+        raise ZeroDivisionError("a listener's own fault")
+
+
+def test_a_listener_that_fails_leaves_a_run_that_goes_on(tmp_path, run):
+    path = tmp_path / "run"
+    with pytest.raises(ZeroDivisionError):
+        runs.train_tiny(path, listener=Failing(), generations=2, backend="processes", num_workers=2)
+    assert psutil.Process().children() == []
+    shes.resume(path)
+    assert runs.differences(run.path, path) == []
+
+
+def test_training_works_in_a_thread_and_leaves_no_process_and_no_thread(tmp_path, run):
+    before = threading.active_count()
+    thread = threading.Thread(
+        target=runs.train_tiny, args=(tmp_path / "run",), kwargs={"generations": 2, "backend": "processes"}
+    )
+    thread.start()
+    thread.join()
+    assert psutil.Process().children() == []
+    assert threading.active_count() == before
+    assert runs.differences(run.path, tmp_path / "run") == []
+
+
+def test_the_callers_settings_are_not_changed(tmp_path):
+    hidden = [4]
+    runs.train_tiny(tmp_path / "run", hidden=hidden, generations=1)
+    assert hidden == [4]
+
+
+def test_numbers_of_numpy_are_settings_too(tmp_path, run):
+    path = runs.train_tiny(tmp_path / "run", seed=np.int64(5), generations=np.int32(2), hidden=np.array([4]).tolist())
+    assert runs.differences(run.path, path) == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({"env": "point-gathr"}, UnknownNameError, r"unknown environment 'point-gathr'\. Did you mean 'point-gather'"),
+        ({"preset": "big"}, UnknownNameError, r"unknown preset 'big'\. Known: laptop, paper, smoke"),
+        ({"sigmma": 1}, ConfigError, r"unknown setting 'sigmma'\. Did you mean 'sigma'"),
+        ({"sigma": -1}, ConfigError, r"sigma must be a positive number, got -1\. Set --sigma"),
+    ],
+)
+def test_wrong_settings_are_refused_before_there_is_a_folder(tmp_path, settings, error, message):
+    with pytest.raises(error, match=message):
+        shes.train(**{"env": "point-gather", "preset": "smoke", "out": tmp_path / "run", **settings})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_error_is_a_shes_error_and_what_python_calls_it(run):
+    with pytest.raises(ShesError) as refused:
+        shes.train("point-gather", out=run.path)
+    assert isinstance(refused.value, RunFolderError)
+    assert issubclass(ConfigError, ValueError)
+    assert issubclass(UnknownNameError, LookupError)
