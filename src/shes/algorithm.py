@@ -39,9 +39,16 @@ class Settings:
     mirrored: str = "quad"
     """How the members of a group mirror its noise (section II-F)."""
     has_common_random_numbers: bool = True
-    """Whether the members of a group share their episodes' seeds."""
+    """Whether the members of a group share their episodes' seeds.
+
+    Deviation: on unless the `paper` preset says otherwise (the authors' code: every member draws its own), because it
+    takes the difference between episodes out of the comparison within a group.
+    """
     statistics_fraction: float = 1.0
-    """Share of the groups, drawn at random, whose observations enter the statistics."""
+    """Share of the groups, drawn at random, whose observations enter the statistics.
+
+    Deviation: all of them unless the `paper` preset says otherwise (the authors' code: 0.01).
+    """
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import psutil
 import pytest
@@ -169,25 +168,26 @@ from shes.backends.processes import ProcessesBackend
 from tests.backends.workers import Worker
 
 backend = ProcessesBackend(lambda: Worker(at_once=1), 2)
-if sys.argv[1] == "at_work":
-    results = backend.map([("where", 0.01)] * 2 + [("where", 600)] * 20)
-    next(results)
 print(*backend.pids(), flush=True)
+if sys.argv[1] == "at_work":
+    list(backend.map([("oversleep", sys.argv[2])] * 4))
 time.sleep(600)
 """
 
 
 @pytest.mark.parametrize("moment", ["starting", "at_work"])
-def test_workers_do_not_outlive_a_killed_parent(moment):
+def test_workers_do_not_outlive_a_killed_parent(moment, tmp_path):
     parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT, moment],
+        [sys.executable, "-c", PARENT, moment, str(tmp_path)],
         stdout=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )
     try:
         pids = [int(word) for word in parent.stdout.readline().split()]
         assert len(pids) == 2
+        if moment == "at_work":
+            runs.wait_until(lambda: len(list(tmp_path.iterdir())) == 2, "both are at work")
         assert all(runs.is_alive(pid) for pid in pids)
     finally:
         parent.kill()

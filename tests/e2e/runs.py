@@ -37,9 +37,9 @@ GONE_WITHIN_S = 2.0
 """No worker outlives its run for longer."""
 
 
-def train_tiny(path, **settings):
-    """Train on Point Gather in this process; return the run folder."""
-    return train("point-gather", out=path, **{**TINY, **settings}).path
+def train_tiny(path, env="point-gather", **settings):
+    """Train in this process; return the run folder."""
+    return train(env, out=path, **{**TINY, **settings}).path
 
 
 def flags(**settings):

@@ -10,6 +10,7 @@ from shes.errors import ShesError
 from shes.experiments import train as training
 from shes.experiments.checkpoint import load_checkpoint
 from shes.experiments.train import resume
+from shes.hierarchy.episodes import PopulationResults
 from tests.e2e import runs
 
 INTERRUPTED = 130
@@ -98,6 +99,23 @@ def interrupted(path, **settings):
     """Train until the interruption that a test has prepared."""
     with pytest.raises(KeyboardInterrupt):
         runs.train_tiny(path, **settings)
+
+
+def test_ctrl_c_in_a_generation_ends_it_at_once(tmp_path, tiny_run, monkeypatch):
+    def add(results, task, result):
+        add.calls += 1
+        if add.calls == 8 + 3 + 4:  # after a generation and an evaluation, in the middle of the second generation
+            signal.raise_signal(signal.SIGINT)
+            raise AssertionError("the generation went on")
+        return original(results, task, result)
+
+    add.calls, original = 0, PopulationResults.add
+    monkeypatch.setattr(PopulationResults, "add", add)
+    interrupted(tmp_path / "run")
+    assert runs.generation_under_way(tmp_path / "run") == 2
+    monkeypatch.undo()
+    resume(tmp_path / "run")
+    assert runs.differences(tiny_run, tmp_path / "run") == []
 
 
 def test_ctrl_c_in_an_evaluation_does_the_generation_again(tmp_path, tiny_run, monkeypatch):

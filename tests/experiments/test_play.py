@@ -9,6 +9,7 @@ from shes.errors import CheckpointError, RunFolderError, ShapeError
 from shes.experiments.build import build_task
 from shes.experiments.play import load
 from shes.experiments.run_folder import RunFolder
+from tests.e2e import runs
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +33,19 @@ def test_an_observation_becomes_an_action_in_the_unit_box(tiny_run, observations
     assert (np.abs(action) <= 1).all()
     assert agent.act(observations[:1, 0]).shape == (1, 2)
     assert agent.act(observations[0, 0].tolist()).shape == (2,)
+
+
+def test_actions_are_scaled_to_the_unit_box_whatever_the_robots_strength(tmp_path):
+    agent = load(runs.train_tiny(tmp_path / "run", env="ant-gather", generations=1, population_size=4))
+    task = build_task(agent.config, 1, is_evaluation=True)
+    assert task.control_limit == 30
+    task.reset(np.arange(1), [1])
+    actions = []
+    for _ in range(20):
+        actions.append(agent.act(task.observe()[0]))
+        task.step(np.arange(1), actions[-1][None] * task.control_limit)
+    assert np.shape(actions) == (20, 8)
+    assert 0.1 < np.abs(actions).max() <= 1
 
 
 def test_several_observations_become_several_actions(tiny_run, observations):

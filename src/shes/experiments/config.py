@@ -63,6 +63,8 @@ _OPTIONAL = ("evaluation_horizon", "minutes")
 class TrainConfig:
     """Settings of a training run. Table and sections are those of the SHES paper."""
 
+    # Deviation: the defaults are the preset `laptop`, not the paper's Table I; the docstrings name its values.
+
     env: str
     """Environment; `shes envs` lists them."""
     preset: str = "laptop"

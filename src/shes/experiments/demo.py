@@ -17,7 +17,6 @@ from shes.experiments.train import train
 __all__ = ["main"]
 
 ENV = "point-gather"
-GENERATIONS = 100
 EPISODES = 50
 
 
@@ -33,7 +32,7 @@ def main() -> int:
     display = ProgressDisplay(console)
     try:
         with display:
-            train(ENV, out=path, generations=GENERATIONS, listener=display)
+            train(ENV, out=path, listener=display)
         before = evaluate(path, episodes=EPISODES, checkpoint="0")
         after = evaluate(path, episodes=EPISODES)
         curves = plot([path], path / "curves.png")

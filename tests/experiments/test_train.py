@@ -1,0 +1,72 @@
+"""Training: which evaluation is the best one, and what is kept of it."""
+
+import numpy as np
+import pytest
+
+from shes.experiments import train as training
+from shes.experiments.evaluate import Evaluation
+from shes.experiments.run_folder import RunFolder
+from shes.experiments.train import resume
+from tests.e2e import runs
+
+
+@pytest.fixture
+def find(monkeypatch):
+    """Return a function that makes the evaluations of generations 1, 2 and 4 find these (score, return)."""
+
+    def prepare(*found):
+        left = list(found)
+
+        def evaluate(*arguments):
+            score, mean_return = left.pop(0)
+            zeros = np.zeros(2)
+            return Evaluation(
+                scores=zeros + score,
+                returns=zeros + mean_return,
+                primitive_returns=zeros,
+                successes=zeros,
+                steps=zeros,
+                diverged=zeros,
+            )
+
+        monkeypatch.setattr(training, "evaluate_levels", evaluate)
+
+    return prepare
+
+
+@pytest.mark.parametrize(
+    ("found", "best"),
+    [
+        ([(1, 0), (3, 0), (2, 0)], 2),
+        ([(3, 0), (2, 9), (1, 9)], 1),
+        ([(1, 0), (2, 0), (3, 0)], 4),
+        ([(3, 5), (3, 4), (0, 0)], 1),  # a tie goes to the higher return
+        ([(3, 5), (3, 5), (0, 0)], 2),  # then to the later one
+        ([(-3, 0), (-2, 0), (-9, 0)], 2),
+    ],
+)
+def test_the_best_evaluation_is_kept(tmp_path, find, found, best):
+    find(*found)
+    path = runs.train_tiny(tmp_path / "run")
+    folder = RunFolder.open(path)
+    assert folder.load("last").best.generation == best
+    kept = folder.load("best")
+    assert kept.state.generation == best
+    assert kept.best.generation == best
+    if best != 1:  # every second generation is kept
+        assert kept.state.levels[0].theta.tobytes() == folder.load(best).state.levels[0].theta.tobytes()
+
+
+def test_the_best_evaluation_is_remembered_over_a_resume(tmp_path, find):
+    find((3, 0), (1, 0))
+    path = runs.train_tiny(tmp_path / "run", generations=2)
+    find((2, 0))
+    assert resume(path, generations=4).best.generation == 1
+    assert RunFolder.open(path).load("best").state.generation == 1
+
+
+def test_before_the_first_evaluation_the_best_is_the_start(tmp_path):
+    path = runs.train_tiny(tmp_path / "run", minutes=1e-9)
+    folder = RunFolder.open(path)
+    assert folder.load("best").state.generation == 0
+    assert folder.load("last").best.generation == -1
