@@ -45,10 +45,9 @@ _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
     # The point reaches a goal in a second, not in two and a half, and its episodes cost little.
     ("laptop", "point-gather"): {
         "controller_interval": 10,
-        "population_size": 120,
-        "learning_rate": 0.02,
+        "learning_rate": 0.04,
         "horizon": 500,
-        "generations": 150,
+        "generations": 80,
     },
 }
 """What a preset sets otherwise for an environment: (preset, environment) -> settings."""
