@@ -20,7 +20,7 @@ __all__ = ["RolloutWorker", "WorkerPlan", "lanes_that_fit"]
 
 _SIMULATOR_LOG = logging.getLogger("shes.mujoco")
 _MAX_LOG_LINES = 20  # of the simulator, kept with one task's results
-_CACHE_BYTES = 12 * 2**20  # weights in use at once beyond this are read from memory at every step
+_CACHE_BYTES = 24 * 2**20  # weights of all lanes beyond this leave the shared cache between two steps
 _MIN_ROWS, _MAX_ROWS = 32, 96  # episodes in lockstep: enough to share Python's work, few enough for the caches
 
 
@@ -108,7 +108,8 @@ class RolloutWorker:
         """Return the rollout for training or evaluation with lanes for `share` tasks, building it where needed."""
         plan = self.plan
         chunk = plan.chunk_size or lanes_that_fit(sum(plan.design.dims), plan.episodes_per_policy)
-        lanes = max(1, min(chunk, share))
+        waves = max(1, -(-share // chunk))
+        lanes = max(1, -(-share // waves))  # even waves: no last one with a few lanes alone
         rollout = self._rollouts.get(is_evaluation)
         if rollout is None or rollout.num_lanes != lanes:
             options = plan.evaluation if is_evaluation else plan.training

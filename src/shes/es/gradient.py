@@ -17,7 +17,7 @@ from shes.types import F32Array, F64Array, IntArray
 
 __all__ = ["group_weights", "weighted_noise_sum"]
 
-_COLUMNS = 16384  # parameters summed at a time: accumulator and product stay in the cache, and Python has few calls
+_COLUMNS = 65536  # parameters summed at a time: long enough that Python's lock is no bottleneck of two threads
 
 
 def group_weights(shaped: F64Array, signs: NDArray[np.int8]) -> F32Array:

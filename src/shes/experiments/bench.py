@@ -40,17 +40,18 @@ from shes.worker import WorkerPlan
 
 __all__ = ["bench_rollout", "bench_update"]
 
+_REPLAY_S = 1.0
 _REPLAYED = 24  # episodes of the generation that the bare loop replays
 
 Episode = tuple[F64Array, F64Array, list[F64Array]]
 """Start qpos, start qvel, and the controls of every step."""
 
 
-def bench_rollout(config: TrainConfig, repeats: int = 3) -> dict[str, Any]:
+def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
     """Measure whole generations against a bare `mj_step` loop.
 
     The bare loop replays episodes of the same generation, start state and controls, with no policy, task or Python
-    beyond the call: the limit of one core. The two are measured in turn, `repeats` times; speeds are medians, `ratio`
+    beyond the call: the limit of one core. Each generation lies between two replays, `repeats` times; speeds are medians, `ratio`
     is the median of the pairs' ratios, over the number of workers.
     """
     design = build_design(config)
@@ -62,10 +63,13 @@ def bench_rollout(config: TrainConfig, repeats: int = 3) -> dict[str, Any]:
     with build_backend(config, plan) as backend, ThreadPoolExecutor(backend.num_workers) as pool:
         settings, state = build_settings(config), build_state(config, design)
         next(evolve(state, settings, table, backend, pool))  # builds the environments, warms the caches
+        before = _replay(episodes)
         for _ in range(repeats):
-            bare.append(_replay(episodes))
             report = next(evolve(state, settings, table, backend, pool))
             whole.append(int(report.results.steps.sum()) / (report.rollout_s + report.update_s))
+            after = _replay(episodes)
+            bare.append((before + after) / 2)  # a machine shared with others drifts: look at it on both sides
+            before = after
         workers = backend.num_workers
     return {
         "env": config.env,
@@ -124,17 +128,20 @@ def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjMo
 
 
 def _replay(recorded: tuple[mujoco.MjModel, list[Episode]]) -> float:
-    """Return the control steps per second of `mj_step` alone on recorded episodes."""
+    """Return the control steps per second of `mj_step` alone on recorded episodes, for a second or more."""
     model, episodes = recorded
     data = mujoco.MjData(model)
+    steps = 0
     start = perf_counter()
-    for qpos, qvel, controls in episodes:
-        mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = qpos, qvel
-        for control in controls:
-            data.ctrl[:] = control
-            mujoco.mj_step(model, data, nstep=FRAME_SKIP)
-    return sum(len(controls) for _, _, controls in episodes) / (perf_counter() - start)
+    while (elapsed := perf_counter() - start) < _REPLAY_S or not steps:
+        for qpos, qvel, controls in episodes:
+            mujoco.mj_resetData(model, data)
+            data.qpos[:], data.qvel[:] = qpos, qvel
+            for control in controls:
+                data.ctrl[:] = control
+                mujoco.mj_step(model, data, nstep=FRAME_SKIP)
+            steps += len(controls)
+    return steps / elapsed
 
 
 def bench_update(config: TrainConfig, repeats: int = 20) -> dict[str, Any]:
