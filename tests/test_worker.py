@@ -134,8 +134,8 @@ def test_a_worker_without_its_noise_table_says_so(tmp_path):
 
 @pytest.mark.parametrize(
     ("parameters", "episodes", "lanes"),
-    # Small networks: 96 rows. 10 MiB of parameters: only one fits the cache, yet 32 rows must share a step.
-    [(1000, 1, 96), (1000, 5, 19), (65_536, 1, 48), (10 * 2**18, 5, 7), (10**9, 100, 1)],
+    # Small networks: 96 rows. 10 MiB of parameters: only two fit the cache, yet 32 rows must share a step.
+    [(1000, 1, 96), (1000, 5, 19), (131_072, 1, 48), (10 * 2**18, 5, 7), (10**9, 100, 1)],
 )
 def test_lanes_share_the_cache_but_are_never_too_few(parameters, episodes, lanes):
     assert lanes_that_fit(parameters, episodes) == lanes

@@ -51,8 +51,8 @@ def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
     """Measure whole generations against a bare `mj_step` loop.
 
     The bare loop replays episodes of the same generation, start state and controls, with no policy, task or Python
-    beyond the call: the limit of one core. Each generation lies between two replays, `repeats` times; speeds are medians, `ratio`
-    is the median of the pairs' ratios, over the number of workers.
+    beyond the call: the limit of one core. Each generation lies between two replays, `repeats` times; speeds are
+    medians, `ratio` is the median of the pairs' ratios, over the number of workers.
     """
     design = build_design(config)
     table = open_noise_table(config, design)

@@ -21,7 +21,7 @@ def provenance() -> dict[str, Any]:
     versions = {name: metadata.version(name) for name in _PACKAGES}
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": sys.argv,
+        "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "versions": {"python": platform.python_version(), **versions},
         "git_commit": _git_commit(),
         "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
