@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import shlex
-import signal
-import threading
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -29,14 +25,13 @@ from shes.experiments.build import (
 from shes.experiments.checkpoint import Best, Checkpoint, CheckpointWriter, save_checkpoint
 from shes.experiments.config import EXECUTION_FIELDS, TrainConfig, check_fields, flag
 from shes.experiments.evaluate import evaluate_levels, evaluation_seeds
+from shes.experiments.interruption import Interruption
 from shes.experiments.presets import make_config
 from shes.experiments.records import Records, Row, progress_row, read_csv
 from shes.experiments.run_folder import RunFolder, new_folder
-from shes.storage import storage_errors
+from shes.experiments.run_log import logger, run_log
 
 __all__ = ["Listener", "Run", "resume", "start_run", "train"]
-
-logger = logging.getLogger("shes.run")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,8 +161,8 @@ def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, liste
     design = build_design(config)
     table = open_noise_table(config, design)
     with ExitStack() as stack:
-        stack.enter_context(_run_log(folder))
-        interruption = stack.enter_context(_Interruption())
+        stack.enter_context(run_log(folder))
+        interruption = stack.enter_context(Interruption())
         records = stack.enter_context(closing(Records(folder, checkpoint.state.generation)))
         writer = stack.enter_context(closing(CheckpointWriter()))
         backend = stack.enter_context(build_backend(config, build_plan(config, design, table)))
@@ -215,7 +210,7 @@ class _Session:
         is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
         return is_late or self.checkpoint.state.generation >= self._config.generations
 
-    def add(self, report: GenerationReport, interruption: _Interruption) -> None:
+    def add(self, report: GenerationReport, interruption: Interruption) -> None:
         """Write down a generation, evaluate where it is due, and put the checkpoint on its way."""
         state = report.state
         now = perf_counter()
@@ -271,72 +266,3 @@ def _wall_time(folder: RunFolder) -> float:
     """Return the seconds that the run took so far, by its table."""
     times = read_csv(folder.progress).get("wall_time_s", []) if folder.progress.exists() else []
     return times[-1] if times else 0.0
-
-
-class _Interruption:
-    """Ctrl-C (or SIGTERM): ends a generation at once, but never a file; the second one ends everything at once.
-
-    A generation that was cut short is done again by `shes resume`: the numbers are the same.
-    """
-
-    def __init__(self) -> None:
-        self.is_requested = False
-        self._may_raise = False
-        self._previous: dict[int, Any] = {}
-
-    def __enter__(self) -> _Interruption:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._previous[number] = signal.signal(number, self._handle)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-
-    def _handle(self, number: int, frame: object) -> None:
-        del number, frame
-        is_second, self.is_requested = self.is_requested, True
-        if self._may_raise or is_second:
-            raise KeyboardInterrupt
-
-    @contextmanager
-    def at_once(self) -> Iterator[None]:
-        """Let an interruption end what is done inside, because it writes nothing."""
-        try:
-            self._may_raise = True
-            if self.is_requested:
-                raise KeyboardInterrupt
-            yield
-        finally:
-            self._may_raise = False
-
-
-class _LogFile(logging.FileHandler):
-    """A log that no full disk ends the run by: the tables and the checkpoints, written next, say it better."""
-
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's own name
-        """Leave the record out."""
-
-    def close(self) -> None:
-        """Close the file, whatever is still unwritten."""
-        with suppress(OSError):
-            super().close()
-
-
-@contextmanager
-def _run_log(folder: RunFolder) -> Iterator[None]:
-    """Send the log of the run to its `log.txt`."""
-    with storage_errors(folder.log):
-        handler = _LogFile(folder.log, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    previous = logger.level, logger.propagate
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    logger.propagate = False
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.level, logger.propagate = previous
-        handler.close()

@@ -1,0 +1,50 @@
+"""Ctrl-C in a training run: what is written is finished, what is not is left to `shes resume`."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+__all__ = ["Interruption"]
+
+
+class Interruption:
+    """Ctrl-C (or SIGTERM): ends a generation at once, but never a file; the second one ends everything at once.
+
+    A generation that was cut short is done again by `shes resume`: the numbers are the same.
+    """
+
+    def __init__(self) -> None:
+        self.is_requested = False
+        self._may_raise = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._previous[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: object) -> None:
+        del number, frame
+        is_second, self.is_requested = self.is_requested, True
+        if self._may_raise or is_second:
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Let an interruption end what is done inside, because it writes nothing."""
+        try:
+            self._may_raise = True
+            if self.is_requested:
+                raise KeyboardInterrupt
+            yield
+        finally:
+            self._may_raise = False
