@@ -42,3 +42,8 @@ def test_flags_and_commands_exist():
     known |= {"--out", "--episodes", "--json", "--no-common-random-numbers"}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README)) <= known
     assert set(re.findall(r"^shes ([a-z]+)", README, flags=re.MULTILINE)) <= set(_COMMANDS)
+
+
+@pytest.mark.parametrize("name", ["README.md", "results/README.md"])
+def test_nothing_is_left_to_be_filled_in(name):
+    assert not re.findall(r"\b[A-Z]+_[A-Z]+\b(?<!SHES_CACHE_DIR)", (ROOT / name).read_text(encoding="utf-8"))
