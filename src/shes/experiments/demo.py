@@ -46,7 +46,7 @@ def main() -> int:
         f"\nScore over {EPISODES} fresh episodes: {after.scores.mean():.2f}, "
         f"before training {before.scores.mean():.2f} (8 is the most there is).\n"
         f"Learning curves: {curves}\n"
-        f"Next: .venv/bin/shes train ant-gather   (the ant: slow: see results/README.md)\n"
+        f"Next: .venv/bin/shes train ant-gather   (the ant: results/README.md says how far an hour gets)\n"
         f"      .venv/bin/shes evaluate {path} --episodes 200\n"
         "      .venv/bin/shes --help",
         highlight=False,
