@@ -3,6 +3,7 @@
 
 VENV := .venv
 STAMP := $(VENV)/.setup-done
+DOCS_STAMP := $(VENV)/.docs-done
 PY := $(VENV)/bin/python
 # One BLAS thread: parallelism comes from worker processes, and the thread count changes bits.
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest
@@ -15,7 +16,7 @@ MIN_VERSION := (3, 11)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-extras test-all lint type imports bench clean FORCE
+.PHONY: help setup demo test test-extras test-all lint type imports docs bench clean FORCE
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -79,9 +80,18 @@ type: $(STAMP) ## pyright
 imports: $(STAMP) ## who may import whom
 	$(VENV)/bin/lint-imports
 
+# The documentation's tools come only with the documentation. Any warning is an error.
+$(DOCS_STAMP): $(STAMP)
+	@echo "setup: installing the documentation's tools"
+	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,docs]'
+	@touch $(DOCS_STAMP)
+
+docs: $(DOCS_STAMP) ## build the documentation into site/
+	$(PY) -m mkdocs build --strict --site-dir site
+
 bench: $(STAMP) ## measure speed on this machine
 	$(PY) benchmarks/run.py
 
 clean: ## remove .venv, caches and build artefacts; runs/ stays
-	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find src tests $(wildcard benchmarks examples) -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -22,13 +22,24 @@ def loaded_by(code):
     return {name.partition(".")[0] for name in done.stdout.split()}
 
 
-def test_import_is_light_and_a_worker_needs_no_face():
-    heavy = {"gymnasium", "matplotlib", "mujoco", "numpy", "rich", "scipy", "tensorboardX", "tyro"}
-    assert not loaded_by("import shes") & heavy
-    assert "numpy" in loaded_by("import shes; shes.es")
-    assert loaded_by("import shes.worker") & heavy <= {"mujoco", "numpy"}
-    assert not loaded_by("import shes; shes.train") & {"gymnasium", "matplotlib", "tyro"}
-    assert not loaded_by("import shes; shes.load") & {"gymnasium", "matplotlib", "tyro"}
+def test_importing_shes_loads_what_gymnasium_needs_and_a_worker_no_face():
+    heavy = {
+        "PIL",
+        "gymnasium",
+        "imageio_ffmpeg",
+        "matplotlib",
+        "mujoco",
+        "numpy",
+        "rich",
+        "scipy",
+        "tensorboardX",
+        "tyro",
+    }
+    assert loaded_by("import shes") & heavy <= {"gymnasium", "mujoco", "numpy"}
+    worker = "import sys; sys.orig_argv.append('shes.backends.process_worker'); import shes.worker"
+    assert loaded_by(worker) & heavy <= {"mujoco", "numpy"}
+    assert not loaded_by("import shes; shes.train") & {"PIL", "imageio_ffmpeg", "matplotlib", "tyro"}
+    assert not loaded_by("import shes; shes.load") & {"PIL", "imageio_ffmpeg", "matplotlib", "tyro"}
 
 
 def test_the_face_has_what_it_says():

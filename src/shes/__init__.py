@@ -11,15 +11,31 @@ agent = shes.load(run.path)
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from shes import es
+    from shes.envs.registry import register_environment
     from shes.experiments.evaluate import Evaluation, evaluate
     from shes.experiments.play import Agent, load
     from shes.experiments.train import Run, resume, train
+    from shes.hierarchy.goals import register_goal_encoding
+    from shes.hierarchy.rewards import register_primitive_reward
 
-__all__ = ["Agent", "Evaluation", "Run", "es", "evaluate", "load", "resume", "train"]
+__all__ = [
+    "Agent",
+    "Evaluation",
+    "Run",
+    "es",
+    "evaluate",
+    "load",
+    "register_environment",
+    "register_goal_encoding",
+    "register_primitive_reward",
+    "resume",
+    "train",
+]
 
 # Loaded when first asked for: a worker process imports this package too, and needs none of it.
 _HOMES = {
@@ -28,9 +44,20 @@ _HOMES = {
     "Run": "shes.experiments.train",
     "evaluate": "shes.experiments.evaluate",
     "load": "shes.experiments.play",
+    "register_environment": "shes.envs.registry",
+    "register_goal_encoding": "shes.hierarchy.goals",
+    "register_primitive_reward": "shes.hierarchy.rewards",
     "resume": "shes.experiments.train",
     "train": "shes.experiments.train",
 }
+
+
+# Gymnasium knows the environments as soon as SHES is imported; worker processes do without.
+if "shes.backends.process_worker" not in sys.orig_argv:
+    from shes.envs.registration import register_all
+
+    register_all()
+    del register_all
 
 
 def __getattr__(name: str) -> Any:

@@ -2,6 +2,7 @@
 
 import re
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -135,3 +136,18 @@ def test_wrong_runs_and_checkpoints_are_refused(tiny_run, tmp_path):
         load(tmp_path / "gone")
     with pytest.raises(CheckpointError, match="there is no checkpoint"):
         load(tiny_run, checkpoint="99")
+
+
+def test_an_agent_plays_in_gymnasiums_environments_single_and_vector(tiny_run):
+    env = gymnasium.make("shes/PointGather-v0", max_episode_steps=30)
+    vector = gymnasium.make_vec("shes/PointGather-v0", num_envs=2, max_episode_steps=30)
+    agent, agents = load(tiny_run), load(tiny_run, num_envs=2)
+    observation, _ = env.reset(seed=4)
+    observations, _ = vector.reset(seed=4)
+    for _ in range(30):
+        observation, _, _, truncated, info = env.step(agent.act(observation))
+        observations, _, _, all_truncated, infos = vector.step(agents.act(observations))
+        np.testing.assert_allclose(observation, observations[0], atol=1e-6)
+    assert truncated
+    assert all_truncated.all()
+    assert info["score"] == infos["score"][0]

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from shes.envs.body import Body
+from shes.envs.layout import ObservationElement, elements
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Ant"]
@@ -32,15 +33,27 @@ _LEGS = {
     4: (1, -1, (1, 1, 0), (30.0, 70.0)),
 }
 _ACTUATOR_ORDER = (4, 1, 2, 3)  # not the order of the legs in qpos
+_JOINTS = [f"{joint}_{number}" for number in _LEGS for joint in ("hip", "ankle")]
 
 
 class Ant(Body):
     """Four legs of two joints; qpos: x y z, quaternion w x y z, then hip and ankle of legs 1 to 4."""
 
     name = "ant"
-    num_qpos: ClassVar[int] = 15
-    num_qvel: ClassVar[int] = 14
-    num_controls: ClassVar[int] = 8
+    pose: ClassVar[tuple[ObservationElement, ...]] = (
+        *elements(["torso_x", "torso_y", "torso_z"], "{} in the world", "m"),
+        *elements([f"torso_q{part}" for part in "wxyz"], "{} of the torso's unit quaternion"),
+        *elements(_JOINTS, "angle of {}", "rad"),
+    )
+    velocity: ClassVar[tuple[ObservationElement, ...]] = (
+        *elements([f"torso_v{axis}" for axis in "xyz"], "{}: velocity along a world axis", "m/s"),
+        *elements([f"torso_w{axis}" for axis in "xyz"], "{}: angular velocity about an axis of the torso", "rad/s"),
+        *elements([f"{joint}_velocity" for joint in _JOINTS], "{}", "rad/s"),
+    )
+    controls: ClassVar[tuple[str, ...]] = tuple(
+        f"{joint}_{number}" for number in _ACTUATOR_ORDER for joint in ("hip", "ankle")
+    )
+    control_unit: ClassVar[str] = "N m"
     control_limit: ClassVar[float] = 30.0
     quaternion: ClassVar[slice | None] = slice(3, 7)
 
@@ -51,12 +64,11 @@ class Ant(Body):
         torso.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[TORSO_RADIUS_M, 0, 0])
         for number in _LEGS:
             self._add_leg(torso, number)
-        for number in _ACTUATOR_ORDER:
-            for joint in (f"hip_{number}", f"ankle_{number}"):
-                motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-                motor.set_to_motor()
-                motor.ctrllimited = True
-                motor.ctrlrange = [-self.control_limit, self.control_limit]
+        for joint in self.controls:
+            motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            motor.set_to_motor()
+            motor.ctrllimited = True
+            motor.ctrlrange = [-self.control_limit, self.control_limit]
 
     @staticmethod
     def _add_leg(torso: mujoco.MjsBody, number: int) -> None:

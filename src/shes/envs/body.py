@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import mujoco
 
+from shes.envs.layout import ObservationElement
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Body"]
@@ -16,13 +17,33 @@ class Body(ABC):
     """A robot. Its coordinates come first in the model's qpos and qvel."""
 
     name: ClassVar[str]
-    num_qpos: ClassVar[int]
-    num_qvel: ClassVar[int]
-    num_controls: ClassVar[int]
+    pose: ClassVar[tuple[ObservationElement, ...]]
+    """Its generalised coordinates, qpos."""
+    velocity: ClassVar[tuple[ObservationElement, ...]]
+    """Its generalised velocities, qvel."""
+    controls: ClassVar[tuple[str, ...]]
+    """What each control moves."""
+    control_unit: ClassVar[str]
+    """Unit of a control before it is scaled to [-1, 1]."""
     control_limit: ClassVar[float]
     """Controls lie in [-control_limit, control_limit]."""
     quaternion: ClassVar[slice | None]
     """Where the torso's unit quaternion stands in qpos, if there is one."""
+
+    @property
+    def num_qpos(self) -> int:
+        """Generalised coordinates."""
+        return len(self.pose)
+
+    @property
+    def num_qvel(self) -> int:
+        """Generalised velocities."""
+        return len(self.velocity)
+
+    @property
+    def num_controls(self) -> int:
+        """Controls, A."""
+        return len(self.controls)
 
     @abstractmethod
     def add_to(self, spec: mujoco.MjSpec) -> None:

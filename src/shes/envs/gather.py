@@ -8,8 +8,10 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from shes.drawing.markers import FOOD, POISON, Marker, ball
 from shes.envs.body import Body
-from shes.envs.task import TIME_SCALE, VELOCITY_CLIP, SimulatorFactory, Task, TaskOptions
+from shes.envs.layout import ObservationElement, elements
+from shes.envs.task import TIME_SCALE, VELOCITY_CLIP, SimulatorFactory, Task, TaskDescription, TaskOptions
 from shes.envs.worlds import GATHER, add_walls, empty_world
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
@@ -26,6 +28,8 @@ CATCH_RANGE_M = 1.0
 SENSOR_RANGE_M = 8.0
 NUM_BINS = 10
 """Sensor bins of each kind over the full circle; bin 0 starts behind the robot."""
+MARKER_RADIUS_M = 0.4
+"""Objects are drawn this big; they have no body."""
 VALUES = np.array([1.0, -1.0])
 """Reward of an object of each kind."""
 
@@ -33,11 +37,16 @@ VALUES = np.array([1.0, -1.0])
 class Gather(Task):
     """Eight pieces of food (+1) and eight of poison (-1) between walls at 12 m.
 
-    Observation: the robot's qpos and clipped qvel, 10 food and 10 poison readings, control steps times 0.001.
-    Ends early only when the robot falls over. Score: the highest running return, at least 0.
+    A robot notices an object within 8 m in one of ten sectors around its heading, and collects it within 1 m.
     """
 
     name: ClassVar[str] = "gather"
+    description: ClassVar[TaskDescription] = TaskDescription(
+        reward="+1 for each piece of food and -1 for each piece of poison collected in the step",
+        ends="when the robot falls over (the ant's torso leaves heights of 0.2 to 1.0 m); not when all is collected",
+        score="highest running return in the episode, at least 0",
+        success="the score is above 0",
+    )
 
     def __init__(
         self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
@@ -55,17 +64,23 @@ class Gather(Task):
         self._observation: F64Array = np.zeros((n, self.observation_size))
 
     @classmethod
-    def build_model(cls, body: Body, options: TaskOptions) -> mujoco.MjModel:
+    def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the arena: a free square of 24 m between walls; objects are not geoms."""
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
         add_walls(spec, GATHER)
         body.add_to(spec)
-        return spec.compile()
+        return spec
 
     @property
-    def observation_size(self) -> int:
-        """qpos, qvel, two kinds of readings, time."""
-        return self.body.num_qpos + self.body.num_qvel + 2 * NUM_BINS + 1
+    def layout(self) -> tuple[ObservationElement, ...]:
+        """The robot's qpos and clipped qvel, two kinds of readings, time."""
+        readings = tuple(
+            element
+            for kind in ("food", "poison")
+            for number in range(NUM_BINS)
+            for element in elements([f"{kind}_{number}"], _sector(kind, number), low=0.0, high=1.0)
+        )
+        return self._robot_layout() + readings + self._time_layout()
 
     @property
     def terminated(self) -> BoolArray:
@@ -81,6 +96,25 @@ class Gather(Task):
     def success(self) -> BoolArray:
         """Whether the score is above 0 [N]: more food than poison at some time."""
         return self.score > 0
+
+    @property
+    def distance(self) -> F64Array:
+        """Distance to the nearest piece of food left [N], in metres; infinity where none is left."""
+        left = np.where(self.present[:, 0], self._squared_distance[:, 0], np.inf)
+        return np.sqrt(left.min(axis=1))
+
+    @property
+    def counts(self) -> dict[str, IntArray]:
+        """Pieces of food and of poison collected [N]."""
+        return {"food": self.food, "poison": self.poison}
+
+    def markers(self, episode: int) -> list[Marker]:
+        """Return what lies there, as balls."""
+        return [
+            ball((*place, MARKER_RADIUS_M), MARKER_RADIUS_M, color)
+            for kind, color in enumerate((FOOD, POISON))
+            for place in self.objects[episode, kind][self.present[episode, kind]]
+        ]
 
     @property
     def food(self) -> IntArray:
@@ -140,6 +174,16 @@ class Gather(Task):
         readings = np.zeros(2 * self.num_episodes * NUM_BINS)
         np.maximum.at(readings, bins.ravel(), intensity.ravel())
         return readings.reshape(self.num_episodes, 2 * NUM_BINS)
+
+
+def _sector(kind: str, number: int) -> str:
+    """Return the meaning of a reading."""
+    width = 360 // NUM_BINS
+    first = number * width - 180
+    return (
+        f"1 - d^2/{SENSOR_RANGE_M:.0f}^2 of the nearest {kind} at a bearing of {first} to {first + width} degrees "
+        "from the heading; 0 if none is in range"
+    )
 
 
 def _draw_places(rng: np.random.Generator, count: int) -> F64Array:

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from shes.envs.body import Body
+from shes.envs.layout import ObservationElement, elements
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Point"]
@@ -25,9 +26,12 @@ class Point(Body):
     """A sphere on two slide joints; qpos and qvel are x and y. Its heading is always 0, and it cannot fall."""
 
     name = "point"
-    num_qpos: ClassVar[int] = 2
-    num_qvel: ClassVar[int] = 2
-    num_controls: ClassVar[int] = 2
+    pose: ClassVar[tuple[ObservationElement, ...]] = elements(["torso_x", "torso_y"], "{} in the world", "m")
+    velocity: ClassVar[tuple[ObservationElement, ...]] = elements(
+        ["torso_vx", "torso_vy"], "{}: velocity along a world axis", "m/s"
+    )
+    controls: ClassVar[tuple[str, ...]] = ("slide_x", "slide_y")
+    control_unit: ClassVar[str] = "1 (times a gear of 6 N)"
     control_limit: ClassVar[float] = 1.0
     quaternion: ClassVar[slice | None] = None
 
@@ -35,7 +39,7 @@ class Point(Body):
         """Add the sphere, its slides and its motors to `spec`."""
         body = spec.worldbody.add_body(name="torso", pos=[0, 0, HEIGHT_M])
         body.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS_M, 0, 0], mass=MASS_KG)
-        for name, axis in (("slide_x", [1, 0, 0]), ("slide_y", [0, 1, 0])):
+        for name, axis in zip(self.controls, ([1, 0, 0], [0, 1, 0]), strict=True):
             body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=DAMPING)
             motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             motor.set_to_motor()

@@ -8,23 +8,34 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 
+from shes.drawing.markers import Marker
 from shes.envs.body import Body
-from shes.envs.worlds import INTEGRATORS
+from shes.envs.layout import ObservationElement, elements
+from shes.envs.worlds import INTEGRATORS, TIMESTEP_S
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 
-__all__ = ["FRAME_SKIP", "VELOCITY_CLIP", "SimulatorFactory", "Task", "TaskOptions"]
+__all__ = [
+    "CONTROL_STEP_S",
+    "FRAME_SKIP",
+    "VELOCITY_CLIP",
+    "SimulatorFactory",
+    "Task",
+    "TaskDescription",
+    "TaskOptions",
+]
 
 FRAME_SKIP = 5
 """Physics steps per control step: 0.1 s."""
+CONTROL_STEP_S = FRAME_SKIP * TIMESTEP_S
 VELOCITY_CLIP = 10.0
 """Generalised velocities are observed clipped to this, in m/s and rad/s."""
 TIME_SCALE = 0.001
@@ -60,11 +71,29 @@ class TaskOptions:
             raise ConfigError(f"reset_noise must be in [0, 1), got {self.reset_noise}. Set --reset-noise.")
 
 
+@dataclass(frozen=True, kw_only=True)
+class TaskDescription:
+    """What a task pays for and when it ends, in words: the documentation and `shes envs` are made from it."""
+
+    reward: str
+    """Reward of a step."""
+    ends: str
+    """When an episode ends by the task's own rule."""
+    score: str
+    """Test score of an episode."""
+    success: str
+    """When an episode counts as solved."""
+
+
 class Task(ABC):
     """N episodes of one task. Arrays are live and belong to the task: copy what must outlast the next step."""
 
     name: ClassVar[str]
     """Name without the body: `gather`."""
+    description: ClassVar[TaskDescription]
+    """Reward, ending and score in words."""
+    ground_m: ClassVar[float] = 0.0
+    """Height of the ground that the robot starts on."""
 
     def __init__(
         self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
@@ -73,7 +102,7 @@ class Task(ABC):
         self.body = body
         self.options = options
         self.num_episodes = num_episodes
-        self.sim = simulator(self.build_model(body, options), num_episodes)
+        self.sim = simulator(self.build_spec(body, options).compile(), num_episodes)
         self.time: IntArray = np.zeros(num_episodes, dtype=np.int64)
         """Control steps since the reset [N]."""
         self._heading: F64Array | None = None  # of the present state, once asked for
@@ -84,13 +113,13 @@ class Task(ABC):
 
     @classmethod
     @abstractmethod
-    def build_model(cls, body: Body, options: TaskOptions) -> mujoco.MjModel:
-        """Return the compiled world with `body` in it."""
+    def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
+        """Return the world with `body` in it, ready to compile."""
 
     @property
     @abstractmethod
-    def observation_size(self) -> int:
-        """Number of observed values, O."""
+    def layout(self) -> tuple[ObservationElement, ...]:
+        """What is observed: one element for each value."""
 
     @property
     @abstractmethod
@@ -101,6 +130,11 @@ class Task(ABC):
     @abstractmethod
     def success(self) -> BoolArray:
         """Whether the episode counts as solved so far [N]."""
+
+    @property
+    @abstractmethod
+    def distance(self) -> F64Array:
+        """Distance to what the task wants reached next [N], in metres; infinity where nothing is left to reach."""
 
     @abstractmethod
     def observe(self) -> F64Array:
@@ -113,6 +147,11 @@ class Task(ABC):
     @abstractmethod
     def _update_features(self) -> F64Array:
         """Update the task after a step and return the reward [N], before the diverged ones are taken out."""
+
+    @property
+    def observation_size(self) -> int:
+        """Number of observed values, O."""
+        return len(self.layout)
 
     @property
     def action_size(self) -> int:
@@ -152,6 +191,26 @@ class Task(ABC):
     def diverged(self) -> BoolArray:
         """Whether the physics blew up since the reset [N]: the episode ends there and does not score."""
         return self.sim.diverged
+
+    @property
+    def counts(self) -> dict[str, IntArray]:
+        """What the task counts in an episode, by name [N]: for `info`."""
+        return {}
+
+    def markers(self, episode: int) -> list[Marker]:
+        """Return what to draw of episode `episode` beside its physics."""
+        return []
+
+    def _robot_layout(self) -> tuple[ObservationElement, ...]:
+        """Return the elements of the robot's qpos and clipped qvel."""
+        unclipped = self.body.velocity
+        clipped = tuple(replace(each, low=-VELOCITY_CLIP, high=VELOCITY_CLIP) for each in unclipped)
+        return self.body.pose + clipped
+
+    @staticmethod
+    def _time_layout() -> tuple[ObservationElement, ...]:
+        """Return the element of the time."""
+        return elements(["time"], f"control steps since the reset, times {TIME_SCALE}", low=0.0)
 
     def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
         """Start episodes `ids` anew, each from its own seed (a non-negative integer)."""

@@ -1,4 +1,4 @@
-"""`make demo`: train Point Gather for two to three minutes, evaluate it on fresh episodes, draw its learning curves."""
+"""`make demo`: train Point Gather for two to three minutes, evaluate it, draw its learning curves, make a video."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from shes.errors import ShesError
 from shes.experiments.evaluate import evaluate
 from shes.experiments.plot import plot
 from shes.experiments.progress import ProgressDisplay
+from shes.experiments.render import render
 from shes.experiments.train import train
 
 __all__ = ["main"]
 
 ENV = "point-gather"
 EPISODES = 50
+VIDEO_STEPS = 200
 
 
 def main() -> int:
@@ -36,6 +38,8 @@ def main() -> int:
         before = evaluate(path, episodes=EPISODES, checkpoint="0")
         after = evaluate(path, episodes=EPISODES)
         curves = plot([path], path / "curves.png")
+        console.print("Drawing 20 seconds of the untrained and the trained agent ...", highlight=False)
+        video = render(path, path / "before-after.mp4", checkpoints=("0", "best"), size=320, steps=VIDEO_STEPS)
     except KeyboardInterrupt:
         console.print(f"Stopped. Go on: .venv/bin/shes resume {path}", highlight=False, soft_wrap=True)
         return 130
@@ -46,6 +50,7 @@ def main() -> int:
         f"\nScore over {EPISODES} fresh episodes: {after.scores.mean():.2f}, "
         f"before training {before.scores.mean():.2f} (8 is the most there is).\n"
         f"Learning curves: {curves}\n"
+        f"Video, before and after: {video}\n"
         f"Next: .venv/bin/shes train ant-gather   (the ant: results/README.md says how far an hour gets)\n"
         f"      .venv/bin/shes evaluate {path} --episodes 200\n"
         "      .venv/bin/shes --help",

@@ -1,0 +1,88 @@
+"""Three-dimensional pictures, by MuJoCo's own renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from shes.drawing.markers import Marker
+from shes.drawing.opengl import use_opengl
+from shes.drawing.renderer import Picture, Renderer, check_camera
+from shes.drawing.scenery import FOLLOW_FIELD_OF_VIEW_DEG, decorate
+from shes.types import F64Array
+
+__all__ = ["MujocoRenderer", "add_markers"]
+
+_FOLLOW = {"azimuth": 90.0, "elevation": -42.0, "distance": 11.0}
+_LOOK_AT_HEIGHT_M = 0.5
+_TOP_MARGIN = 1.02
+_TOP_DISTANCE_M = 120.0  # far away, and narrow: nearly no perspective, so that no wall hides what is behind it
+_MAX_GEOMS = 4000
+_LINE = mujoco.mjtGeom.mjGEOM_LINE
+_LINE_PIXELS_PER_M = 80.0
+
+
+class MujocoRenderer(Renderer):
+    """Draws with OpenGL."""
+
+    def __init__(self, spec: mujoco.MjSpec, width: int, height: int, opengl: str) -> None:
+        """Draw the world of `spec`, which gets its looks here, by OpenGL `opengl`."""
+        super().__init__(decorate(spec).compile(), width, height)
+        use_opengl(opengl)
+        self._renderer = mujoco.Renderer(self.model, height, width, max_geom=_MAX_GEOMS)
+        self._camera = mujoco.MjvCamera()
+
+    def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
+        """Return a picture of the world at `qpos`."""
+        self._aim(qpos, camera)
+        self.data.qpos[:] = qpos
+        mujoco.mj_forward(self.model, self.data)
+        self._renderer.update_scene(self.data, self._camera)
+        # From above a shadow hides more than it shows, and it is half the work.
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != "top"
+        add_markers(self._renderer.scene, markers)
+        return self._renderer.render()
+
+    def _aim(self, qpos: F64Array, name: str) -> None:
+        """Point the camera."""
+        check_camera(name)
+        camera = self._camera
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        if name == "follow":
+            self.model.vis.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
+            camera.azimuth, camera.elevation = _FOLLOW["azimuth"], _FOLLOW["elevation"]
+            camera.distance = _FOLLOW["distance"]
+            camera.lookat[:] = (qpos[0], qpos[1], _LOOK_AT_HEIGHT_M)
+            return
+        left, bottom, right, top = self.extent
+        half = max((top - bottom) / 2, (right - left) / 2 * self.height / self.width) * _TOP_MARGIN
+        self.model.vis.global_.fovy = np.rad2deg(2 * np.arctan2(half, _TOP_DISTANCE_M))
+        camera.azimuth, camera.elevation, camera.distance = 90.0, -90.0, _TOP_DISTANCE_M
+        camera.lookat[:] = ((left + right) / 2, (bottom + top) / 2, 0)
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()
+
+
+def add_markers(scene: mujoco.MjvScene, markers: Sequence[Marker]) -> None:
+    """Put `markers` into `scene`, as far as there is room."""
+    for marker in markers:
+        if scene.ngeom >= scene.maxgeom:
+            return
+        geom = scene.geoms[scene.ngeom]
+        color = np.array(marker.color, dtype=np.float32)
+        if marker.end is not None:
+            # Drawn as a line of pixels: a trail of capsules takes longer to draw than all else together.
+            mujoco.mjv_initGeom(geom, _LINE, np.zeros(3), np.zeros(3), np.zeros(9), color)
+            pixels = marker.radius * _LINE_PIXELS_PER_M
+            mujoco.mjv_connector(geom, _LINE, pixels, np.array(marker.position), np.array(marker.end))
+        else:
+            is_ball = marker.shape == "ball"
+            shape = mujoco.mjtGeom.mjGEOM_SPHERE if is_ball else mujoco.mjtGeom.mjGEOM_CYLINDER
+            size = np.array([marker.radius, marker.radius if is_ball else marker.height, marker.radius])
+            mujoco.mjv_initGeom(geom, shape, size, np.array(marker.position), np.eye(3).ravel(), color)
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+        scene.ngeom += 1

@@ -1,0 +1,114 @@
+"""Renderers: the state of one simulation becomes a picture."""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from shes.drawing.markers import Marker
+from shes.drawing.opengl import HOW_TO_GET_OPENGL, find_opengl
+from shes.drawing.scenery import MAX_PIXELS
+from shes.errors import ConfigError, UnknownNameError
+from shes.types import F64Array
+
+__all__ = ["CAMERAS", "Picture", "Renderer", "between", "make_renderer"]
+
+logger = logging.getLogger("shes.drawing")
+
+Picture = NDArray[np.uint8]
+"""Pixels [H, W, 3]."""
+
+CAMERAS = ("follow", "top")
+"""Behind and above the robot, moving with it; or from above, showing the whole world."""
+
+
+_RIM_M = 1.0
+_OPEN_HALF_M = 10.0  # without walls
+
+
+class Renderer(ABC):
+    """Draws one world at one size. Cameras are those of `CAMERAS`."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        """Draw `model` in pictures of `width` times `height` pixels."""
+        self.model = model
+        self.width, self.height = width, height
+        self.data = mujoco.MjData(model)
+
+    @abstractmethod
+    def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
+        """Return a picture [H, W, 3] of the world at `qpos`, with `markers` in it."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give back what the renderer holds."""
+
+    @cached_property
+    def extent(self) -> tuple[float, float, float, float]:
+        """What there is to see from above: least x, least y, greatest x, greatest y, in metres.
+
+        Of the walls around, only the inner rim.
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_kinematics(self.model, self.data)
+        boxes = self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+        if not boxes.any():
+            return (-_OPEN_HALF_M, -_OPEN_HALF_M, _OPEN_HALF_M, _OPEN_HALF_M)
+        center, half = self.data.geom_xpos[boxes, :2], self.model.geom_size[boxes, :2]
+        sides = [*(center - half).min(axis=0), *(center + half).max(axis=0)]
+        for i, side in enumerate(sides):
+            sign = -1 if i < 2 else 1
+            reaches = np.isclose((center + sign * half)[:, i % 2], side)
+            hidden = 2 * half[reaches, i % 2].min() - _RIM_M
+            sides[i] = float(side - sign * max(hidden, 0.0))
+        return (sides[0], sides[1], sides[2], sides[3])
+
+
+def make_renderer(make_spec: Callable[[], mujoco.MjSpec], width: int, height: int) -> Renderer:
+    """Return MuJoCo's renderer where there is OpenGL, else one that draws from above without it.
+
+    Args:
+        make_spec: Returns the world, without looks.
+        width: Pixels of a picture.
+        height: Pixels of a picture.
+
+    Raises:
+        ConfigError: The size is not allowed, or MUJOCO_GL asks for what does not work here.
+    """
+    for name, pixels in (("width", width), ("height", height)):
+        if not 16 <= pixels <= MAX_PIXELS:
+            raise ConfigError(f"{name} of a picture must be 16 to {MAX_PIXELS} pixels, got {pixels}. Set --size.")
+    found = find_opengl()
+    if found is None:
+        from shes.drawing.flat_renderer import FlatRenderer
+
+        logger.warning("No OpenGL here: drawing a flat picture from above. %s", HOW_TO_GET_OPENGL)
+        return FlatRenderer(make_spec().compile(), width, height)
+    from shes.drawing.mujoco_renderer import MujocoRenderer
+
+    return MujocoRenderer(make_spec(), width, height, found)
+
+
+def check_camera(name: str) -> None:
+    """Refuse a camera that there is not.
+
+    Raises:
+        UnknownNameError: `name` is not in `CAMERAS`.
+    """
+    if name not in CAMERAS:
+        raise UnknownNameError("camera", name, CAMERAS)
+
+
+def between(model: mujoco.MjModel, start: F64Array, end: F64Array, fraction: float) -> F64Array:
+    """Return the pose a `fraction` of the way from `start` [nq] to `end`: videos show more poses than control steps."""
+    velocity = np.zeros(model.nv)
+    mujoco.mj_differentiatePos(model, velocity, 1.0, start, end)
+    pose = np.array(start, dtype=np.float64)
+    mujoco.mj_integratePos(model, pose, velocity, fraction)
+    return pose

@@ -1,0 +1,96 @@
+"""How a world looks: sky, ground, light and colours are put on a copy of the world that only the eye sees.
+
+The physics never has them: the model that is stepped is compiled without.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from shes.drawing.markers import ROBOT
+
+__all__ = ["FOLLOW_FIELD_OF_VIEW_DEG", "MAX_PIXELS", "decorate"]
+
+MAX_PIXELS = 2048
+"""Longest side of a picture."""
+FOLLOW_FIELD_OF_VIEW_DEG = 45.0
+
+_SKY = ([0.62, 0.76, 0.90], [0.93, 0.96, 0.98])
+_GROUND = ([0.80, 0.83, 0.80], [0.87, 0.89, 0.86])
+_GROUND_LINE = [0.70, 0.74, 0.70]
+_WALL = [0.52, 0.56, 0.62, 1.0]
+_PLATFORM = [0.80, 0.83, 0.80, 1.0]
+_WALL_HALF_HEIGHT_M = 0.4
+_BLOCK = [0.78, 0.62, 0.42, 1.0]
+_GROUND_SQUARES_M = 2.0
+
+
+def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Give the world of `spec` its looks, in place, and return it."""
+    looks = spec.visual
+    looks.global_.offwidth = looks.global_.offheight = MAX_PIXELS
+    looks.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
+    looks.quality.shadowsize = 2048
+    looks.headlight.ambient = [0.38, 0.38, 0.38]
+    looks.headlight.diffuse = [0.35, 0.35, 0.35]
+    looks.headlight.specular = [0.0, 0.0, 0.0]
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=_SKY[0],
+        rgb2=_SKY[1],
+        width=256,
+        height=256,
+    )
+    spec.worldbody.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0, 0, 30],
+        dir=[0.35, 0.25, -1],
+        diffuse=[0.45, 0.45, 0.45],
+        specular=[0.1, 0.1, 0.1],
+        castshadow=True,
+    )
+    _ground(spec)
+    for geom in spec.geoms:
+        if geom.name == "floor":
+            geom.material = "ground"
+        elif geom.name.startswith("wall"):
+            geom.rgba = _WALL
+            _lower(geom)
+        elif geom.name.startswith("platform"):
+            geom.rgba = _PLATFORM
+        elif geom.name.startswith("block"):
+            geom.rgba = _BLOCK
+        else:
+            geom.rgba = ROBOT
+    return spec
+
+
+def _lower(wall: mujoco.MjsGeom) -> None:
+    """Cut a wall down, from above, so that it hides nothing behind it; its physics is elsewhere."""
+    position, size = np.array(wall.pos), np.array(wall.size)
+    position[2] += _WALL_HALF_HEIGHT_M - size[2]
+    size[2] = _WALL_HALF_HEIGHT_M
+    wall.pos, wall.size = position, size
+
+
+def _ground(spec: mujoco.MjSpec) -> None:
+    """Add the material of the ground: squares, so that movement shows."""
+    spec.add_texture(
+        name="ground",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=_GROUND[0],
+        rgb2=_GROUND[1],
+        markrgb=_GROUND_LINE,
+        width=512,
+        height=512,
+    )
+    material = spec.add_material(name="ground", texuniform=True, texrepeat=[0.5 / _GROUND_SQUARES_M] * 2)
+    textures = list(material.textures)
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
+    material.textures = textures

@@ -1,0 +1,108 @@
+"""An interactive window, by MuJoCo's viewer: drag to turn, scroll to come nearer, close it to end."""
+
+from __future__ import annotations
+
+import atexit
+import sys
+import threading
+from collections.abc import Sequence
+from time import monotonic, sleep
+
+import mujoco
+
+from shes.drawing.markers import Marker
+from shes.drawing.mujoco_renderer import add_markers
+from shes.drawing.renderer import between
+from shes.drawing.scenery import decorate
+from shes.errors import ConfigError
+from shes.types import F64Array
+
+__all__ = ["Viewer"]
+
+_FRAMES_PER_STEP = 3
+_CLOSE_TIMEOUT_S = 10.0
+
+
+class Viewer:
+    """A window on one world, in real time."""
+
+    def __init__(self, spec: mujoco.MjSpec, step_s: float) -> None:
+        """Open a window on the world of `spec`, which gets its looks here; `show` takes `step_s` seconds.
+
+        Raises:
+            ConfigError: There is no screen.
+        """
+        _check_screen()
+        from mujoco import viewer
+
+        self._step_s = step_s
+        self._model = decorate(spec).compile()
+        self._data = mujoco.MjData(self._model)
+        before = set(threading.enumerate())
+        try:
+            self._window = viewer.launch_passive(self._model, self._data, show_left_ui=False, show_right_ui=False)
+        except RuntimeError as error:  # macOS, without mjpython
+            raise ConfigError(f"the viewer cannot start: {error}. On macOS run mjpython in place of python.") from error
+        self._threads = set(threading.enumerate()) - before
+        self._follow()
+        self._qpos: F64Array | None = None
+        self._due = monotonic()
+        atexit.register(self.close)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the window has not been closed."""
+        return self._window.is_running()
+
+    def _follow(self) -> None:
+        """Let the camera move with the robot."""
+        with self._window.lock():
+            camera = self._window.cam
+            camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+            camera.trackbodyid = self._model.body("torso").id
+            camera.azimuth, camera.elevation, camera.distance = 90.0, -42.0, 13.0
+
+    def show(self, qpos: F64Array, markers: Sequence[Marker] = (), *, is_new_episode: bool = False) -> None:
+        """Move from the last pose to `qpos` [nq], with `markers` about, in the time of a control step."""
+        start = qpos if self._qpos is None or is_new_episode else self._qpos
+        self._qpos = qpos.copy()
+        self._due = max(self._due, monotonic() - self._step_s)
+        for frame in range(1, _FRAMES_PER_STEP + 1):
+            if not self.is_open:
+                return
+            with self._window.lock():
+                self._data.qpos[:] = between(self._model, start, qpos, frame / _FRAMES_PER_STEP)
+                mujoco.mj_forward(self._model, self._data)
+                self._window.user_scn.ngeom = 0
+                add_markers(self._window.user_scn, markers)
+            self._window.sync()
+            self._due += self._step_s / _FRAMES_PER_STEP
+            sleep(max(0.0, self._due - monotonic()))
+
+    def close(self) -> None:
+        """Close the window; return when its thread has ended, because Python must not exit before it."""
+        atexit.unregister(self.close)
+        self._window.close()
+        for thread in self._threads:
+            thread.join(_CLOSE_TIMEOUT_S)
+
+
+def _check_screen() -> None:
+    """Refuse to open a window where there is no screen: MuJoCo's viewer would wait for it for ever.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    import warnings
+
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # GLFW warns of what the error below says
+        has_screen = bool(glfw.init())
+    if not has_screen:
+        where = "" if sys.platform == "darwin" else " (neither DISPLAY nor WAYLAND_DISPLAY leads to one)"
+        raise ConfigError(
+            f"there is no screen to open a window on{where}. Make a video instead: shes render RUN --out walk.mp4, "
+            'or render_mode="rgb_array".'
+        )

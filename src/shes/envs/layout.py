@@ -1,0 +1,43 @@
+"""What an observation is made of, element by element: spaces and documentation are made from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shes.types import F64Array
+
+__all__ = ["ObservationElement", "bounds", "elements"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationElement:
+    """One value of an observation."""
+
+    name: str
+    """Short name, unique in its observation: `torso_z`."""
+    meaning: str
+    """What it is, in a few words."""
+    unit: str = "1"
+    """Unit after scaling; `1` for a number without one."""
+    low: float = -np.inf
+    """Least value."""
+    high: float = np.inf
+    """Greatest value."""
+
+
+def elements(
+    names: Sequence[str], meaning: str, unit: str = "1", low: float = -np.inf, high: float = np.inf
+) -> tuple[ObservationElement, ...]:
+    """Return one element for each of `names`; `{}` in `meaning` stands for the name with spaces."""
+    return tuple(
+        ObservationElement(name=name, meaning=meaning.format(name.replace("_", " ")), unit=unit, low=low, high=high)
+        for name in names
+    )
+
+
+def bounds(layout: Sequence[ObservationElement]) -> tuple[F64Array, F64Array]:
+    """Return the least and the greatest values of an observation [O]."""
+    return np.array([each.low for each in layout]), np.array([each.high for each in layout])

@@ -1,0 +1,131 @@
+"""One episode of a trained agent, step by step, with what is worth seeing of it: for videos and the viewer."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from shes.drawing.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
+from shes.envs.task import CONTROL_STEP_S, Task
+from shes.errors import ConfigError
+from shes.es.level import TrainState
+from shes.es.streams import Purpose
+from shes.experiments.build import build_task
+from shes.experiments.evaluate import evaluation_seeds
+from shes.experiments.play import Agent
+from shes.experiments.run_folder import RunFolder
+from shes.types import F64Array
+
+__all__ = ["Moment", "Playback"]
+
+_TRAIL_STEPS = 150
+_GOAL_RADIUS_M = 0.45
+_ABOVE_GROUND_M = 0.03
+_LINE_RADIUS_M = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """One control step."""
+
+    qpos: F64Array
+    """Pose of everything [nq]."""
+    markers: list[Marker]
+    """What the task shows, the controller's goal, the robot's trail."""
+    caption: str
+    """Checkpoint, time and score, and how the episode ended."""
+
+
+class Playback:
+    """Episodes of one checkpoint, under the conditions of evaluation."""
+
+    def __init__(self, run: Path, checkpoint: str, seed: int | None = None, steps: int | None = None) -> None:
+        """Load `checkpoint` of `run`.
+
+        Args:
+            run: The run folder.
+            checkpoint: `best`, `last` or the number of a generation.
+            seed: Seed of the episodes, as `evaluate` takes it.
+            steps: Control steps after which an episode ends; evaluation's horizon if none.
+
+        Raises:
+            RunFolderError: `run` is not a run folder.
+            CheckpointError: The checkpoint is missing or damaged.
+            ConfigError: `seed` is negative or `steps` is not positive.
+        """
+        if seed is not None and seed < 0:
+            raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
+        if steps is not None and steps < 1:
+            raise ConfigError(f"steps must be a whole number of at least 1, got {steps}. Set --steps.")
+        folder = RunFolder.open(run)
+        config = folder.read_config()
+        state = folder.load(checkpoint).state
+        self.name = f"{checkpoint} (generation {state.generation})" if not checkpoint.isdecimal() else checkpoint
+        self.steps = steps or config.evaluation_horizon or config.horizon
+        self._agent = Agent(config, state.levels)
+        self._task = build_task(config, 1, is_evaluation=True)
+        self._draws = state if seed is None else TrainState(seed=seed, generation=0, env_steps=0, levels=state.levels)
+
+    def make_spec(self) -> mujoco.MjSpec:
+        """Return the world."""
+        return self._task.build_spec(self._task.body, self._task.options)
+
+    def seed_of(self, episode: int) -> int:
+        """Return the seed of the `episode`-th of the episodes that `evaluate` runs.
+
+        Raises:
+            ConfigError: `episode` is negative.
+        """
+        if episode < 0:
+            raise ConfigError(f"episode must be a whole number of at least 0, got {episode}. Set --episode.")
+        return evaluation_seeds(self._draws, episode + 1, Purpose.FRESH_EPISODES)[episode]
+
+    def play(self, seed: int) -> Iterator[Moment]:
+        """Yield the moments of the episode with this seed, the start first."""
+        task, one = self._task, np.array([0])
+        task.reset(one, [seed])
+        self._agent.reset()
+        trail = deque([task.position[0].copy()], maxlen=_TRAIL_STEPS)
+        for step in range(self.steps):
+            action = self._agent.act(task.observe()[0])
+            yield self._moment(step, trail, "")
+            task.step(one, action[None] * task.control_limit)
+            trail.append(task.position[0].copy())
+            ending = _ending(task, step + 1 == self.steps)
+            if ending:
+                yield self._moment(step + 1, trail, ending)
+                return
+
+    def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
+        task = self._task
+        parts = [self.name, f"{step * CONTROL_STEP_S:.1f} s", f"score {task.score[0]:.1f}", ending]
+        return Moment(
+            qpos=task.sim.qpos[0].copy(),
+            markers=[*task.markers(0), *_goal_and_trail(self._agent.goal[0], trail, task.ground_m)],
+            caption=" · ".join(part for part in parts if part),
+        )
+
+
+def _ending(task: Task, is_last: bool) -> str:
+    """Return why the episode has ended, in a word or two; nothing while it goes on."""
+    if task.diverged[0]:
+        return "diverged"
+    if task.terminated[0]:
+        return "ended"
+    return "time is up" if is_last else ""
+
+
+def _goal_and_trail(goal: F64Array, trail: deque[F64Array], ground: float) -> list[Marker]:
+    """Return the controller's goal, a line to it, the way that the robot came, and a spot under the robot."""
+    height = ground + _ABOVE_GROUND_M
+    places = [(*place, height) for place in trail]
+    way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
+    to_goal = line(places[-1], (*goal, height), _LINE_RADIUS_M / 2, GOAL)
+    spot = disc(places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
+    return [*way, spot, to_goal, disc((*goal, height), _GOAL_RADIUS_M, GOAL)]

@@ -1,0 +1,290 @@
+"""What every environment promises to Gymnasium's users, over the registry: single and vector, made by id."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode
+
+import shes  # registers
+from shes.envs.registration import MAX_EPISODE_STEPS, gymnasium_id
+from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.task import TaskOptions
+from shes.errors import ConfigError, PolicyError, ShapeError, ShesError, UnknownNameError
+
+assert shes
+
+NUM_ENVS = 4
+
+pytestmark = pytest.mark.parametrize("name", ENVIRONMENTS)
+
+
+def make(name, **options):
+    return gymnasium.make(gymnasium_id(name), **options)
+
+
+def make_vector(name, num_envs=NUM_ENVS, **options):
+    return gymnasium.make_vec(gymnasium_id(name), num_envs=num_envs, **options)
+
+
+def draw_actions(env, steps, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-1, 1, (steps, *env.action_space.shape)).astype(np.float32)
+
+
+def rollout(env, actions, seed):
+    """Return everything that `env` shows from a reset with `seed` on, to the end of its episode."""
+    shown = [env.reset(seed=seed)]
+    for action in actions:
+        shown.append(env.step(action))
+        if np.any(shown[-1][2]) or np.any(shown[-1][3]):
+            break
+    return shown
+
+
+def test_gymnasiums_checker_warns_of_unbounded_observations_alone(name):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(make(name).unwrapped, skip_render_check=True)
+    others = [str(warning.message) for warning in caught if "infinity" not in str(warning.message)]
+    assert others == []
+    assert len(caught) <= 2
+
+
+def test_making_and_playing_warns_of_nothing(name):
+    env = make(name)  # with Gymnasium's passive checker; warnings are errors
+    env.reset(seed=0)
+    for action in draw_actions(env, 5):
+        env.step(action)
+    env.close()
+    vector = make_vector(name)
+    vector.reset(seed=0)
+    vector.step(vector.action_space.sample())
+    vector.close()
+
+
+def test_spaces_are_those_of_the_task(name):
+    env, task = make(name), make_task(name, 1)
+    assert env.observation_space.shape == (task.observation_size,)
+    assert env.observation_space.dtype == np.float64
+    assert env.action_space == gymnasium.spaces.Box(-1, 1, (task.action_size,), np.float32)
+    for shown in rollout(env, draw_actions(env, 60), seed=3):
+        assert shown[0] in env.observation_space
+    assert {element.name for element in task.layout}.__len__() == task.observation_size
+
+
+def test_an_episode_is_the_tasks_with_that_seed(name):
+    env, task, actions = make(name), make_task(name, 1, TaskOptions()), draw_actions(make(name), 40)
+    task.reset(np.array([0]), [17])
+    observation, info = env.reset(seed=17)
+    np.testing.assert_array_equal(observation, task.observe()[0])
+    total = 0.0
+    for action in actions:
+        observation, reward, terminated, _, info = env.step(action)
+        task.step(np.array([0]), np.float64(action)[None] * task.control_limit)
+        np.testing.assert_array_equal(observation, task.observe()[0])
+        assert (reward, terminated) == (task.reward[0], task.terminated[0] or task.diverged[0])
+        total += reward
+        if terminated:
+            break
+    assert total == pytest.approx(task.running_return[0])
+    assert info["score"] == task.score[0]
+
+
+def test_a_seed_gives_the_same_trajectory_single_and_vector(name):
+    env, vector = make(name), make_vector(name)
+    seeds = [5, 6, 7, 8]
+    actions = draw_actions(vector, 25)
+    many = rollout(vector, actions, seed=5)
+    for i, seed in enumerate(seeds):
+        alone = rollout(env, actions[:, i], seed)
+        for one, all_of_them in zip(alone, many, strict=False):
+            for left, right in zip(one[:-1], all_of_them[:-1], strict=True):
+                np.testing.assert_array_equal(left, right[i])
+            for key, value in one[-1].items():
+                np.testing.assert_array_equal(value, all_of_them[-1][key][i], err_msg=key)
+
+
+def test_episodes_without_a_seed_follow_from_the_seed_before(name):
+    env, same, other = make(name), make(name), make(name)
+    starts = []
+    for each, seed in ((env, 1), (same, 1), (other, 2)):
+        each.reset(seed=seed)
+        starts.append([each.reset()[0] for _ in range(2)])
+    np.testing.assert_array_equal(starts[0], starts[1])
+    assert (starts[0][0] != starts[0][1]).any()
+    assert (np.array(starts[0]) != np.array(starts[2])).any()
+
+
+def test_without_any_seed_episodes_differ(name):
+    assert (make(name).reset()[0] != make(name).reset()[0]).any()
+    starts = make_vector(name).reset()[0]
+    assert len(np.unique(starts, axis=0)) == NUM_ENVS
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_the_vector_environment_equals_gymnasiums_over_single_ones(name, mode):
+    ours = make_vector(name, autoreset_mode=mode, max_episode_steps=7)
+    theirs = make_vector(
+        name, vectorization_mode="sync", vector_kwargs={"autoreset_mode": AutoresetMode(mode)}, max_episode_steps=7
+    )
+    assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
+    for space in ("observation_space", "action_space", "single_observation_space", "single_action_space"):
+        assert getattr(ours, space) == getattr(theirs, space), space
+    assert data_equivalence(ours.reset(seed=11), theirs.reset(seed=11))
+    for action in draw_actions(ours, 25):
+        assert data_equivalence(ours.step(action), theirs.step(action))
+
+
+def test_without_autoreset_the_user_resets_who_has_ended(name):
+    ours = make_vector(name, autoreset_mode="Disabled", max_episode_steps=3)
+    theirs = make_vector(
+        name, vectorization_mode="sync", vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED}, max_episode_steps=3
+    )
+    assert data_equivalence(ours.reset(seed=1), theirs.reset(seed=1))
+    actions = draw_actions(ours, 5)
+    for action in actions[:3]:
+        shown = ours.step(action)
+        assert data_equivalence(shown, theirs.step(action))
+    assert shown[3].all()
+    with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
+        ours.step(actions[3])
+    mask = np.array([True, False, True, True])
+    ours.reset(options={"reset_mask": mask.copy()})
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        ours.step(actions[3])
+    first = ours.reset(seed=4, options={"reset_mask": ~mask})
+    assert first[1]["_score"].tolist() == (~mask).tolist()
+    ours.step(actions[3])
+
+
+def test_the_time_limit_truncates_and_can_be_moved(name):
+    env = make(name)
+    assert env.spec.max_episode_steps == MAX_EPISODE_STEPS == 500
+    for limit in (3, 7):
+        shown = rollout(make(name, max_episode_steps=limit), draw_actions(env, 20) * 0, seed=0)
+        assert len(shown) == limit + 1
+        assert shown[-1][3] is True
+        assert not any(step[3] for step in shown[1:-1])
+
+
+def test_info_carries_what_a_user_wants_to_know(name):
+    env = make(name)
+    _, info = env.reset(seed=0)
+    _, _, _, _, later = env.step(draw_actions(env, 1)[0])
+    for found in (info, later):
+        assert type(found["success"]) is bool
+        assert type(found["diverged"]) is bool
+        assert not found["diverged"]
+        for key in ("score", "distance", "heading"):
+            assert type(found[key]) is float, key
+        assert found["position"].shape == (2,)
+        assert found["distance"] > 0
+    counts = make_task(name, 1).counts
+    assert set(info) == {"success", "score", "distance", "position", "heading", "diverged", *counts}
+    for key in counts:
+        assert type(info[key]) is int
+
+
+def test_what_is_returned_does_not_change_later(name):
+    vector = make_vector(name)
+    observation, info = vector.reset(seed=0)
+    first = vector.step(draw_actions(vector, 1)[0])
+    before = [observation.copy(), info["position"].copy(), *(part.copy() for part in first[:4])]
+    vector.step(draw_actions(vector, 1, seed=1)[0])
+    after = [observation, info["position"], *first[:4]]
+    for left, right in zip(before, after, strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
+def test_a_diverged_simulation_ends_its_episode(name):
+    env = make(name).unwrapped
+    env.reset(seed=0)
+    env._adapter.task.sim.qvel[0, 0] = 1e12
+    _, reward, terminated, _, info = env.step(np.zeros(env.action_space.shape))
+    assert terminated
+    assert info["diverged"]
+    assert (reward, info["score"], info["success"]) == (0, 0, False)
+
+
+def test_actions_are_scaled_to_the_controls(name):
+    env = make(name).unwrapped
+    env.reset(seed=0)
+    env.step(np.full(env.action_space.shape, 0.5))
+    task = env._adapter.task
+    np.testing.assert_array_equal(task.sim.ctrl[0], 0.5 * task.control_limit)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_action_that_is_no_number_is_refused(name, value):
+    env, vector = make(name).unwrapped, make_vector(name)
+    env.reset(seed=0)
+    vector.reset(seed=0)
+    with pytest.raises(PolicyError, match=r"NaN or infinity; actions lie in \[-1, 1\]"):
+        env.step(np.full(env.action_space.shape, value))
+    with pytest.raises(PolicyError, match="NaN or infinity"):
+        vector.step(np.full(vector.action_space.shape, value))
+
+
+def test_an_action_of_another_shape_is_refused(name):
+    env, vector = make(name).unwrapped, make_vector(name)
+    size = env.action_space.shape[0]
+    env.reset(seed=0)
+    vector.reset(seed=0)
+    with pytest.raises(ShapeError, match=rf"{name} has shape \({size},\); got \({size + 1},\)"):
+        env.step(np.zeros(size + 1))
+    with pytest.raises(ShapeError, match=rf"in each of {NUM_ENVS} environments; got \({NUM_ENVS + 1}, {size}\)"):
+        vector.step(np.zeros((NUM_ENVS + 1, size)))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"integrater": "rk4"}, ConfigError, "no option 'integrater'. Options: integrator"),
+        ({"integrator": "rk5"}, UnknownNameError, "Did you mean 'rk4'"),
+        ({"reset_noise": -1}, ConfigError, "reset_noise must be"),
+        ({"camera": "left"}, UnknownNameError, "unknown camera 'left'"),
+    ],
+)
+def test_a_wrong_option_is_refused(name, options, error, message):
+    with pytest.raises(error, match=message):
+        make(name, **options)
+    with pytest.raises(error, match=message):
+        make_vector(name, **options)
+
+
+def test_options_reach_the_task(name):
+    env = make(name, reset_noise=0.0, integrator="rk4").unwrapped
+    env.reset(seed=0)
+    task = env._adapter.task
+    np.testing.assert_array_equal(task.sim.qpos[0], task.sim.model.qpos0)
+    assert task.options.integrator == "rk4"
+
+
+def test_a_wrong_use_of_the_vector_environment_is_refused(name):
+    vector = make_vector(name)
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
+        vector.step(vector.action_space.sample())
+    with pytest.raises(ConfigError, match=r"one for each of 4 environments; got \[1, 2\]"):
+        vector.reset(seed=[1, 2])
+    for mask in (np.ones(3, bool), np.ones(4), [True] * 4):
+        with pytest.raises(ConfigError, match=r"Boolean array of shape \(4,\)"):
+            vector.reset(options={"reset_mask": mask})
+    with pytest.raises(ConfigError, match="at least one True"):
+        vector.reset(options={"reset_mask": np.zeros(4, bool)})
+    with pytest.raises(ConfigError, match=r"autoreset_mode must be one of .*NextStep.*; got 'later'"):
+        make_vector(name, autoreset_mode="later")
+    with pytest.raises(ConfigError, match="num_envs must be"):
+        make_vector(name, num_envs=0)
+
+
+def test_render_needs_a_mode(name):
+    env, vector = make(name).unwrapped, make_vector(name)
+    for each in (env, vector):
+        each.reset(seed=0)
+        with pytest.raises(ShesError, match='render_mode="rgb_array"'):
+            each.render()
+    with pytest.raises(UnknownNameError, match="unknown render_mode 'ansi'"):
+        type(env)(name, render_mode="ansi")
