@@ -1,4 +1,4 @@
-"""The command line: what it prints, aliases, help, JSON. Wrong input is in e2e/test_bad_input.py."""
+"""The command line: what it prints, aliases, JSON, modules of the user. Wrong input is in e2e/test_bad_input.py."""
 
 import json
 import re
@@ -7,14 +7,13 @@ import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from shes import cli
 from shes.cli import main
 from shes.envs.registry import ENVIRONMENTS
-from shes.experiments.config import TrainConfig
-from shes.experiments.presets import PRESETS
+from shes.errors import ConfigError
 from shes.experiments.run_folder import RunFolder
 from tests.e2e import runs
 
@@ -32,10 +31,7 @@ def shes(capsys):
     """Return a function that runs a command line that succeeds, and returns what it printed."""
 
     def run(*words):
-        try:
-            code = main([str(word) for word in words])
-        except SystemExit as left:  # tyro leaves by itself after its help
-            code = left.code
+        code = main([str(word) for word in words])
         out, err = capsys.readouterr()
         assert (code, err) == (0, "")
         return out
@@ -43,42 +39,8 @@ def shes(capsys):
     return run
 
 
-@pytest.mark.parametrize("words", [[], ["--help"], ["-h"], ["help"]])
-def test_help_names_every_command(shes, words):
-    text = shes(*words)
-    for command in ("envs", "train", "resume", "evaluate", "plot", "bench"):
-        assert re.search(rf"^  {command} +\w", text, re.MULTILINE)
-    assert "First steps: shes train point-gather" in text
-
-
-def test_the_commands_are_those_of_the_help():
-    assert set(cli._COMMANDS) == {"envs", "train", "resume", "evaluate", "plot", "bench"}
-
-
 def test_version(shes):
     assert shes("--version") == f"shes {version('shes')}\n"
-
-
-@pytest.mark.parametrize("command", ["resume", "evaluate", "plot", "envs"])
-def test_every_command_explains_itself(shes, command):
-    text = shes(command, "--help")
-    assert text.startswith(f"usage: shes {command}")
-
-
-def test_train_explains_every_setting_with_the_values_of_the_preset(shes):
-    text = shes("train", "point-gather", "--preset", "paper", "--help")
-    for setting in TrainConfig.__dataclass_fields__:
-        assert "--" + setting.replace("_", "-") in text
-    assert "preset 'paper'" in text
-    assert re.search(r"--sigma FLOAT.*?\(default: 0\.02\)", text, re.DOTALL)
-    assert re.search(r"--hidden .*?\(default: 256 256 256\)", text, re.DOTALL)
-    assert all(name in text for name in (*ENVIRONMENTS, *PRESETS))
-    assert "preset 'laptop'" in shes("train", "--help")
-
-
-def test_bench_explains_itself(shes):
-    assert "usage: shes bench {rollout,update}" in shes("bench")
-    assert "usage: shes bench {rollout,update}" in shes("bench", "--help")
 
 
 def test_envs_lists_the_registry(shes):
@@ -170,10 +132,142 @@ def test_bench_prints_a_table_or_json(shes):
     assert re.search(r"ratio +│ +[\d.]+ ", shes("bench", "rollout", *small))
 
 
-def test_the_installed_command_and_the_module_are_the_same_program():
+def test_flags_may_be_written_with_underscores_before_the_environment_and_none_is_a_value(shes, tmp_path):
+    path = tmp_path / "run"
+    words = ["--preset", "smoke", "--population_size", "4", "point-gather", "--hidden", "4", "3", "--horizon", "5"]
+    none = ["--evaluation-horizon", "none", "--backend", "serial"]
+    shes("train", *words, *none, "--generations", 1, "--no-minimum-goal-distance", "--weight-decay=0", "--out", path)
+    config = RunFolder.open(path).read_config()
+    assert (config.env, config.population_size, config.hidden) == ("point-gather", 4, (4, 3))
+    assert (config.evaluation_horizon, config.minimum_goal_distance, config.weight_decay) == (None, False, 0)
+
+
+# Ctrl-C.
+
+
+@pytest.mark.parametrize("command", ["train", "resume"])
+def test_ctrl_c_before_the_first_generation_says_how_to_go_on(capsys, tmp_path, tiny_run, monkeypatch, command):
+    def interrupted(*arguments, **keywords):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("shes.experiments.train._go_on", interrupted)
+    path, more = tmp_path / "a run", ["--out", str(tmp_path / "a run")]
+    words = ["point-gather", *TINY, *more] if command == "train" else [str(tiny_run), "--generations", "9"]
+    assert main([command, *words]) == 130
+    out, err = capsys.readouterr()
+    found = shlex.quote(str(path)) if command == "train" else tiny_run
+    assert out.endswith(f"Go on: shes resume {found}\n")
+    assert err == "Interrupted.\n"
+
+
+def test_ctrl_c_before_there_is_a_run_promises_nothing(capsys, tmp_path, monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("shes.experiments.train.build_design", interrupted)
+    assert main(["train", "point-gather", *TINY, "--out", str(tmp_path / "run")]) == 130
+    assert capsys.readouterr() == ("", "Interrupted.\n")
+
+
+# Videos and windows: what is behind them has its own tests.
+
+
+def test_render_hands_on_its_flags_and_says_where_the_video_is(shes, monkeypatch):
+    given = []
+
+    def render(*places, **keywords):
+        keywords.pop("on_step")(1, 2)
+        given.append((*places, keywords))
+        return places[1]
+
+    monkeypatch.setitem(sys.modules, "shes.experiments.render", SimpleNamespace(render=render))
+    assert shes("render", "a run") == "Video: walk.mp4\n"
+    rest = ["--camera", "top", "--episode", 3, "--seed", 7, "--size", 240, "--steps", 50, "--out", "b.mp4"]
+    assert shes("render", "--checkpoint", "0", "last", "--out=x.mp4", "a run", *rest) == "Video: b.mp4\n"
+    plain = {"checkpoints": ("best",), "camera": "both", "episode": 0, "seed": None, "size": 480, "steps": None}
+    asked = {"checkpoints": ("0", "last"), "camera": "top", "episode": 3, "seed": 7, "size": 240, "steps": 50}
+    assert given == [(Path("a run"), Path("walk.mp4"), plain), (Path("a run"), Path("b.mp4"), asked)]
+
+
+def test_watch_hands_on_its_flags(shes, monkeypatch):
+    given = []
+
+    def watch(run, **keywords):
+        given.append((run, keywords))
+
+    monkeypatch.setitem(sys.modules, "shes.experiments.watch", SimpleNamespace(watch=watch))
+    shes("watch", "a run")
+    shes("watch", "a run", "--checkpoint", "12", "--seed", 3)
+    assert given == [
+        (Path("a run"), {"checkpoint": "best", "seed": None}),
+        (Path("a run"), {"checkpoint": "12", "seed": 3}),
+    ]
+
+
+# Modules of the user.
+
+
+@pytest.fixture
+def own_module(tmp_path, monkeypatch):
+    """Return a function that writes a module of this content and returns its name; afterwards all is forgotten."""
+
+    def write(content):
+        name = f"own_module_{tmp_path.name}"
+        (tmp_path / f"{name}.py").write_text(content)
+        return name
+
+    monkeypatch.syspath_prepend(tmp_path)
+    before = dict(ENVIRONMENTS)
+    yield write
+    ENVIRONMENTS.clear()
+    ENVIRONMENTS.update(before)
+
+
+OWN = """
+from shes.envs.gather import Gather
+from shes.envs.point import Point
+from shes.envs.registry import register_environment
+
+register_environment("point-own", Point, Gather)
+"""
+
+
+def test_an_environment_of_an_imported_module_can_be_used_like_any_other(shes, tmp_path, own_module):
+    name = own_module(OWN)
+    rows = json.loads(shes("envs", "--json", "--import", name, "--import=json"))
+    assert [row["name"] for row in rows][-1] == "point-own"
+    assert "ant-gather, point-gather, point-own" in shes(f"--import={name}", "train", "--help")
+    path = tmp_path / "run"
+    shes("train", "--import", name, "point-own", *TINY, "--generations", 1, "--out", path)
+    shes("resume", path, "--generations", 2, "--import", name)
+    assert json.loads(shes("evaluate", path, "--episodes", 2, "--workers", 1, "--json", "--import", name))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("raise ValueError('not today')", r"--import NAME: the module failed: ValueError: not today\."),
+        ("import there_is_none", r"the module failed: ModuleNotFoundError: No module named 'there_is_none'"),
+        ("import sys; sys.exit('bye')", r"the module failed: SystemExit: bye\."),
+        (OWN.replace("point-own", "Point Own"), r"the module failed: ConfigError: .*'Point Own'"),
+    ],
+)
+def test_a_module_that_fails_is_an_error_that_names_it(capsys, own_module, content, message):
+    name = own_module(content)
+    assert main(["envs", "--import", name]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert re.search(message.replace("NAME", name), err)
+    with pytest.raises(ConfigError) as error:
+        main(["envs", "--import", name, "--debug"])
+    assert error.value.__cause__ is not None
+
+
+def test_the_installed_command_and_the_modules_are_the_same_program():
     shes = Path(sys.executable).with_name("shes")
-    by_name, by_module = (
-        subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        for command in ([str(shes), "--version"], [*runs.COMMAND, "--version"])
-    )
-    assert by_name == by_module == f"shes {version('shes')}\n"
+    module = [sys.executable, "-m", "shes"]
+    found = {
+        subprocess.run([*command, "--version"], capture_output=True, text=True, check=True).stdout
+        for command in ([str(shes)], module, list(runs.COMMAND))
+    }
+    assert found == {f"shes {version('shes')}\n"}

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from shes.envs.registry import check_name
+from shes.envs.registry import ENVIRONMENTS, check_name
 from shes.envs.worlds import INTEGRATORS
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS, check_population
 from shes.es.ranking import TIES
-from shes.hierarchy.goals import GOAL_ENCODINGS
-from shes.hierarchy.rewards import PRIMITIVE_REWARDS
+from shes.hierarchy.goals import GOAL_ENCODINGS, check_goal_encoding
+from shes.hierarchy.rewards import PRIMITIVE_REWARDS, check_primitive_reward
 from shes.policies.mlp import BIAS_INITIALISATIONS
 
-__all__ = ["BACKENDS", "EXECUTION_FIELDS", "TrainConfig", "check_fields", "flag"]
+__all__ = ["BACKENDS", "EXECUTION_FIELDS", "HEADINGS", "TrainConfig", "check_fields", "choices", "flag"]
 
 BACKENDS = ("processes", "serial")
 
@@ -28,14 +28,34 @@ EXECUTION_FIELDS = frozenset(
 )
 """Settings that say how, where and how long, and never change a number of a generation."""
 
+HEADINGS: dict[str, str] = {
+    "env": "run",
+    "backend": "workers",
+    "population_size": "population and update",
+    "hidden": "networks",
+    "controller_interval": "hierarchy",
+    "horizon": "episodes and environment",
+    "evaluation_interval": "evaluation, checkpoints, memory",
+}
+"""Where the sections of `TrainConfig` begin, and what the help of `shes train` calls them."""
+
 _CHOICES: dict[str, tuple[str, ...]] = {
     "backend": BACKENDS,
     "biases": BIAS_INITIALISATIONS,
-    "goal_encoding": tuple(GOAL_ENCODINGS),
     "integrator": tuple(INTEGRATORS),
     "mirrored": MIRRORINGS,
-    "primitive_reward": tuple(PRIMITIVE_REWARDS),
     "rank_ties": TIES,
+}
+_REGISTERED: dict[str, Callable[[str], None]] = {
+    "env": check_name,
+    "goal_encoding": check_goal_encoding,
+    "primitive_reward": check_primitive_reward,
+}
+"""Names that users may add to, and what refuses an unknown one."""
+_REGISTRIES: dict[str, Mapping[str, Any]] = {
+    "env": ENVIRONMENTS,
+    "goal_encoding": GOAL_ENCODINGS,
+    "primitive_reward": PRIMITIVE_REWARDS,
 }
 _AT_LEAST: dict[str, int] = {
     "chunk_size": 0,
@@ -79,7 +99,7 @@ class TrainConfig:
     backend: str = "processes"
     """Where the work is done: processes (on this machine) or serial (in this process)."""
     num_workers: int = 0
-    """Worker processes; 0 is one for every core. Never changes a number. Short: --workers."""
+    """Worker processes; 0 is one for every core. Never changes a number."""
     chunk_size: int = 0
     """Policies that a worker runs in lockstep; 0 chooses. Never changes a number."""
 
@@ -145,10 +165,11 @@ class TrainConfig:
         """
         for field in fields(self):
             object.__setattr__(self, field.name, _plain(getattr(self, field.name)))
-        for name in ("env", "preset", *_CHOICES):
+        for name in (*_REGISTERED, "preset", *_CHOICES):
             if not isinstance(getattr(self, name), str):
                 raise _out_of_range(name, getattr(self, name), "a name")
-        check_name(self.env)
+        for name, check in _REGISTERED.items():
+            check(getattr(self, name))
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 raise UnknownNameError(name.replace("_", " "), str(getattr(self, name)), choices, f"Set {flag(name)}.")
@@ -214,6 +235,11 @@ class TrainConfig:
 def flag(name: str) -> str:
     """Return the flag of `train` that sets field `name`."""
     return "--" + {"num_workers": "workers"}.get(name, name).replace("_", "-")
+
+
+def choices(name: str) -> tuple[str, ...]:
+    """Return the names that setting `name` may have; none where it is no name."""
+    return tuple(_CHOICES.get(name) or _REGISTRIES.get(name, ()))
 
 
 def check_fields(names: Mapping[str, Any]) -> None:

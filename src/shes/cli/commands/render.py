@@ -1,0 +1,67 @@
+"""`shes render`: a video of a run's policy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from shes.cli.command import Command
+from shes.cli.options import Group, Shown, options_of
+from shes.cli.output import print_line
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """What `shes render` takes."""
+
+    run: Annotated[Path, Shown(metavar="RUN", noun="a run folder")]
+    """The run folder."""
+    out: Path = Path("walk.mp4")
+    """The video: .mp4 or .gif."""
+    checkpoint: Annotated[tuple[str, ...], Shown(metavar="{best,last,NUMBER}", choices=("best", "last"))] = ("best",)
+    """Which checkpoint; a number is that of a generation. Several are drawn side by side."""
+    camera: Annotated[str, Shown(choices=("both", "follow", "top"))] = "both"
+    """Where to look from."""
+    episode: int = 0
+    """Which of the episodes that `shes evaluate` runs, from 0."""
+    seed: int | None = None
+    """Seed of the episodes; that of `shes evaluate` if none."""
+    size: int = 480
+    """Pixels of one view, in each direction."""
+    steps: int | None = None
+    """Control steps at most; the whole episode if none."""
+
+
+def _run(values: dict[str, Any]) -> int:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from shes.experiments.render import render
+
+    given = Arguments(**values)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("drawing", total=None)
+        video = render(
+            given.run,
+            given.out,
+            checkpoints=given.checkpoint,
+            camera=given.camera,
+            episode=given.episode,
+            seed=given.seed,
+            size=given.size,
+            steps=given.steps,
+            on_step=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    print_line(f"Video: {video}")
+    return 0
+
+
+COMMAND = Command(
+    name="render",
+    description="Make a video of a run's policy.",
+    examples=("shes render runs/first --out walk.mp4", "shes render runs/first --checkpoint 0 best --camera follow"),
+    groups=(Group(heading="run and flags", options=options_of(Arguments)),),
+    run=_run,
+)

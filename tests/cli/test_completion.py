@@ -1,0 +1,109 @@
+"""Completion by the tab key. bash is tried; the other shells read their script if they are there."""
+
+import shutil
+import subprocess
+
+import pytest
+
+from shes.cli import main
+from shes.cli.commands import SUMMARIES
+from shes.envs.registry import ENVIRONMENTS
+from shes.experiments.config import TrainConfig, flag
+
+SHELLS = ("bash", "zsh", "fish", "tcsh")
+
+
+@pytest.fixture
+def script(capsys):
+    """Return a function that returns the script for a shell."""
+
+    def make(shell):
+        assert main(["completion", shell]) == 0
+        out, err = capsys.readouterr()
+        assert err == ""
+        return out
+
+    return make
+
+
+@pytest.fixture
+def complete(script, tmp_path):
+    """Return a function that presses the tab key in bash after each line, in one bash, and returns what is offered."""
+    (tmp_path / "shes.bash").write_text(script("bash"))
+    (tmp_path / "a run").mkdir()
+    (tmp_path / "a file").touch()
+
+    def press(*lines):
+        program = ["source ./shes.bash"]
+        for line in lines:
+            words = " ".join(f"'{word}'" for word in line.replace("=", " = ").split(" "))
+            program += [f"COMP_WORDS=({words}) COMPREPLY=()", "COMP_CWORD=$((${#COMP_WORDS[@]} - 1))", "_shes"]
+            program += ["printf '%s,' \"${COMPREPLY[@]}\"", "echo"]
+        # -u: a variable that is not set is an error.
+        done = subprocess.run(
+            ["bash", "--norc", "-u"], input="\n".join(program), cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        assert done.stderr == ""
+        return [[word for word in offered.split(",") if word] for offered in done.stdout.splitlines()]
+
+    return press
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_completes_commands_flags_environments_presets_and_choices(complete):
+    expected = {
+        "shes ": list(SUMMARIES),
+        "shes tr": ["train"],
+        "shes --ver": ["--version"],
+        "shes train ": list(ENVIRONMENTS),
+        "shes train po": ["point-gather"],
+        "shes train --sig": ["--sigma"],
+        "shes train point-gather --work": ["--workers"],
+        "shes train --no-c": ["--no-common-random-numbers"],
+        "shes train --hidden 8 8 ant": ["ant-gather"],
+        "shes train --preset ": ["paper", "laptop", "smoke"],
+        "shes train --preset=la": ["laptop"],
+        "shes train --mirrored=": ["quad", "pair", "none"],
+        "shes train --sigma ": [],
+        "shes --import mine train po": ["point-gather"],
+        "shes --import=mine train po": ["point-gather"],
+        "shes --import ": [],
+        "shes bench ": ["rollout", "update"],
+        "shes bench rollout ": list(ENVIRONMENTS),
+        "shes resume ": ["a run"],
+        "shes train --out a": ["a file", "a run"],
+        "shes render --camera ": ["both", "follow", "top"],
+        "shes evaluate run --js": ["--json"],
+        "shes completion ": list(SHELLS),
+        "shes nonsense ": [],
+    }
+    found = dict(zip(expected, complete(*expected), strict=True))
+    assert {line: sorted(words) for line, words in found.items()} == {
+        line: sorted(words) for line, words in expected.items()
+    }
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_offers_every_setting_once_the_environment_is_there(complete):
+    (flags,) = complete("shes train ant-gather ")
+    assert {flag(name) for name in TrainConfig.__dataclass_fields__ if name != "env"} <= set(flags)
+    assert "--num-workers" not in flags
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_every_shell_has_a_script_with_all_the_words(script, shell, tmp_path):
+    text = script(shell)
+    assert text.endswith("\n")
+    for word in (*SUMMARIES, *ENVIRONMENTS, "laptop", "population-size", "glorot_normal"):
+        assert word in text
+    if shutil.which(shell):
+        file = tmp_path / "script"
+        file.write_text(text)
+        subprocess.run([shell, "-n", str(file)], check=True, capture_output=True)
+
+
+def test_the_help_says_how_to_install_it(capsys):
+    assert main(["completion", "--help"]) == 0
+    text = capsys.readouterr().out
+    for shell in SHELLS:
+        assert f"  shes completion {shell} > " in text
