@@ -12,7 +12,7 @@ from shes.algorithm import Settings, evolve
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
-from shes.envs.registry import make_task
+from shes.envs.registry import find_environment, make_task
 from shes.envs.task import TaskOptions
 from shes.errors import ConfigError
 from shes.es.level import LevelState, TrainState, UpdateRule
@@ -300,7 +300,7 @@ def _point_gather():
 def _point_gather_run(make_backend, table, *, chunk_size=0, settings=SETTINGS, generations=3):
     design, state = _point_gather()
     plan = WorkerPlan(
-        env="point-gather",
+        env=find_environment("point-gather"),
         training=TaskOptions(),
         evaluation=TaskOptions(evaluation=True),
         design=design,

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from shes.envs.registry import make_task
+from shes.envs.registry import find_environment, make_task
 from shes.envs.task import TaskOptions
 from shes.errors import StorageError
 from shes.es.level import LevelParameters
@@ -32,7 +32,7 @@ def _plan(**changes):
         control_limit=task.control_limit,
     )
     plan = {
-        "env": "point-gather",
+        "env": find_environment("point-gather"),
         "training": TaskOptions(),
         "evaluation": TaskOptions(evaluation=True),
         "design": design,

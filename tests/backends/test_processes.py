@@ -4,14 +4,16 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+import types
 
 import psutil
 import pytest
 
 from shes.backends.processes import MAX_LOSSES, ProcessesBackend
 from shes.errors import ConfigError, WorkerError
-from tests.backends.workers import Worker, start_dying, start_failing, start_refusing
+from tests.backends.workers import Worker, start_dying, start_failing, start_refusing, start_sigterm
 from tests.e2e import runs
 
 
@@ -74,8 +76,8 @@ def test_a_worker_killed_before_a_broadcast_is_replaced_and_gets_the_new_state(b
 def test_a_task_that_always_kills_its_worker_is_an_error_that_names_the_fix(backend, tmp_path):
     diary = tmp_path / "diary"
     message = (
-        rf"workers keep dying \(exit code -9\) on the same task, {MAX_LOSSES} times\. .*memory ran out: "
-        r"lower --workers or --chunk-size\. Everything up to the last checkpoint is kept"
+        rf"workers keep dying \(killed by SIGKILL, exit code -9\) on the same task, {MAX_LOSSES} times\. "
+        r"Usually memory ran out: lower --workers or --chunk-size\. Everything up to the last checkpoint is kept"
     )
     with pytest.raises(WorkerError, match=message):
         list(backend.map([*[("add", i) for i in range(6)], ("die", diary), ("add", 7)]))
@@ -93,12 +95,14 @@ def test_losses_are_counted_for_each_map_and_task(backend, tmp_path):
     assert len(backend.take_events()) >= MAX_LOSSES + 1
 
 
-def test_workers_that_die_at_once_are_an_error_and_no_endless_loop():
-    with (
-        ProcessesBackend(start_dying, 2) as backend,
-        pytest.raises(WorkerError, match=r"workers keep dying \(exit code 3\) at once\. .*lower --workers"),
-    ):
+@pytest.mark.parametrize(
+    ("start", "cause"), [(start_dying, "exit code 3"), (start_sigterm, "killed by SIGTERM, exit code -15")]
+)
+def test_workers_that_die_at_once_are_an_error_that_names_the_cause_and_no_endless_loop(start, cause):
+    message = rf"workers keep dying \({cause}\) at once\. .*--backend serial does the same work in this process\. Every"
+    with ProcessesBackend(start, 2) as backend, pytest.raises(WorkerError, match=message) as caught:
         list(backend.map([("add", 1)]))
+    assert "memory" not in str(caught.value)
     assert len(backend.take_events()) == 2 * MAX_LOSSES
     assert psutil.Process().children() == []
 
@@ -134,6 +138,51 @@ def test_a_factory_may_be_a_closure():
     with ProcessesBackend(lambda: Worker(at_once=1), 1) as backend:
         backend.broadcast(1)
         assert list(backend.map([("add", 1)] * 3)) == [2, 2, 2]
+
+
+def test_a_factory_that_cannot_be_pickled_is_an_error_that_names_the_reason():
+    lock = threading.Lock()
+    message = (
+        r"cannot be sent to worker processes: cannot pickle '_thread\.lock' object\. Move .*or set --backend serial"
+    )
+    with pytest.raises(ConfigError, match=message):
+        ProcessesBackend(lambda: Worker(at_once=lock), 1)
+    assert psutil.Process().children() == []
+
+
+@pytest.mark.parametrize("is_there", [False, True], ids=["no such module", "another module of that name"])
+def test_a_class_whose_module_workers_do_not_find_is_an_error_that_names_it(monkeypatch, tmp_path, is_there):
+    module = types.ModuleType("found_nowhere")
+    module.Mine = type("Mine", (Worker,), {"__module__": "found_nowhere"})
+    monkeypatch.setitem(sys.modules, "found_nowhere", module)
+    monkeypatch.syspath_prepend(tmp_path)
+    if is_there:
+        (tmp_path / "found_nowhere.py").write_text("")
+    with (
+        ProcessesBackend(module.Mine, 1) as backend,
+        pytest.raises(WorkerError, match=r"cannot import what its work is made of: .*found_nowhere.*on PYTHONPATH"),
+    ):
+        list(backend.map([("add", 1)]))
+
+
+def test_a_worker_searches_the_working_directory_if_the_parent_does_and_last_of_all(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "random.py").write_text("raise RuntimeError('not the module of Python')")
+    for path, last in ((["", *sys.path], str(tmp_path)), (sys.path, None)):
+        monkeypatch.setattr(sys, "path", path)
+        with ProcessesBackend(Worker, 1) as backend:
+            (seen,) = backend.map([("import_path", None)])
+        assert (str(tmp_path) in seen, seen[-1] == last) == (last is not None, last is not None)
+        assert "" not in seen
+
+
+def test_workers_that_replace_others_search_where_the_first_did(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    with ProcessesBackend(Worker, 1) as backend:
+        (before,) = backend.map([("import_path", None)])
+        monkeypatch.chdir(tmp_path)
+        os.kill(backend.pids()[0], signal.SIGKILL)
+        assert list(backend.map([("import_path", None)])) == [before]
 
 
 def test_workers_ignore_ctrl_c_from_their_first_moment():

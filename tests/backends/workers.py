@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import time
 from itertools import islice
 from pathlib import Path
@@ -55,6 +56,9 @@ class Worker:
     def raises(self, name):
         raise ERRORS[name]
 
+    def import_path(self, _):
+        return sys.path
+
     def divide(self, number):
         return 1 / number
 
@@ -77,6 +81,11 @@ class Worker:
         with Path(diary).open("a") as file:
             file.write(f"{os.getpid()}\n")
         os.kill(os.getpid(), signal.SIGKILL)
+
+
+def start_sigterm():
+    """Stand for a worker whose process is ended by a signal before it can do anything."""
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def start_failing():

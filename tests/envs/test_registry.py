@@ -7,10 +7,11 @@ from shes.envs.ant import Ant
 from shes.envs.body import Body
 from shes.envs.gather import Gather
 from shes.envs.point import Point
-from shes.envs.registry import ENVIRONMENTS, check_name, make_task
+from shes.envs.registry import ENVIRONMENTS, Environment, check_name, find_environment, make_task, register_environment
 from shes.envs.task import Task, TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
+from tests.e2e.own_classes import Corner
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
@@ -37,14 +38,16 @@ def test_gather_is_there_for_ant_and_point():
     assert ENVIRONMENTS["point-gather"] == (Point, Gather)
 
 
-@pytest.mark.parametrize("call", [check_name, lambda name: make_task(name, 1)])
+@pytest.mark.parametrize("call", [check_name, find_environment, lambda name: make_task(name, 1)])
 @pytest.mark.parametrize(("wrong", "right"), [("ant-gathr", "ant-gather"), ("pointgather", "point-gather")])
 def test_an_unknown_environment_is_refused_with_the_nearest_name(call, wrong, right):
     with pytest.raises(UnknownNameError, match=rf"unknown environment '{wrong}'. Did you mean '{right}'\?") as caught:
         call(wrong)
     for name in ENVIRONMENTS:
         assert name in str(caught.value)
-    assert "shes envs" in str(caught.value)
+    assert "`shes envs` lists them. Register your own first: shes.register_environment, or --import MODULE." in str(
+        caught.value
+    )
 
 
 def test_a_name_unlike_any_other_gets_no_suggestion():
@@ -80,3 +83,105 @@ def test_a_task_uses_the_simulator_it_is_given():
     task = make_task("point-gather", 3, simulator=simulator)
     assert [task.sim] == made
     assert task.sim.num_sims == 3
+
+
+# Environments of users.
+
+
+@pytest.fixture
+def registry():
+    """The registry; what a test adds to it is forgotten afterwards."""
+    before = dict(ENVIRONMENTS)
+    yield ENVIRONMENTS
+    ENVIRONMENTS.clear()
+    ENVIRONMENTS.update(before)
+
+
+def test_a_registered_environment_is_known_by_its_name(registry):
+    register_environment("point-corner", Point, Corner)
+    assert registry["point-corner"] == find_environment("point-corner") == Environment(Point, Corner)
+    check_name("point-corner")
+    task = make_task("point-corner", 2)
+    assert type(task) is Corner
+    assert type(task.body) is Point
+
+
+def test_the_same_environment_may_be_registered_again_and_made_anew(registry):
+    register_environment("point-corner", Point, Corner)
+    register_environment("point-corner", Point, Corner)
+    # As a cell of a notebook does that is run again.
+    again = type("Corner", (Corner,), {"__module__": Corner.__module__, "__qualname__": "Corner"})
+    register_environment("point-corner", Point, again)
+    assert find_environment("point-corner").task is again
+
+
+@pytest.mark.parametrize("classes", [(Point, Corner), (Ant, Corner), (Point, Gather)])
+def test_a_taken_name_is_refused(registry, classes):
+    message = (
+        r"environment 'ant-gather' is shes\.envs\.ant\.Ant with shes\.envs\.gather\.Gather already\. Choose another"
+    )
+    with pytest.raises(ConfigError, match=message):
+        register_environment("ant-gather", *classes)
+    assert registry["ant-gather"] == (Ant, Gather)
+
+
+@pytest.mark.parametrize(
+    "name", ["", "Point-Corner", "point corner", "-point", "point-", "point--corner", "2d", None, 3]
+)
+def test_a_malformed_name_is_refused(registry, name):
+    message = rf"environment name must be lower-case words .*joined by - or _, got {name!r}\. For example"
+    with pytest.raises(ConfigError, match=message):
+        register_environment(name, Point, Corner)
+
+
+@pytest.mark.parametrize("name", ["corner", "point-corner", "point_corner_2", "a1-b2_c3"])
+def test_names_are_lower_case_words(registry, name):
+    register_environment(name, Point, Corner)
+    check_name(name)
+
+
+class Sized(Point):
+    def __init__(self, size):
+        self.size = size
+
+
+class Lonely(Corner):
+    def __init__(self, body):
+        super().__init__(body, 1, TaskOptions())
+
+
+@pytest.mark.parametrize(
+    ("body", "task", "message"),
+    [
+        (
+            Corner,
+            Corner,
+            r"a body must be a subclass of shes\.envs\.body\.Body, got <class '.*Corner'>\. Write class Y",
+        ),
+        (
+            Point,
+            Point,
+            r"a task must be a subclass of shes\.envs\.task\.Task, got <class '.*Point'>\. Write class Your",
+        ),
+        (
+            Point(),
+            Corner,
+            r"a body must be .*got <shes\.envs\.point\.Point object.*give the class, not an object of it",
+        ),
+        (Point, "Corner", r"a task must be .*got 'Corner'"),
+        (Body, Corner, r"body shes\.envs\.body\.Body lacks add_to, .*name, .*says what each of them is: add them"),
+        (Point, Task, r"task shes\.envs\.task\.Task lacks .*build_spec, .*observe, .*name, description\. "),
+        (Sized, Corner, r"body .*Sized must be made from no arguments, and is not: .*'size'\. Change its __init__"),
+        (Point, Lonely, r"task .*Lonely must be made from 4 arguments, and is not: too many .*Change its __init__"),
+    ],
+)
+def test_what_is_no_complete_class_is_refused(registry, body, task, message):
+    with pytest.raises(ConfigError, match=message):
+        register_environment("point-corner", body, task)
+    assert "point-corner" not in registry
+
+
+def test_a_class_without_a_class_attribute_is_refused(registry):
+    nameless = type("Nameless", (Task,), dict.fromkeys(Task.__abstractmethods__))
+    with pytest.raises(ConfigError, match=r"Nameless lacks name, description\. shes\.envs\.task\.Task says what"):
+        register_environment("nameless", Point, nameless)

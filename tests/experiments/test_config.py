@@ -6,8 +6,13 @@ from dataclasses import FrozenInstanceError, fields
 import numpy as np
 import pytest
 
+from shes.envs.point import Point
+from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.errors import ConfigError, UnknownNameError
 from shes.experiments.config import EXECUTION_FIELDS, TrainConfig, check_fields, flag
+from shes.hierarchy.goals import GOAL_ENCODINGS
+from shes.hierarchy.rewards import PRIMITIVE_REWARDS
+from tests.e2e import own_classes
 
 WHOLE_NUMBERS = {
     "chunk_size": 0,
@@ -87,6 +92,17 @@ def test_a_name_must_be_known(name):
     message = rf"unknown {name.replace('_', ' ')} '{wrong}'\. Did you mean '{right}'\? Known: .*Set {flag(name)}\."
     with pytest.raises(UnknownNameError, match=message):
         make(**{name: wrong})
+
+
+def test_names_registered_later_are_allowed_and_suggested(monkeypatch):
+    monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, own_classes.Corner))
+    monkeypatch.setitem(GOAL_ENCODINGS, "vector", own_classes.Vector)
+    monkeypatch.setitem(PRIMITIVE_REWARDS, "nearness", own_classes.Nearness)
+    names = {"env": "point-corner", "goal_encoding": "vector", "primitive_reward": "nearness"}
+    assert TrainConfig.from_dict(TrainConfig(**names).to_dict()).to_dict().items() >= names.items()
+    for name, right in names.items():
+        with pytest.raises(UnknownNameError, match=f"Did you mean '{right}'"):
+            TrainConfig(**{**names, name: right[:-1]})
 
 
 @pytest.mark.parametrize("wrong", [(0,), (8, -1), (8.5,), ("8",)])

@@ -14,7 +14,7 @@ import numpy as np
 
 from shes.algorithm import Settings, evolve
 from shes.backends.serial import SerialBackend
-from shes.envs.registry import make_task
+from shes.envs.registry import find_environment, make_task
 from shes.envs.task import TaskOptions
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable
@@ -60,7 +60,7 @@ def golden_run(folder, change=0.0):
             LevelState(theta=theta, optimizer=Adam().start(len(theta)), statistics=ObservationStatistics.empty(size))
         )
     plan = WorkerPlan(
-        env="point-gather",
+        env=find_environment("point-gather"),
         training=TaskOptions(),
         evaluation=TaskOptions(evaluation=True),
         design=design,

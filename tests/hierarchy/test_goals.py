@@ -5,8 +5,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from shes.errors import UnknownNameError
-from shes.hierarchy.goals import AngleEncoding, make_goal_encoding
+from shes.errors import ConfigError, UnknownNameError
+from shes.hierarchy.goals import GOAL_ENCODINGS, AngleEncoding, GoalEncoding, make_goal_encoding, register_goal_encoding
+from tests.e2e.own_classes import Vector
 
 HALF = np.sqrt(0.5)
 
@@ -74,5 +75,57 @@ def test_encodings_are_made_by_name():
 
 
 def test_an_unknown_encoding_is_refused_with_the_nearest_name():
-    with pytest.raises(UnknownNameError, match=r"goal encoding 'angel'\. Did you mean 'angle'\?.*--goal-encoding"):
+    with pytest.raises(
+        UnknownNameError, match=r"goal encoding 'angel'\. Did you mean 'angle'\?.*--goal-encoding.*Register your own"
+    ):
         make_goal_encoding("angel")
+
+
+def test_an_own_encoding_is_made_by_its_name(monkeypatch):
+    monkeypatch.setitem(GOAL_ENCODINGS, "vector", Vector)  # forgotten after this test
+    register_goal_encoding("vector", Vector)
+    assert isinstance(make_goal_encoding("vector"), Vector)
+
+
+class Sizeless(GoalEncoding):
+    def encode(self, vector, distance, heading, out):
+        out[:] = 0
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding", "message"),
+    [
+        (
+            "angle",
+            Vector,
+            r"goal encoding 'angle' is shes\.hierarchy\.goals\.AngleEncoding already\. Choose another name",
+        ),
+        ("My Own", Vector, r"goal encoding name must be lower-case words .*got 'My Own'\. For example: 'my-own-2'"),
+        (
+            "own",
+            AngleEncoding(),
+            r"must be a subclass of shes\.hierarchy\.goals\.GoalEncoding, got <.*not an object of it",
+        ),
+        ("own", dict, r"must be a subclass of .*GoalEncoding, got <class 'dict'>"),
+        ("own", GoalEncoding, r"GoalEncoding lacks encode, size\. .*GoalEncoding says what each of them is: add them"),
+        ("own", Sizeless, r"Sizeless lacks size\."),
+    ],
+)
+def test_what_is_no_new_encoding_is_refused(name, encoding, message):
+    before = dict(GOAL_ENCODINGS)
+    with pytest.raises(ConfigError, match=message):
+        register_goal_encoding(name, encoding)
+    assert before == GOAL_ENCODINGS
+
+
+class Forgetful(Vector):
+    size = 4
+
+
+def test_an_encoding_that_does_not_write_all_its_features_is_refused(monkeypatch):
+    monkeypatch.setitem(GOAL_ENCODINGS, "forgetful", Forgetful)
+    message = (
+        r"'forgetful' must write .* each of its 4 features .*left \[1\.0, 1\.0, 1\.414.*, nan\]\. .*change its `size`"
+    )
+    with pytest.raises(ConfigError, match=message):
+        make_goal_encoding("forgetful")

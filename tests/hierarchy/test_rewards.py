@@ -5,8 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.errors import UnknownNameError
-from shes.hierarchy.rewards import ProgressReward, make_primitive_reward
+from shes.errors import ConfigError, UnknownNameError
+from shes.hierarchy.rewards import (
+    PRIMITIVE_REWARDS,
+    PrimitiveReward,
+    ProgressReward,
+    make_primitive_reward,
+    register_primitive_reward,
+)
+from tests.e2e.own_classes import Nearness
 
 
 def _progress(distance, start_distance):
@@ -51,5 +58,56 @@ def test_rewards_are_made_by_name():
 
 
 def test_an_unknown_reward_is_refused_with_the_nearest_name():
-    with pytest.raises(UnknownNameError, match=r"reward 'progres'\. Did you mean 'progress'\?.*--primitive-reward"):
+    with pytest.raises(
+        UnknownNameError, match=r"reward 'progres'\. Did you mean 'progress'\?.*--primitive-reward.*Register your own"
+    ):
         make_primitive_reward("progres")
+
+
+def test_an_own_reward_is_made_by_its_name(monkeypatch):
+    monkeypatch.setitem(PRIMITIVE_REWARDS, "nearness", Nearness)  # forgotten after this test
+    register_primitive_reward("nearness", Nearness)
+    assert isinstance(make_primitive_reward("nearness"), Nearness)
+
+
+class Weighted(Nearness):
+    def __init__(self, weight):
+        self.weight = weight
+
+
+@pytest.mark.parametrize(
+    ("name", "reward", "message"),
+    [
+        (
+            "progress",
+            Nearness,
+            r"primitive reward 'progress' is shes\.hierarchy\.rewards\.ProgressReward already\. Choose",
+        ),
+        ("My Own", Nearness, r"primitive reward name must be lower-case words .*got 'My Own'\. For example"),
+        (
+            "own",
+            ProgressReward(),
+            r"must be a subclass of shes\.hierarchy\.rewards\.PrimitiveReward, got <.*not an object",
+        ),
+        ("own", print, r"must be a subclass of .*PrimitiveReward, got <built-in function print>"),
+        ("own", PrimitiveReward, r"PrimitiveReward lacks __call__\."),
+        ("own", Weighted, r"Weighted must be made from no arguments, and is not: .*'weight'\. Change its __init__"),
+    ],
+)
+def test_what_is_no_new_reward_is_refused(name, reward, message):
+    before = dict(PRIMITIVE_REWARDS)
+    with pytest.raises(ConfigError, match=message):
+        register_primitive_reward(name, reward)
+    assert before == PRIMITIVE_REWARDS
+
+
+class Column(Nearness):
+    def __call__(self, distance, start_distance, displacement, goal):
+        return distance[:, None]
+
+
+def test_a_reward_that_is_not_one_number_for_each_episode_is_refused(monkeypatch):
+    monkeypatch.setitem(PRIMITIVE_REWARDS, "column", Column)
+    message = r"'column' must return an array \[N\].*for 2 episodes it returned shape \(2, 1\), not \(2,\)"
+    with pytest.raises(ConfigError, match=message):
+        make_primitive_reward("column")

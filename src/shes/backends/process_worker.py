@@ -13,11 +13,11 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
-from shes.errors import ShesError
+from shes.errors import ShesError, WorkerError
 
 __all__ = ["main"]
 
@@ -49,9 +49,24 @@ def _incoming(connection: Connection) -> Iterator[tuple[int, Any]]:
         yield number, pickle.loads(task)
 
 
+def _unpickle_factory(pickled: bytes) -> Callable[[], Any]:
+    """Return what makes the worker.
+
+    Raises:
+        WorkerError: A module that it comes from is not there.
+    """
+    try:
+        return pickle.loads(pickled)
+    except (ImportError, AttributeError) as error:
+        raise WorkerError(
+            f"a worker process cannot import what its work is made of: {error}. Put the folder of that module on "
+            "PYTHONPATH, or install it; or set --backend serial."
+        ) from error
+
+
 def _serve(connection: Connection) -> None:
     """Do what the parent says until it says close."""
-    worker = pickle.loads(connection.recv_bytes())()
+    worker = _unpickle_factory(connection.recv_bytes())()
     connection.send(("ready",))
     while True:
         kind, *content = connection.recv()

@@ -16,12 +16,13 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any
 
 import cloudpickle
 
 from shes.backends.backend import Backend, WorkerFactory
-from shes.errors import WorkerError
+from shes.errors import ConfigError, WorkerError
 
 __all__ = ["ProcessesBackend"]
 
@@ -35,21 +36,19 @@ _ONE_THREAD = dict.fromkeys(
 class _Process:
     """A worker process and what it has been given."""
 
-    def __init__(self, factory: bytes) -> None:
+    def __init__(self, factory: bytes, import_path: str) -> None:
         ours, theirs = socket.socketpair()
         read_end, self._lifeline = os.pipe()
         # -P: a file in the working directory must not stand in for a module of Python's own.
         module = [sys.executable, "-P", "-m", "shes.backends.process_worker"]
         arguments = [str(theirs.fileno()), str(read_end), str(os.getpid())]
-        # The same import path as here, so that a worker finds the classes that its tasks are made of.
-        path = os.pathsep.join(entry for entry in sys.path if entry)
         # The worker inherits the mask: a Ctrl-C in a terminal reaches it even before it can ignore it.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             self.popen = subprocess.Popen(
                 [*module, *arguments],
                 pass_fds=(theirs.fileno(), read_end),
-                env={**os.environ, **_ONE_THREAD, "PYTHONPATH": path},
+                env={**os.environ, **_ONE_THREAD, "PYTHONPATH": import_path},
                 stdin=subprocess.DEVNULL,
             )
         except OSError:
@@ -80,7 +79,8 @@ class ProcessesBackend(Backend):
     def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
         """Start the processes; each makes its worker by `factory`, which is pickled by cloudpickle."""
         self.num_workers = num_workers
-        self._factory: bytes = cloudpickle.dumps(factory)
+        self._factory = _pickle_factory(factory)
+        self._import_path = os.pathsep.join(_import_path())
         self._state: bytes | None = None
         self._events: list[str] = []
         self._deaths_in_a_row = 0
@@ -131,13 +131,16 @@ class ProcessesBackend(Backend):
     def _start_missing(self) -> None:
         try:
             while len(self._processes) < self.num_workers:
-                self._processes.append(_Process(self._factory))
+                self._processes.append(self._start_process())
         except OSError as error:
             self._end_all()
             raise WorkerError(
                 f"only some of {self.num_workers} worker processes could be started: {error.strerror or error}. "
                 "Lower --workers, or raise the limit on processes and open files (ulimit)."
             ) from error
+
+    def _start_process(self) -> _Process:
+        return _Process(self._factory, self._import_path)
 
     def _start_run(self, process: _Process, run: _Run) -> None:
         process.is_running = True
@@ -190,11 +193,10 @@ class ProcessesBackend(Backend):
         worst = max(run.losses.values(), default=0)
         if worst >= MAX_LOSSES or self._deaths_in_a_row >= MAX_LOSSES * self.num_workers:
             raise WorkerError(
-                f"workers keep dying (exit code {code}) {f'on the same task, {worst} times' if worst else 'at once'}. "
-                "Exit code -9 usually means that memory ran out: lower --workers or --chunk-size. "
-                "Everything up to the last checkpoint is kept."
+                f"workers keep dying ({_cause(code)}) {f'on the same task, {worst} times' if worst else 'at once'}. "
+                f"{_advice(code)} Everything up to the last checkpoint is kept."
             )
-        replacement = _Process(self._factory)
+        replacement = self._start_process()
         self._processes.append(replacement)
         if self._state is not None:
             self._send(replacement, ("state", self._state))
@@ -229,3 +231,50 @@ class _Run:
     def payload(self, number: int) -> bytes:
         """Return a task as its worker unpickles it."""
         return pickle.dumps(self.tasks[number], protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def _pickle_factory(factory: WorkerFactory) -> bytes:
+    """Return `factory` as every worker unpickles it; a class of the caller's own script travels whole.
+
+    Raises:
+        ConfigError: Something that it refers to cannot be pickled.
+    """
+    try:
+        return cloudpickle.dumps(factory)
+    except Exception as error:
+        raise ConfigError(
+            f"the work cannot be sent to worker processes: {error}. Move what your own class refers to into a module "
+            "beside your script, which workers import, or set --backend serial."
+        ) from error
+
+
+def _import_path() -> list[str]:
+    """Return this process's import path, for workers to find the modules of a caller's classes where it found them.
+
+    They import them, rather than get them by value, because then they find what those modules import, too.
+    """
+    path = [entry for entry in sys.path if entry]
+    # An empty entry is the working directory: of a notebook, of `python -c`. Workers search it last of all, so that no
+    # file there stands in for a module of Python's own; and as it is now, because it may change in the meantime.
+    if len(path) < len(sys.path):
+        with suppress(FileNotFoundError):
+            path.append(str(Path.cwd()))
+    return path
+
+
+def _cause(code: int) -> str:
+    """Say how a process with this exit code ended."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = f"signal {-code}"
+    return f"killed by {name}, exit code {code}"
+
+
+def _advice(code: int) -> str:
+    """Say what to do about a process that ended with this exit code."""
+    if code == -signal.SIGKILL:
+        return "Usually memory ran out: lower --workers or --chunk-size."
+    return "It may have printed the reason above; --backend serial does the same work in this process."

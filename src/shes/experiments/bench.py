@@ -16,7 +16,6 @@ import mujoco
 import numpy as np
 
 from shes.algorithm import evolve, population_tasks, sample_noise
-from shes.envs.registry import make_task
 from shes.envs.task import FRAME_SKIP, Task
 from shes.es.gradient import group_weights, weighted_noise_sum
 from shes.es.level import LevelParameters, LevelState, draw_noise_index, update_level
@@ -111,7 +110,7 @@ def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjMo
     members = max(1, _REPLAYED // config.episodes_per_policy)
     rollout = Rollout(
         plan.design,
-        partial(make_task, plan.env, options=plan.training),
+        partial(plan.env.make, options=plan.training),
         members,
         config.episodes_per_policy,
         config.horizon,

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from functools import partial
 
+import numpy as np
+
 from shes.algorithm import Settings
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
-from shes.envs.registry import make_task
+from shes.envs.registry import find_environment, make_task
 from shes.envs.task import Task, TaskOptions
+from shes.errors import ShapeError
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.statistics import ObservationStatistics
@@ -47,8 +50,19 @@ def build_task(config: TrainConfig, num_episodes: int, *, is_evaluation: bool) -
 
 
 def build_design(config: TrainConfig) -> AgentDesign:
-    """Return what the agent of `config` is made of."""
+    """Return what the agent of `config` is made of.
+
+    Raises:
+        ShapeError: The environment observes another number of values than its layout names.
+    """
     task = build_task(config, 1, is_evaluation=False)
+    task.reset(np.array([0]), [0])
+    shape = task.observe().shape
+    if shape != (1, task.observation_size):
+        raise ShapeError(
+            f"environment {config.env!r} must observe [N, {task.observation_size}], as many values as its layout "
+            f"names; for 1 episode it observed {shape}. Change its layout or its observe()."
+        )
     encoding = make_goal_encoding(config.goal_encoding)
     return AgentDesign(
         controller=MLP(task.observation_size, config.hidden, 2),
@@ -103,7 +117,7 @@ def build_plan(config: TrainConfig, design: AgentDesign, table: NoiseTable) -> W
     """Return what every worker needs to know."""
     assert table.path is not None
     return WorkerPlan(
-        env=config.env,
+        env=find_environment(config.env),
         training=build_options(config, is_evaluation=False),
         evaluation=build_options(config, is_evaluation=True),
         design=design,

@@ -10,10 +10,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from shes.errors import UnknownNameError
+from shes.envs.entries import check_class, check_name_is_free
+from shes.errors import ConfigError, UnknownNameError
 from shes.types import F64Array
 
-__all__ = ["GOAL_ENCODINGS", "AngleEncoding", "GoalEncoding", "make_goal_encoding"]
+__all__ = [
+    "GOAL_ENCODINGS",
+    "AngleEncoding",
+    "GoalEncoding",
+    "check_goal_encoding",
+    "make_goal_encoding",
+    "register_goal_encoding",
+]
 
 DISTANCE_SCALE = 1000.0
 """Distances are divided by this (paper II-C)."""
@@ -22,7 +30,6 @@ DISTANCE_SCALE = 1000.0
 class GoalEncoding(ABC):
     """Turns the vector to the goal into features that stand in front of the primitive's observation."""
 
-    name: ClassVar[str]
     size: ClassVar[int]
     """Number of features."""
 
@@ -41,7 +48,6 @@ class GoalEncoding(ABC):
 class AngleEncoding(GoalEncoding):
     """Sine and cosine of the goal's bearing relative to the heading, and the distance over 1000."""
 
-    name = "angle"
     size = 3
 
     def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
@@ -53,7 +59,33 @@ class AngleEncoding(GoalEncoding):
         np.divide(distance, DISTANCE_SCALE, out=out[:, 2])
 
 
-GOAL_ENCODINGS: dict[str, type[GoalEncoding]] = {encoding.name: encoding for encoding in (AngleEncoding,)}
+GOAL_ENCODINGS: dict[str, type[GoalEncoding]] = {"angle": AngleEncoding}
+
+
+def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:
+    """Make `encoding` known as `name`, in this process; then `shes.train(..., goal_encoding=name)` uses it.
+
+    Args:
+        name: Lower-case words joined by `-` or `_`.
+        encoding: A complete subclass of `GoalEncoding`, made without arguments.
+
+    Raises:
+        ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
+    """
+    check_class("goal encoding", encoding, GoalEncoding)
+    check_name_is_free("goal encoding", name, encoding, GOAL_ENCODINGS)
+    GOAL_ENCODINGS[name] = encoding
+
+
+def check_goal_encoding(name: str) -> None:
+    """Refuse an unknown encoding.
+
+    Raises:
+        UnknownNameError: `name` is not in `GOAL_ENCODINGS`.
+    """
+    if name not in GOAL_ENCODINGS:
+        fix = "Set --goal-encoding. Register your own first: shes.register_goal_encoding, or --import MODULE."
+        raise UnknownNameError("goal encoding", name, GOAL_ENCODINGS, fix)
 
 
 def make_goal_encoding(name: str) -> GoalEncoding:
@@ -61,7 +93,15 @@ def make_goal_encoding(name: str) -> GoalEncoding:
 
     Raises:
         UnknownNameError: `name` is not in `GOAL_ENCODINGS`.
+        ConfigError: It does not write as many features as its size says.
     """
-    if name not in GOAL_ENCODINGS:
-        raise UnknownNameError("goal encoding", name, GOAL_ENCODINGS, "Set --goal-encoding.")
-    return GOAL_ENCODINGS[name]()
+    check_goal_encoding(name)
+    encoding = GOAL_ENCODINGS[name]()
+    features = np.full((2, encoding.size), np.nan)
+    encoding.encode(np.ones((2, 2)), np.full(2, np.sqrt(2)), np.zeros(2), features)
+    if not np.isfinite(features).all():
+        raise ConfigError(
+            f"goal encoding {name!r} must write a number for each of its {encoding.size} features into `out`; "
+            f"for the goal (1, 1) it left {features[0].tolist()}. Write them all, or change its `size`."
+        )
+    return encoding

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
 
-from shes.errors import UnknownNameError
+import numpy as np
+
+from shes.envs.entries import check_class, check_name_is_free
+from shes.errors import ConfigError, UnknownNameError
 from shes.types import F64Array
 
-__all__ = ["PRIMITIVE_REWARDS", "PrimitiveReward", "ProgressReward", "make_primitive_reward"]
+__all__ = [
+    "PRIMITIVE_REWARDS",
+    "PrimitiveReward",
+    "ProgressReward",
+    "check_primitive_reward",
+    "make_primitive_reward",
+    "register_primitive_reward",
+]
 
 REACHED_M = 1.0
 """A goal nearer than this is reached (L in the paper)."""
@@ -16,8 +25,6 @@ REACHED_M = 1.0
 
 class PrimitiveReward(ABC):
     """Reward of one step from where the robot was when the goal was set, where it is, and where the goal is."""
-
-    name: ClassVar[str]
 
     @abstractmethod
     def __call__(
@@ -36,8 +43,6 @@ class PrimitiveReward(ABC):
 class ProgressReward(PrimitiveReward):
     """`1 - d_t / d_c`, plus 1 within 1 m of the goal (paper, equation 1)."""
 
-    name = "progress"
-
     def __call__(
         self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
     ) -> F64Array:
@@ -46,7 +51,33 @@ class ProgressReward(PrimitiveReward):
         return 1 - distance / start_distance + (distance < REACHED_M)
 
 
-PRIMITIVE_REWARDS: dict[str, type[PrimitiveReward]] = {reward.name: reward for reward in (ProgressReward,)}
+PRIMITIVE_REWARDS: dict[str, type[PrimitiveReward]] = {"progress": ProgressReward}
+
+
+def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:
+    """Make `reward` known as `name`, in this process; then `shes.train(..., primitive_reward=name)` uses it.
+
+    Args:
+        name: Lower-case words joined by `-` or `_`.
+        reward: A complete subclass of `PrimitiveReward`, made without arguments.
+
+    Raises:
+        ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
+    """
+    check_class("primitive reward", reward, PrimitiveReward)
+    check_name_is_free("primitive reward", name, reward, PRIMITIVE_REWARDS)
+    PRIMITIVE_REWARDS[name] = reward
+
+
+def check_primitive_reward(name: str) -> None:
+    """Refuse an unknown primitive reward.
+
+    Raises:
+        UnknownNameError: `name` is not in `PRIMITIVE_REWARDS`.
+    """
+    if name not in PRIMITIVE_REWARDS:
+        fix = "Set --primitive-reward. Register your own first: shes.register_primitive_reward, or --import MODULE."
+        raise UnknownNameError("primitive reward", name, PRIMITIVE_REWARDS, fix)
 
 
 def make_primitive_reward(name: str) -> PrimitiveReward:
@@ -54,7 +85,14 @@ def make_primitive_reward(name: str) -> PrimitiveReward:
 
     Raises:
         UnknownNameError: `name` is not in `PRIMITIVE_REWARDS`.
+        ConfigError: It does not return one number for each episode.
     """
-    if name not in PRIMITIVE_REWARDS:
-        raise UnknownNameError("primitive reward", name, PRIMITIVE_REWARDS, "Set --primitive-reward.")
-    return PRIMITIVE_REWARDS[name]()
+    check_primitive_reward(name)
+    reward = PRIMITIVE_REWARDS[name]()
+    shape = np.shape(reward(np.ones(2), np.ones(2), np.ones((2, 2)), np.ones((2, 2))))
+    if shape != (2,):
+        raise ConfigError(
+            f"primitive reward {name!r} must return an array [N], one number for each of N episodes; "
+            f"for 2 episodes it returned shape {shape}, not (2,)."
+        )
+    return reward

@@ -1,0 +1,46 @@
+"""A flat evolution strategy: one network from observation to action, no hierarchy, no worker processes.
+
+A generation's policies play at once: one batch of simulations, one stacked product of matrices per layer and step.
+"""
+
+import numpy as np
+
+from shes.envs.layout import bounds
+from shes.envs.registry import make_task
+from shes.envs.task import Task
+from shes.es import EvolutionStrategy
+from shes.policies.mlp import MLP
+
+POLICIES, EPISODES, STEPS, GENERATIONS = 60, 2, 100, 30
+
+
+def play(task: Task, mlp: MLP, policies: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """Return the mean return [P] of `policies` [P, D], each on the same episodes, drawn by `seeds` [E]."""
+    everyone = np.arange(task.num_episodes)
+    _, high = bounds(task.layout)
+    scale = np.where(np.isfinite(high), high, 10.0)  # positions, in metres, reach 12
+    task.reset(everyone, np.tile(seeds, len(policies)))
+    for _ in range(STEPS):
+        observation = (task.observe() / scale).astype(np.float32)
+        action = mlp.act(policies, observation.reshape(len(policies), len(seeds), -1))
+        task.step(everyone, action.reshape(task.num_episodes, -1) * task.control_limit)
+    return task.running_return.reshape(len(policies), len(seeds)).mean(axis=1)
+
+
+def main() -> None:
+    """Train, and print now and then what the mean policy earns on a hundred other episodes."""
+    task = make_task("point-gather", POLICIES * EPISODES)
+    test, test_seeds = make_task("point-gather", 100), np.arange(100)
+    mlp = MLP(task.observation_size, (16,), task.action_size)
+    rng = np.random.default_rng(1)
+    start = mlp.initial(rng)
+    es = EvolutionStrategy(len(start), population_size=POLICIES, sigma=0.1, learning_rate=0.05, initial=start)
+    for generation in range(GENERATIONS + 1):
+        if generation > 0:  # 0 is the untrained policy
+            es.tell(play(task, mlp, es.ask(), rng.integers(2**62, size=EPISODES)))
+        if generation % 10 == 0:
+            print(f"generation {generation:2}: return {play(test, mlp, es.mean[None], test_seeds)[0]:.2f}")
+
+
+if __name__ == "__main__":
+    main()

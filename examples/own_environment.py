@@ -1,0 +1,59 @@
+"""An environment of your own: go to a beacon. Two worker processes train on it, though it is in this script alone."""
+
+import numpy as np
+
+import shes
+from shes.envs.layout import elements
+from shes.envs.point import Point
+from shes.envs.task import Task, TaskDescription
+from shes.envs.worlds import empty_world
+
+
+class Beacon(Task):
+    """A beacon stands somewhere within 5 m along x and y. All arrays have a row for each of N episodes."""
+
+    name = "beacon"
+    description = TaskDescription(reward="exp(-metres to it)", ends="never", score="return", success="within 1 m of it")
+
+    def __init__(self, body, num_episodes, *rest):
+        super().__init__(body, num_episodes, *rest)
+        self.beacon = np.zeros((num_episodes, 2))
+
+    @classmethod
+    def build_spec(cls, body, options):
+        spec = empty_world(cls.name, options.integrator)
+        body.add_to(spec)
+        return spec
+
+    @property
+    def layout(self):
+        return self._robot_layout() + elements(["beacon_x", "beacon_y"], "{} from the robot", "m")
+
+    def observe(self):
+        return np.hstack([self.sim.qpos, np.clip(self.sim.qvel, -10, 10), self.beacon - self.position])
+
+    @property
+    def distance(self):
+        return np.hypot(*(self.beacon - self.position).T)
+
+    @property
+    def score(self):
+        return self.running_return * ~self.diverged
+
+    @property
+    def success(self):
+        return (self.distance < 1) & ~self.diverged
+
+    def _reset_features(self, ids, rngs):
+        self.beacon[ids] = [rng.uniform(-5, 5, 2) for rng in rngs]
+
+    def _update_features(self):
+        return np.exp(-self.distance)
+
+
+if __name__ == "__main__":
+    shes.register_environment("point-beacon", Point, Beacon)
+    settings = {"population_size": 80, "learning_rate": 0.04, "controller_interval": 10, "horizon": 100}
+    run = shes.train("point-beacon", preset="smoke", generations=30, num_workers=2, **settings)
+    for checkpoint in ("0", "last"):
+        print(f"checkpoint {checkpoint}: score {shes.evaluate(run.path, checkpoint=checkpoint).scores.mean():.1f}")

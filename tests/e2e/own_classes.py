@@ -1,0 +1,97 @@
+"""A user's own robot, task, primitive reward and goal encoding. Tests put this text into scripts and modules."""
+
+import numpy as np
+
+from shes import register_environment, register_goal_encoding, register_primitive_reward
+from shes.envs.layout import elements
+from shes.envs.point import Point
+from shes.envs.task import Task, TaskDescription
+from shes.envs.worlds import empty_world
+from shes.hierarchy.goals import GoalEncoding
+from shes.hierarchy.rewards import PrimitiveReward
+
+CORNERS_M = np.array([[2.0, 2.0], [2.0, -2.0], [-2.0, 2.0], [-2.0, -2.0]])
+
+
+class Puck(Point):
+    """A point with half the strength."""
+
+    name = "puck"
+    control_limit = 0.5
+
+
+class Corner(Task):
+    """Go to the corner that the episode has drawn."""
+
+    name = "corner"
+    description = TaskDescription(
+        reward="metres come nearer to the corner", ends="within 0.3 m of it", score="the return", success="it has ended"
+    )
+
+    @classmethod
+    def build_spec(cls, body, options):
+        spec = empty_world(cls.name, options.integrator)
+        body.add_to(spec)
+        return spec
+
+    @property
+    def layout(self):
+        return self._robot_layout() + elements(["corner_x", "corner_y"], "{} from the robot", "m")
+
+    @property
+    def distance(self):
+        return _length(self.corner - self.position)
+
+    @property
+    def terminated(self):
+        return self.distance < 0.3
+
+    @property
+    def score(self):
+        return self.running_return * ~self.diverged
+
+    @property
+    def success(self):
+        return self.terminated & ~self.diverged
+
+    def observe(self):
+        velocity = np.clip(self.sim.qvel, -10, 10)
+        return np.concatenate([self.sim.qpos, velocity, self.corner - self.position], axis=1)
+
+    def _reset_features(self, ids, rngs):
+        if not hasattr(self, "corner"):
+            self.corner = np.zeros((self.num_episodes, 2))
+            self.before = np.zeros(self.num_episodes)
+        self.corner[ids] = [CORNERS_M[rng.integers(4)] for rng in rngs]
+        self.before[ids] = self.distance[ids]
+
+    def _update_features(self):
+        before, self.before = self.before, self.distance
+        return before - self.before
+
+
+class Nearness(PrimitiveReward):
+    """Minus the distance to the goal, in half metres."""
+
+    def __call__(self, distance, start_distance, displacement, goal):
+        return -2 * distance
+
+
+class Vector(GoalEncoding):
+    """The vector to the goal, and its length."""
+
+    size = 3
+
+    def encode(self, vector, distance, heading, out):
+        out[:, :2] = vector
+        out[:, 2] = distance
+
+
+def _length(vector):
+    return np.sqrt((vector * vector).sum(axis=1))
+
+
+def register():
+    register_environment("puck-corner", Puck, Corner)
+    register_primitive_reward("nearness", Nearness)
+    register_goal_encoding("vector", Vector)

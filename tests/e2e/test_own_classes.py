@@ -1,0 +1,102 @@
+"""A user's own environment, reward and encoding train on worker processes wherever they are written.
+
+The same script runs with its classes in itself, in a module beside it, and in a module of the working directory.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from shes.errors import ConfigError
+from shes.experiments.play import load
+from tests.e2e import own_classes, runs
+
+CLASSES = Path(own_classes.__file__).read_text(encoding="utf-8")
+WORK = """
+import json
+import shes
+
+register()
+settings = json.loads(SETTINGS)
+run = shes.train("puck-corner", primitive_reward="nearness", goal_encoding="vector", **settings)
+shes.resume(run.path, generations=settings["generations"] + 1)
+agent = shes.load(run.path)
+action = agent.act([0.1, 0.2, 0.0, 0.0, 1.0, -1.0])
+print(json.dumps({**shes.evaluate(run.path, episodes=3).summary(), "action": action.tolist()}))
+"""
+
+
+def work(folder, **settings):
+    """Return the script's text that trains into `folder`."""
+    settings = {**runs.TINY, "generations": 2, "num_workers": 2, "out": str(folder), **settings}
+    return WORK.replace("SETTINGS", repr(json.dumps(settings)))
+
+
+def run_python(*words, text=None, cwd):
+    """Run Python without the path that pytest was given; return what the script said at its end."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, *map(str, words)],
+        input=text, capture_output=True, text=True, cwd=cwd, env=environment, timeout=60, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """The run in one process, and what was said of it."""
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "own.py").write_text(CLASSES + work(folder / "run", backend="serial"))
+    return folder / "run", run_python("own.py", cwd=folder)
+
+
+def in_the_script(folder, script):
+    (folder / "own.py").write_text(CLASSES + script)
+    return run_python("own.py", cwd=folder)
+
+
+def in_a_module_beside_the_script(folder, script):
+    (folder / "scripts").mkdir()
+    (folder / "scripts" / "mine.py").write_text(CLASSES)
+    (folder / "scripts" / "own.py").write_text("from mine import register\n" + script)
+    return run_python(Path("scripts") / "own.py", cwd=folder)
+
+
+def in_a_module_of_the_working_directory(folder, script):
+    """As in a notebook or at a Python prompt."""
+    (folder / "mine").mkdir()
+    (folder / "mine" / "classes.py").write_text(CLASSES)
+    return run_python("-", text="from mine.classes import register\n" + script, cwd=folder)
+
+
+PLACES = [
+    in_the_script,
+    in_a_module_beside_the_script,
+    pytest.param(in_a_module_of_the_working_directory, marks=pytest.mark.extras),
+]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_own_classes_train_on_two_workers_with_the_numbers_of_one_process(reference, tmp_path, place):
+    path, said = reference
+    assert place(tmp_path, work(tmp_path / "run", backend="processes")) == said
+    assert runs.differences(path, tmp_path / "run") == []
+
+
+def test_the_run_used_the_own_classes(reference):
+    path, said = reference
+    record = json.loads((path / "config.json").read_text())["config"]
+    assert [record[name] for name in ("env", "primitive_reward", "goal_encoding")] == [
+        "puck-corner", "nearness", "vector",
+    ]  # fmt: skip
+    assert said["primitive_return_mean"] < -20  # `progress` is never far below 0
+
+
+def test_a_run_whose_classes_are_not_registered_says_what_to_do(reference):
+    with pytest.raises(ConfigError, match=r"config\.json: unknown environment 'puck-corner'.*Register your own first"):
+        load(reference[0])

@@ -1,0 +1,72 @@
+"""The package as users get it: what is in the wheel, and that it works in an environment with nothing else."""
+
+import json
+import os
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+pytestmark = [pytest.mark.extras, pytest.mark.timeout(600)]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The wheel built from this checkout."""
+    out = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (found,) = out.glob("shes-*-py3-none-any.whl")
+    return found
+
+
+def test_the_wheel_holds_the_package_and_nothing_else(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    source = ROOT / "src"
+    package = {
+        str(path.relative_to(source))
+        for path in (source / "shes").rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert {name for name in names if ".dist-info/" not in name} == package
+    assert "shes/py.typed" in package
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert all(name.endswith((".py", "py.typed")) for name in package)
+    assert wheel.stat().st_size < 1_000_000
+
+
+def test_an_empty_environment_can_train_evaluate_render_and_play(wheel, tmp_path):
+    home = tmp_path / "home"
+    home.mkdir()
+    environment = tmp_path / "environment"
+    venv.create(environment, with_pip=True)
+    python = environment / "bin" / "python"
+    # A registry that the machine is configured for is not part of an empty HOME: pip's own settings stay.
+    variables = {name: value for name, value in os.environ.items() if name.startswith("PIP_") or name == "MUJOCO_GL"}
+    variables |= {"HOME": str(home), "PATH": os.environ["PATH"]}
+
+    def run(*words):
+        done = subprocess.run(
+            [str(word) for word in words], env=variables, cwd=home, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, (words, done.stdout, done.stderr)
+        return done.stdout
+
+    run(python, "-m", "pip", "install", "-q", "--disable-pip-version-check", "-c", ROOT / "constraints.txt", wheel)
+    shes = environment / "bin" / "shes"
+    run(shes, "train", "point-gather", "--preset", "smoke", "--generations", "2", "--workers", "2", "--out", "run")
+    found = json.loads(run(shes, "evaluate", "run", "--episodes", "3", "--json"))
+    assert found["episodes"] == 3
+    run(shes, "render", "run", "--out", "walk.mp4", "--steps", "3", "--size", "96")
+    assert (home / "walk.mp4").stat().st_size > 1000
+    run(shes, "plot", "run")
+    code = "import gymnasium; e = gymnasium.make('shes:shes/AntGather-v0'); print(e.reset(seed=0)[0].shape)"
+    assert run(python, "-c", code) == "(50,)\n"
+    assert {path.name for path in home.iterdir() if not path.name.startswith(".")} == {"run", "walk.mp4", "curves.png"}

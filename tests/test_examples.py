@@ -1,0 +1,45 @@
+"""Every example is short, runs as it is, and prints what it should. A new one is picked up by its file."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+MAX_LINES = 60
+PRINTS = {
+    "es_on_sphere": r"generation 200: distance 0\.0\d+",
+    "figure_from_csv": r"figure\.png: 470 generations of ant-gather-laptop",
+    "flat_es": r"generation 30: return [1-9]\.\d+",
+    "hierarchical_run": r"one episode of 500 steps: return [+-]\d+",
+    "own_environment": r"checkpoint last: score ([89]|\d\d)\.\d",
+    "own_reward": r"after: the primitive earns [5-9]\d\.\d in an episode",
+}
+"""The last line that an example prints: it worked, and learned."""
+SECONDS = {"flat_es", "hierarchical_run", "own_environment", "own_reward"}
+"""Examples that take more than about three seconds."""
+
+
+def named(path):
+    return pytest.param(path, id=path.stem, marks=[pytest.mark.extras] if path.stem in SECONDS else [])
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short_and_what_it_prints_is_known(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= MAX_LINES
+    assert 'if __name__ == "__main__":' in text
+    assert path.stem in PRINTS, "say here which line it prints at its end"
+
+
+@pytest.mark.parametrize("path", [named(path) for path in EXAMPLES])
+def test_an_example_runs(path, tmp_path):
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, path], capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=110, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert re.fullmatch(PRINTS[path.stem], done.stdout.splitlines()[-1]), done.stdout
