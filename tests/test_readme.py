@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from shes.cli import _COMMANDS
+from shes.cli.commands import SUMMARIES
 from shes.experiments.config import TrainConfig, flag
 
 ROOT = Path(__file__).parents[1]
@@ -39,9 +39,10 @@ def test_python_example_runs(tmp_path, monkeypatch, capsys):
 
 def test_flags_and_commands_exist():
     known = {flag(name) for name in TrainConfig.__dataclass_fields__}
-    known |= {"--out", "--episodes", "--json", "--no-common-random-numbers"}
+    known |= {"--checkpoint", "--episodes", "--help", "--import", "--json", "--no-common-random-numbers", "--out"}
+    known |= {"--size", "--steps"}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README)) <= known
-    assert set(re.findall(r"^shes ([a-z]+)", README, flags=re.MULTILINE)) <= set(_COMMANDS)
+    assert set(re.findall(r"^shes ([a-z]+)", README, flags=re.MULTILINE)) <= set(SUMMARIES)
 
 
 @pytest.mark.parametrize("name", ["README.md", "results/README.md"])
