@@ -7,7 +7,7 @@ DOCS_STAMP := $(VENV)/.docs-done
 PY := $(VENV)/bin/python
 # One BLAS thread: parallelism comes from worker processes, and the thread count changes bits.
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest
-SOURCES := $(wildcard src tests benchmarks examples)
+SOURCES := $(wildcard src tests benchmarks examples docs)
 DEMO_COMMAND := .venv/bin/python -m shes.experiments.demo
 # The Python that .venv is made of: `make setup PYTHON=/path/to/python3.12`. Empty: the first candidate that works.
 PYTHON :=
@@ -87,7 +87,7 @@ $(DOCS_STAMP): $(STAMP)
 	@touch $(DOCS_STAMP)
 
 docs: $(DOCS_STAMP) ## build the documentation into site/
-	$(PY) -m mkdocs build --strict --site-dir site
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --site-dir site
 
 bench: $(STAMP) ## measure speed on this machine
 	$(PY) benchmarks/run.py

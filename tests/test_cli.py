@@ -57,7 +57,7 @@ def test_train_says_where_the_run_is_and_what_to_do_next(shes, tmp_path, tiny_ru
     text = shes("train", "point-gather", *TINY, "--out", path)
     assert f"Training point-gather (smoke) on this process. Run folder: {path}\n" in text
     assert re.search(r"Done: 4 generations, best evaluation score -?[\d.]+ \(generation \d\)\.\n", text)
-    assert f"Next: shes evaluate {path} · shes plot {path}\n" in text
+    assert f"Next: shes evaluate {path} · shes render {path} · shes plot {path}\n" in text
     assert runs.differences(tiny_run, path) == []  # the same as by `shes.train`
 
 
@@ -106,7 +106,7 @@ def test_a_folder_with_brackets_is_printed_as_it_is(shes, tmp_path):
     text = shes("train", "point-gather", *TINY, "--generations", 1, "--out", path)
     assert f"Run folder: {path}\n" in text
     quoted = shlex.quote(str(path))  # to be copied into a shell
-    assert f"Next: shes evaluate {quoted} · shes plot {quoted}\n" in text
+    assert f"Next: shes evaluate {quoted} · shes render {quoted} · shes plot {quoted}\n" in text
 
 
 def test_evaluate_prints_a_table_or_json(shes, tiny_run):

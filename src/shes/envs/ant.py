@@ -42,7 +42,7 @@ class Ant(Body):
     name = "ant"
     pose: ClassVar[tuple[ObservationElement, ...]] = (
         *elements(["torso_x", "torso_y", "torso_z"], "{} in the world", "m"),
-        *elements([f"torso_q{part}" for part in "wxyz"], "{} of the torso's unit quaternion"),
+        *(ObservationElement(name=f"torso_q{i}", meaning=f"{i} of the torso's unit quaternion") for i in "wxyz"),
         *elements(_JOINTS, "angle of {}", "rad"),
     )
     velocity: ClassVar[tuple[ObservationElement, ...]] = (

@@ -43,7 +43,7 @@ class Gather(Task):
     name: ClassVar[str] = "gather"
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="+1 for each piece of food and -1 for each piece of poison collected in the step",
-        ends="when the robot falls over (the ant's torso leaves heights of 0.2 to 1.0 m); not when all is collected",
+        ends="when the robot falls over (the ant: its torso leaves heights of 0.2 to 1.0 m; the point cannot)",
         score="highest running return in the episode, at least 0",
         success="the score is above 0",
     )

@@ -31,7 +31,7 @@ class Point(Body):
         ["torso_vx", "torso_vy"], "{}: velocity along a world axis", "m/s"
     )
     controls: ClassVar[tuple[str, ...]] = ("slide_x", "slide_y")
-    control_unit: ClassVar[str] = "1 (times a gear of 6 N)"
+    control_unit: ClassVar[str] = "6 N"
     control_limit: ClassVar[float] = 1.0
     quaternion: ClassVar[slice | None] = None
 

@@ -1,0 +1,134 @@
+"""The environments: an overview, and a page with a picture of each, from what the code says of itself."""
+
+from __future__ import annotations
+
+import inspect
+import io
+from dataclasses import MISSING, fields
+from math import isinf
+
+import gymnasium
+from PIL import Image
+
+from generate.fields import field_docs
+from generate.source import find, link
+from generate.tables import table
+from shes.envs.registration import MAX_EPISODE_STEPS, gymnasium_id
+from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.task import FRAME_SKIP, Task, TaskOptions
+from shes.envs.worlds import TIMESTEP_S
+
+
+def page_uri(name: str) -> str:
+    """Return the page of environment `name`."""
+    return f"environments/{name}.md"
+
+
+def picture_uri(name: str) -> str:
+    """Return the picture of environment `name`."""
+    return f"environments/{name}.png"
+
+
+def picture(name: str) -> bytes:
+    """Return a picture of the first moment of an episode, as PNG."""
+    env = gymnasium.make(gymnasium_id(name), render_mode="rgb_array")
+    env.reset(seed=0)
+    frame = env.render()
+    env.close()
+    out = io.BytesIO()
+    Image.fromarray(frame).save(out, "PNG", optimize=True)
+    return out.getvalue()
+
+
+def overview(page: str) -> str:
+    """Return the table of all environments."""
+    del page
+    tasks = {name: make_task(name, 1) for name in ENVIRONMENTS}
+    rows = [
+        (
+            f"[{name}]({name}.md)",
+            f"`{gymnasium_id(name)}`",
+            task.observation_size,
+            task.action_size,
+            _text(type(task)).split("\n\n")[0],
+        )
+        for name, task in tasks.items()
+    ]
+    header = ["environment", "Gymnasium", "observation", "action", "what it is"]
+    return table(header, rows, numbers=["observation", "action"])
+
+
+def environment_page(name: str) -> str:
+    """Return the page of environment `name`."""
+    task = make_task(name, 1)
+    gym = f"`{gymnasium_id(name)}`"
+    return "\n\n".join(
+        [
+            f"# {name}",
+            _text(type(task)),
+            f"![The first moment of an episode of {name}]({name}.png){{ width=480 }}",
+            table(["Gymnasium", gym], _facts(task, page_uri(name))),
+            "## Action",
+            f"{task.action_size} numbers in [-1, 1].",
+            _actions(task),
+            "## Observation",
+            f"{task.observation_size} numbers. {_text(type(task.body))}",
+            _observations(task),
+            "## Arguments",
+            f"What `gymnasium.make({gym[1:-1]!r}, ...)` takes, beside Gymnasium's own arguments:",
+            _arguments(),
+            "And for its pictures `width` and `height` in pixels (480), and `camera`: `follow` (the default) or `top`.",
+        ]
+    )
+
+
+def _facts(task: Task, page: str) -> list[tuple[str, str]]:
+    """Return what is to be known of a task at one glance."""
+    description = type(task).description
+    return [
+        ("Reward of a step", description.reward),
+        ("Ends", description.ends),
+        ("Time limit", f"{MAX_EPISODE_STEPS} control steps in Gymnasium (`truncated`), `--horizon` in training"),
+        ("Score", description.score),
+        ("Success", description.success),
+        ("Control step", f"{FRAME_SKIP * TIMESTEP_S:g} s, {FRAME_SKIP} physics steps"),
+        ("Code", f"{_code(type(task), page)}, {_code(type(task.body), page)}"),
+    ]
+
+
+def _actions(task: Task) -> str:
+    limit, unit = task.control_limit, task.body.control_unit
+    rows = [(i, control, f"{-limit:g}", f"{limit:g}", unit) for i, control in enumerate(task.body.controls)]
+    return table(["index", "control", "at -1", "at 1", "unit"], rows, numbers=["index", "at -1", "at 1"])
+
+
+def _observations(task: Task) -> str:
+    rows = [
+        (i, f"`{each.name}`", each.meaning, each.unit, _bound(each.low), _bound(each.high))
+        for i, each in enumerate(task.layout)
+    ]
+    return table(["index", "name", "meaning", "unit", "low", "high"], rows, numbers=["index", "low", "high"])
+
+
+def _arguments() -> str:
+    docs = field_docs(TaskOptions)
+    rows = []
+    for field in fields(TaskOptions):
+        default = field.default if field.default is not MISSING else field.default_factory()
+        rows.append((f"`{field.name}`", f"`{default!r}`", docs.get(field.name, "")))
+    return table(["argument", "default", "meaning"], rows)
+
+
+def _bound(value: float) -> str:
+    return ("-∞" if value < 0 else "∞") if isinf(value) else f"{value:g}"
+
+
+def _text(cls: type) -> str:
+    """Return the docstring of `cls`, a line for each paragraph."""
+    paragraphs = inspect.cleandoc(cls.__doc__ or "").split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+
+def _code(cls: type, page: str) -> str:
+    path, line, _ = find(f"{cls.__module__}.{cls.__qualname__}")
+    return link(path, line, page)

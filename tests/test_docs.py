@@ -1,0 +1,326 @@
+"""The documentation builds without a warning, says what the code says, has no broken link, and needs no network."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from collections import defaultdict
+from dataclasses import fields
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+import shes
+from shes.cli.commands import SUMMARIES
+from shes.envs.registration import gymnasium_id
+from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.experiments.config import TrainConfig
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+SRC = ROOT / "src" / "shes"
+PAGES = sorted(DOCS.rglob("*.md"))
+NOT_IN_THE_REFERENCE = ("cli", "experiments", "storage", "worker")
+"""Rooms and modules that the reference leaves out, or of which it shows some modules."""
+
+
+class Page(HTMLParser):
+    """What a test wants to know of a built page."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.path = path
+        self.ids = set()
+        self.links = []
+        self.resources = []
+        self.tables = []
+        self._cell = None
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        self.ids |= {values[key] for key in ("id", "name") if values.get(key)}
+        if tag in ("a", "area"):
+            self.links.append(values.get("href") or "")
+        elif tag == "link":
+            self.resources.append(values["href"])
+        self.resources += [values[key] for key in ("src", "srcset", "data", "poster") if values.get(key)]
+        self.resources += re.findall(r"url\(([^)]*)\)", values.get("style") or "")
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self._cell = {"text": "", "links": []}
+            self.tables[-1][-1].append(self._cell)
+        elif tag == "a" and self._cell is not None:
+            self._cell["links"].append(values.get("href"))
+
+    def handle_data(self, data):
+        if self._cell is not None:
+            self._cell["text"] += data
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "th"):
+            self._cell = None
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory):
+    """Return the folder of the built site; the build is strict."""
+    for package in ("mkdocs", "material", "mkdocstrings", "mkdocstrings_handlers"):
+        if importlib.util.find_spec(package) is None:
+            pytest.skip(f"the documentation needs {package}: pip install 'shes[docs]'")
+    folder = tmp_path_factory.mktemp("docs") / "site"
+    built = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    assert "WARNING" not in built.stdout + built.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
+def pages(site):
+    """Return every built page by its path in the site."""
+    return {path.relative_to(site).as_posix(): Page(path) for path in sorted(site.rglob("*.html"))}
+
+
+@pytest.fixture
+def source(monkeypatch):
+    """Return the module that finds places in the code."""
+    monkeypatch.syspath_prepend(DOCS)
+    return importlib.import_module("generate.source")
+
+
+@pytest.mark.extras
+def test_every_page_is_built_and_no_program_of_the_documentation_is_in_it(site, pages):
+    expected = {path.relative_to(DOCS).with_suffix(".html").as_posix() for path in PAGES}
+    expected |= {f"environments/{name}.html" for name in ENVIRONMENTS}
+    expected |= {f"source/{path.relative_to(SRC).with_suffix('.html').as_posix()}" for path in SRC.rglob("*.py")}
+    assert expected <= set(pages)
+    assert not list(site.rglob("*.py*"))
+
+
+@pytest.mark.extras
+def test_every_link_leads_to_a_file_and_to_an_anchor_in_it(site, pages):
+    broken = []
+    for name, page in pages.items():
+        if name == "404.html":  # its links are absolute: it is shown at any address
+            continue
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme in ("http", "https", "mailto"):
+                continue
+            assert not parts.scheme, f"{name}: {link}"
+            target = (site / name).parent / unquote(parts.path) if parts.path else site / name
+            other = pages.get(os.path.relpath(target, site))
+            anchor = unquote(parts.fragment)
+            if not target.is_file() or (anchor and (other is None or anchor not in other.ids)):
+                broken.append(f"{name}: {link}")
+    assert not broken
+
+
+@pytest.mark.extras
+def test_nothing_is_loaded_from_another_host(site, pages):
+    loaded = [(name, resource) for name, page in pages.items() for resource in page.resources]
+    for path in site.rglob("*.css"):
+        text = path.read_text(encoding="utf-8")
+        loaded += [(path.name, resource) for resource in re.findall(r"(?:url\(|@import )[\"']?([^\"')]+)", text)]
+    assert loaded
+    assert not [(name, link) for name, link in loaded if re.match(r"([a-z]+:)?//", link)]
+
+
+@pytest.mark.extras
+def test_resources_are_there(site, pages):
+    for name, page in pages.items():
+        for resource in page.resources if name != "404.html" else []:
+            if not resource.startswith("data:"):
+                assert ((site / name).parent / unquote(urlsplit(resource).path)).is_file(), f"{name}: {resource}"
+
+
+@pytest.mark.extras
+def test_no_page_names_a_folder_of_this_machine(pages):
+    for page in pages.values():
+        text = page.path.read_text(encoding="utf-8")
+        assert str(ROOT) not in text, page.path
+        assert str(Path.home()) + "/" not in text, page.path
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_an_environments_page_lists_what_it_observes_and_how_it_is_moved(site, pages, name):
+    task = make_task(name, 1)
+    page = pages[f"environments/{name}.html"]
+    tables = {tuple(cell["text"] for cell in table[0][:2]): table[1:] for table in page.tables}
+    observed = tables["index", "name"]
+    assert len(observed) == task.observation_size
+    assert [row[1]["text"] for row in observed] == [element.name for element in task.layout]
+    assert [row[0]["text"] for row in observed] == [str(i) for i in range(task.observation_size)]
+    assert [row[1]["text"] for row in tables["index", "control"]] == list(task.body.controls)
+    facts = {row[0]["text"]: row[1]["text"] for row in tables["Gymnasium", gymnasium_id(name)]}
+    assert facts["Score"] == type(task).description.score
+    assert {row[0]["text"] for row in tables["argument", "default"]} == {each.name for each in fields(task.options)}
+    assert (site / "environments" / f"{name}.png").stat().st_size > 1000
+    assert f"{name}.html" in pages["environments/index.html"].links
+
+
+@pytest.mark.extras
+def test_the_map_of_algorithm_1_leads_to_the_lines_that_bear_its_marks(pages):
+    (table,) = (table for table in pages["algorithm.html"].tables if table[0][1]["text"] == "Algorithm 1")
+    assert [row[0]["text"] for row in table[1:]] == ["1", "2", "3", "4", "5"]
+    for row in table[1:]:
+        assert row[2]["links"]
+        for link in row[2]["links"]:
+            path, _, line = link.partition("#L-")
+            code = SRC / Path(path).relative_to("source").with_suffix(".py")
+            marked = code.read_text(encoding="utf-8").splitlines()[int(line) - 1]
+            assert re.search(rf"# .*\blines? ([1-5] and )?{row[0]['text']}\b", marked), marked
+
+
+@pytest.mark.extras
+def test_every_deviation_of_the_code_is_told(pages):
+    (table,) = (table for table in pages["differences.html"].tables if table[0][1]["text"] == "deviation")
+    told = defaultdict(int)
+    for row in table[1:]:
+        (link,) = row[0]["links"]
+        told[link.partition("#")[0]] += 1
+        assert len(row[1]["text"]) > 20
+    stated = {
+        f"source/{path.relative_to(SRC).with_suffix('.html').as_posix()}": len(
+            re.findall(r"\bDeviation:", path.read_text(encoding="utf-8"))
+        )
+        for path in SRC.rglob("*.py")
+    }
+    assert told == {page: count for page, count in stated.items() if count}
+
+
+@pytest.mark.extras
+def test_the_reference_has_every_module_of_every_room(pages):
+    found = {name for page in pages.values() for name in page.ids}
+    for path in SRC.rglob("*.py"):
+        parts = path.relative_to(SRC.parent).with_suffix("").parts
+        if parts[1] not in NOT_IN_THE_REFERENCE and not parts[-1].startswith("_"):
+            assert ".".join(parts) in found
+
+
+@pytest.mark.extras
+def test_the_reference_has_every_field_of_the_settings_with_its_docstring(pages):
+    page = pages["reference/experiments.html"]
+    assert {f"shes.experiments.config.TrainConfig.{each.name}" for each in fields(TrainConfig)} <= page.ids
+    assert "Standard deviation of the perturbations (Table I: 0.02)." in page.path.read_text(encoding="utf-8")
+
+
+@pytest.mark.extras
+def test_the_reference_names_all_that_import_shes_offers(pages):
+    (table,) = pages["reference/shes.html"].tables
+    assert [row[0]["text"] for row in table[1:]] == [f"shes.{name}" for name in shes.__all__]
+    assert all(row[0]["links"] for row in table[1:])
+
+
+@pytest.mark.extras
+def test_every_command_shows_its_help(pages):
+    page = pages["reference/command-line.html"]
+    assert set(SUMMARIES) <= page.ids
+    text = page.path.read_text(encoding="utf-8")
+    for name in SUMMARIES:
+        assert re.search(rf"usage: shes {name}\b", text)
+
+
+def code_blocks(path, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize(
+    ("page", "number"),
+    [
+        (page, number)
+        for page in ("environments/index.md", "extending.md")
+        for number in range(len(code_blocks(DOCS / page, "python")))
+    ],
+)
+def test_an_example_of_a_page_runs(page, number, tmp_path):
+    script = tmp_path / "example.py"
+    script.write_text(code_blocks(DOCS / page, "python")[number], encoding="utf-8")
+    run(script)
+
+
+@pytest.mark.extras
+def test_the_python_of_getting_started_runs(tmp_path):
+    blocks = code_blocks(DOCS / "getting-started.md", "python")
+    assert len(blocks) >= 3
+    shes.train("point-gather", preset="smoke", out=tmp_path / "runs" / "first", num_workers=1)
+    for number, block in enumerate(blocks):
+        script = tmp_path / f"block_{number}.py"
+        script.write_text(block, encoding="utf-8")
+        assert run(script)
+
+
+def run(script):
+    """Run a script in its folder, with warnings as errors; return what it printed."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", script], cwd=script.parent, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="session")
+def flags():
+    """Return every flag that a command explains."""
+    code = "import sys; from shes.cli import main\nfor name in sys.argv[1:]: main([name, '--help'])"
+    command = [sys.executable, "-c", code, *SUMMARIES]
+    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
+def test_flags_and_commands_exist(path, flags):
+    text = path.read_text(encoding="utf-8")
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= flags
+    commands = re.findall(r"(?:^|`)(?:PYTHONPATH=\. )?shes ([a-z]+)", text, flags=re.MULTILINE)
+    assert set(commands) <= set(SUMMARIES)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
+def test_code_that_a_page_names_exists(path, source):
+    for name in re.findall(r"\[\[(shes[\w.]*)\]\]", path.read_text(encoding="utf-8")):
+        where, first, last = source.find(name)
+        assert name.rpartition(".")[2] in where.read_text(encoding="utf-8").splitlines()[first - 1]
+        assert last >= first
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("shes.algorithm.dissolve", "algorithm.py defines no 'dissolve'"),
+        ("shes.algorithm.Settings.nothing", "defines no 'nothing'"),
+        ("nothing.at.all", "there is no module 'nothing.at.all'"),
+    ],
+)
+def test_code_that_does_not_exist_is_refused(source, name, message):
+    with pytest.raises(source.UnknownCodeError, match=message):
+        source.find(name)
+
+
+@pytest.mark.parametrize(
+    ("uri", "page", "link"),
+    [
+        ("algorithm.md", "index.md", "algorithm.md"),
+        ("source/es/level.md", "algorithm.md", "source/es/level.md"),
+        ("source/es/level.md", "environments/ant-gather.md", "../source/es/level.md"),
+        ("environments/a.png", "environments/b.md", "a.png"),
+        ("index.md", "source/es/level.md", "../../index.md"),
+    ],
+)
+def test_a_link_is_relative_to_its_page(source, uri, page, link):
+    assert source.relative(uri, page) == link
