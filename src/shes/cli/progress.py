@@ -38,7 +38,6 @@ def show_progress(work: Callable[[ProgressDisplay], Run], path: Path | None) -> 
     if run.best.generation >= 0:
         best = f"best evaluation score {run.best.score:.2f} (generation {run.best.generation})"
     found = quote(run.path)
-    print_line(
-        f"Done: {run.generation} generations, {best}.\nNext: shes evaluate {found} · shes render {found} · shes plot {found}"
-    )
+    print_line(f"Done: {run.generation} generations, {best}.")
+    print_line(f"Next: shes evaluate {found} · shes render {found} · shes plot {found}")
     return 0

@@ -31,7 +31,7 @@ def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     looks = spec.visual
     looks.global_.offwidth = looks.global_.offheight = MAX_PIXELS
     looks.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
-    looks.quality.shadowsize = 2048
+    looks.quality.shadowsize = 4096
     looks.headlight.ambient = [0.38, 0.38, 0.38]
     looks.headlight.diffuse = [0.35, 0.35, 0.35]
     looks.headlight.specular = [0.0, 0.0, 0.0]
