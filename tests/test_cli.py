@@ -48,8 +48,13 @@ def test_envs_lists_the_registry(shes):
     assert all(name in text for name in ENVIRONMENTS)
     rows = json.loads(shes("envs", "--json"))
     assert [row["name"] for row in rows] == list(ENVIRONMENTS)
-    assert [(row["observation"], row["action"]) for row in rows] == [(50, 8), (25, 2)]
-    assert all(row["task"] for row in rows)
+    assert [(row["observation"]["shes"], row["action"]) for row in rows[:3]] == [(50, 8), (32, 8), (36, 8)]
+    assert rows[2]["observation"] == {"shes": 36, "hiro": 32}
+    assert rows[2]["gymnasium"] == ["shes/AntPush-v0", "shes/AntPushHiro-v0"]
+    for row in rows:
+        assert all(row[word] for word in ("about", "reward", "ends", "score"))
+    for words in ("minus the distance to the target", "highest running return", "1 if the last distance is below 5 m"):
+        assert words.split()[0] in text
 
 
 def test_train_says_where_the_run_is_and_what_to_do_next(shes, tmp_path, tiny_run):
@@ -236,7 +241,7 @@ def test_an_environment_of_an_imported_module_can_be_used_like_any_other(shes, t
     name = own_module(OWN)
     rows = json.loads(shes("envs", "--json", "--import", name, "--import=json"))
     assert [row["name"] for row in rows][-1] == "point-own"
-    assert "ant-gather, point-gather, point-own" in shes(f"--import={name}", "train", "--help")
+    assert "point-flagrun, point-own" in " ".join(shes(f"--import={name}", "train", "--help").split())
     path = tmp_path / "run"
     shes("train", "--import", name, "point-own", *TINY, "--generations", 1, "--out", path)
     shes("resume", path, "--generations", 2, "--import", name)

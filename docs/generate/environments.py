@@ -8,11 +8,13 @@ from dataclasses import MISSING, fields
 from math import isinf
 
 import gymnasium
+import numpy as np
 from PIL import Image
 
 from generate.fields import field_docs
 from generate.source import find, link
 from generate.tables import table
+from shes.drawing.renderer import CAMERAS
 from shes.envs.registration import MAX_EPISODE_STEPS, gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.task import FRAME_SKIP, Task, TaskOptions
@@ -30,13 +32,17 @@ def picture_uri(name: str) -> str:
 
 
 def picture(name: str) -> bytes:
-    """Return a picture of the first moment of an episode, as PNG."""
-    env = gymnasium.make(gymnasium_id(name), render_mode="rgb_array")
-    env.reset(seed=0)
-    frame = env.render()
-    env.close()
+    """Return the first moment of an episode of evaluation, from behind and from above, as PNG."""
+    frames = []
+    for camera in CAMERAS:
+        env = gymnasium.make(
+            gymnasium_id(name), render_mode="rgb_array", camera=camera, evaluation=True, width=360, height=360
+        )
+        env.reset(seed=0)
+        frames.append(env.render())
+        env.close()
     out = io.BytesIO()
-    Image.fromarray(frame).save(out, "PNG", optimize=True)
+    Image.fromarray(np.hstack(frames)).save(out, "PNG", optimize=True)
     return out.getvalue()
 
 
@@ -66,7 +72,7 @@ def environment_page(name: str) -> str:
         [
             f"# {name}",
             _text(type(task)),
-            f"![The first moment of an episode of {name}]({name}.png){{ width=480 }}",
+            f"![The first moment of an episode of {name}]({name}.png){{ width=720 }}",
             table(["Gymnasium", gym], _facts(task, page_uri(name))),
             "## Action",
             f"{task.action_size} numbers in [-1, 1].",
@@ -74,9 +80,10 @@ def environment_page(name: str) -> str:
             "## Observation",
             f"{task.observation_size} numbers. {_text(type(task.body))}",
             _observations(task),
+            *_hiro(name, task),
             "## Arguments",
             f"What `gymnasium.make({gym[1:-1]!r}, ...)` takes, beside Gymnasium's own arguments:",
-            _arguments(),
+            _arguments(type(task)),
             "And for its pictures `width` and `height` in pixels (480), and `camera`: `follow` (the default) or `top`.",
         ]
     )
@@ -110,10 +117,28 @@ def _observations(task: Task) -> str:
     return table(["index", "name", "meaning", "unit", "low", "high"], rows, numbers=["index", "low", "high"])
 
 
-def _arguments() -> str:
+def _hiro(name: str, task: Task) -> list[str]:
+    """Return the section on the second specification, if the task has it."""
+    if "hiro" not in task.specs:
+        return []
+    other = make_task(name, 1, TaskOptions(spec="hiro"))
+    hidden = [f"`{each.name}`" for i, each in enumerate(other.layout) if i not in other.primitive_view]
+    for_controller = f" For the controller alone: {', '.join(hidden)}." if hidden else ""
+    gym, size, integrator = gymnasium_id(name, "hiro"), other.observation_size, other.options.integrator
+    intro = f"`{gym}`, `--spec hiro`: {size} numbers, integrator `{integrator}`."
+    return [
+        '## Observation with `spec="hiro"`',
+        f"{intro}{for_controller}",
+        _observations(other),
+    ]
+
+
+def _arguments(kind: type[Task]) -> str:
     docs = field_docs(TaskOptions)
     rows = []
     for field in fields(TaskOptions):
+        if field.name not in kind.option_names():
+            continue
         default = field.default if field.default is not MISSING else field.default_factory()
         rows.append((f"`{field.name}`", f"`{default!r}`", docs.get(field.name, "")))
     return table(["argument", "default", "meaning"], rows)

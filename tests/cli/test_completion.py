@@ -10,6 +10,8 @@ from shes.cli.commands import SUMMARIES
 from shes.envs.registry import ENVIRONMENTS
 from shes.experiments.config import TrainConfig, flag
 
+ANTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("ant-")]
+POINTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("point-")]
 SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 
@@ -56,17 +58,17 @@ def test_bash_completes_commands_flags_environments_presets_and_choices(complete
         "shes tr": ["train"],
         "shes --ver": ["--version"],
         "shes train ": list(ENVIRONMENTS),
-        "shes train po": ["point-gather"],
+        "shes train po": POINTS,
         "shes train --sig": ["--sigma"],
         "shes train point-gather --work": ["--workers"],
         "shes train --no-c": ["--no-common-random-numbers"],
-        "shes train --hidden 8 8 ant": ["ant-gather"],
+        "shes train --hidden 8 8 ant": ANTS,
         "shes train --preset ": ["paper", "laptop", "smoke"],
         "shes train --preset=la": ["laptop"],
         "shes train --mirrored=": ["quad", "pair", "none"],
         "shes train --sigma ": [],
-        "shes --import mine train po": ["point-gather"],
-        "shes --import=mine train po": ["point-gather"],
+        "shes --import mine train po": POINTS,
+        "shes --import=mine train po": POINTS,
         "shes --import ": [],
         "shes bench ": ["rollout", "update"],
         "shes bench rollout ": list(ENVIRONMENTS),

@@ -51,7 +51,7 @@ def test_an_unknown_environment_is_refused_with_the_nearest_name(call, wrong, ri
 
 
 def test_a_name_unlike_any_other_gets_no_suggestion():
-    with pytest.raises(UnknownNameError, match=r"unknown environment 'zzz'. Known: ant-gather, "):
+    with pytest.raises(UnknownNameError, match=r"unknown environment 'zzz'. Known: ant-fall, "):
         check_name("zzz")
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.envs.worlds import CELL_SIZE_M, GATHER, INTEGRATORS, add_walls, empty_world, wall_boxes
+from shes.envs.worlds import CELL_SIZE_M, GATHER, INTEGRATORS, add_grid, empty_world, merged_boxes
 from shes.errors import UnknownNameError
 
 INNER_WALLS = (
@@ -42,7 +42,7 @@ def assert_boxes_are_the_walls(grid, boxes):
 
 @pytest.mark.parametrize("grid", [GATHER, MAZE, INNER_WALLS, ("r",), ("#r#",), ("..#", "r#.", "#..")])
 def test_boxes_cover_exactly_the_wall_cells(grid):
-    assert_boxes_are_the_walls(grid, wall_boxes(grid))
+    assert_boxes_are_the_walls(grid, merged_boxes(grid, "#"))
 
 
 @given(st.data())
@@ -51,25 +51,25 @@ def test_boxes_cover_exactly_the_wall_cells_of_any_grid(data):
     cells = data.draw(st.lists(st.sampled_from("#."), min_size=rows * columns, max_size=rows * columns))
     cells[data.draw(st.integers(0, rows * columns - 1))] = "r"
     grid = tuple("".join(cells[i * columns : (i + 1) * columns]) for i in range(rows))
-    assert_boxes_are_the_walls(grid, wall_boxes(grid))
+    assert_boxes_are_the_walls(grid, merged_boxes(grid, "#"))
 
 
 def test_the_walls_of_gather_are_four_boxes_12_m_from_the_origin():
-    boxes = wall_boxes(GATHER)
+    boxes = merged_boxes(GATHER, "#")
     assert sorted(boxes) == [(-16, 0, 4, 12), (0, -16, 20, 4), (0, 16, 20, 4), (16, 0, 4, 12)]
 
 
 def test_rows_and_columns_are_y_and_x_and_the_first_row_is_the_lowest():
-    assert wall_boxes(("r.#",)) == [(16, 0, 4, 4)]
-    assert wall_boxes(("r", ".", "#")) == [(0, 16, 4, 4)]
-    assert wall_boxes(("#", "r")) == [(0, -8, 4, 4)]
+    assert merged_boxes(("r.#",), "#") == [(16, 0, 4, 4)]
+    assert merged_boxes(("r", ".", "#"), "#") == [(0, 16, 4, 4)]
+    assert merged_boxes(("#", "r"), "#") == [(0, -8, 4, 4)]
 
 
 def test_walls_become_static_boxes_4_m_high_that_take_contacts():
     spec = empty_world("world", "euler")
-    add_walls(spec, INNER_WALLS)
+    add_grid(spec, INNER_WALLS)
     model = spec.compile()
-    boxes = wall_boxes(INNER_WALLS)
+    boxes = merged_boxes(INNER_WALLS, "#")
     walls = [model.geom(f"wall_{number}") for number in range(len(boxes))]
     assert model.ngeom == 1 + len(boxes)
     for wall, (x, y, half_width, half_depth) in zip(walls, boxes, strict=True):

@@ -30,8 +30,19 @@ WHOLE_NUMBERS = {
 }
 POSITIVE = ["goal_distance", "learning_rate", "minutes", "sigma"]
 NOT_NEGATIVE = ["evaluation_reset_noise", "reset_noise", "weight_decay"]
-NAMES = ["backend", "biases", "goal_encoding", "integrator", "mirrored", "primitive_reward", "rank_ties"]
-SWITCHES = ["common_random_numbers", "minimum_goal_distance"]
+NAMES = [
+    "backend",
+    "biases",
+    "goal_encoding",
+    "integrator",
+    "mirrored",
+    "primitive_reward",
+    "rank_ties",
+    "spec",
+    "target_sampling",
+]
+SWITCHES = ["common_random_numbers", "fall_penalty", "minimum_goal_distance", "observe_block"]
+PLACES = ["evaluation_target", "target"]
 OTHERS = ["env", "hidden", "population_size", "preset", "statistics_fraction"]
 
 
@@ -40,7 +51,7 @@ def make(**settings):
 
 
 def test_every_setting_is_checked_by_a_test_here():
-    checked = [*WHOLE_NUMBERS, *POSITIVE, *NOT_NEGATIVE, *NAMES, *SWITCHES, *OTHERS]
+    checked = [*WHOLE_NUMBERS, *POSITIVE, *NOT_NEGATIVE, *NAMES, *SWITCHES, *PLACES, *OTHERS]
     assert sorted(checked) == sorted(field.name for field in fields(TrainConfig))
 
 
@@ -83,6 +94,15 @@ def test_the_share_of_the_statistics_is_between_zero_and_one(wrong):
 def test_a_switch_is_true_or_false(name):
     with pytest.raises(ConfigError, match=rf"{name} must be true or false, got 1\. Set {flag(name)}"):
         make(**{name: 1})
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_a_place_is_finite_coordinates_or_none(name):
+    assert getattr(make(), name) is None
+    assert getattr(make(**{name: [0, 16.5]}), name) == (0, 16.5)
+    for wrong in (3.0, (), (0, float("nan")), ("0", "16"), (True, 0), "home"):
+        with pytest.raises(ConfigError, match=rf"{name} must be coordinates in metres, e\.g\. {flag(name)} 0 16, got"):
+            make(**{name: wrong})
 
 
 @pytest.mark.parametrize("name", NAMES)

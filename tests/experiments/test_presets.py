@@ -4,6 +4,7 @@ import pytest
 
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
+from shes.experiments.build import build_options
 from shes.experiments.presets import PRESETS, make_config
 
 PAPER = {
@@ -27,7 +28,6 @@ PAPER = {
     "minimum_goal_distance": True,
     "goal_encoding": "angle",
     "primitive_reward": "progress",
-    "integrator": "euler",
     "reset_noise": 0.0,
     "evaluation_reset_noise": 0.1,
     "evaluation_episodes": 10,
@@ -39,6 +39,11 @@ PAPER = {
 @pytest.mark.parametrize("name", PAPER)
 def test_the_paper_preset_has_the_numbers_of_table_one(env, name):
     assert getattr(make_config(env, "paper"), name) == PAPER[name]
+
+
+@pytest.mark.parametrize("env", ENVIRONMENTS)
+def test_the_paper_preset_steps_by_euler(env):
+    assert build_options(make_config(env, "paper"), is_evaluation=False).integrator == "euler"
 
 
 def test_the_paper_preset_evaluates_over_the_horizon_of_table_one():

@@ -1,7 +1,9 @@
 """Videos: what they show, how long they are, and that nothing half-written is left."""
 
+import gc
 import io
 import subprocess
+import warnings
 
 import imageio_ffmpeg
 import numpy as np
@@ -158,9 +160,13 @@ def test_a_video_that_fails_leaves_what_was_there(tmp_path):
 
 
 def test_an_encoder_that_fails_is_an_error_of_storage(tmp_path, monkeypatch):
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/bin/false")
-    with pytest.raises(StorageError, match=r"ffmpeg could not write .*temporary folder"):
-        write_video(tmp_path / "walk.mp4", iter([np.zeros((64, 64, 3), np.uint8)] * 3))
+    monkeypatch.setattr("imageio_ffmpeg._io.get_ffmpeg_exe", lambda: "/bin/false")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # imageio-ffmpeg leaves the pipe to a dead encoder open
+        with pytest.raises(StorageError, match=r"ffmpeg could not write .*temporary folder") as caught:
+            write_video(tmp_path / "walk.mp4", iter([np.zeros((64, 64, 3), np.uint8)] * 3))
+        del caught
+        gc.collect()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -140,7 +140,8 @@ def _constructor(option: Option) -> PrimitiveConstructorSpec[Any]:
         if NoneType in option.kinds and [word.lower() for word in words] == ["none"]:
             return None
         try:
-            return spec.instance_from_str(words)
+            # Python's True and False are people's true and false.
+            return spec.instance_from_str([word.capitalize() for word in words] if bool in option.kinds else words)
         except ValueError:
             return _Wrong(words)
 

@@ -11,8 +11,22 @@ from shes.cli.options import Option
 
 __all__ = ["described", "metavar", "usage", "written"]
 
-_METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", str: "TEXT", Path: "PATH", NoneType: "none"}
-_ONE: dict[Any, str] = {int: "a whole number", float: "a number", str: "a word", Path: "a path", NoneType: "none"}
+_METAVARS: dict[Any, str] = {
+    bool: "true|false",
+    int: "INT",
+    float: "FLOAT",
+    str: "TEXT",
+    Path: "PATH",
+    NoneType: "none",
+}
+_ONE: dict[Any, str] = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a word",
+    Path: "a path",
+    NoneType: "none",
+}
 _MANY: dict[Any, str] = {int: "whole numbers", float: "numbers", str: "words", Path: "paths"}
 
 

@@ -19,6 +19,7 @@ _BARS = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 _FINER = 2  # drawn this much larger, then shrunk: smooth edges
 _FOLLOW_HALF_M = 7.0
 _GROUND, _GROUND_LINE = (216, 221, 214), (198, 205, 197)
+_CHASM = (164, 170, 166)
 _WALL, _BLOCK = (122, 130, 143), (199, 158, 107)
 _LINE_EVERY_M = 2.0
 
@@ -29,11 +30,14 @@ class FlatRenderer(Renderer):
     def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
         """Return a picture of the world at `qpos`."""
         check_camera(camera)
-        sheet = _Sheet(self._window(qpos, camera), self.width * _FINER, self.height * _FINER)
+        has_platforms = any(self.model.geom(geom).name.startswith("platform") for geom in range(self.model.ngeom))
+        ground = _CHASM if has_platforms else _GROUND
+        sheet = _Sheet(self._window(qpos, camera), self.width * _FINER, self.height * _FINER, ground)
         self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self.data)
         sheet.grid()
-        heights = self.data.geom_xpos[:, 2] + self.model.geom_rbound
+        is_box = self.model.geom_type == _BOX
+        heights = self.data.geom_xpos[:, 2] + is_box * self.model.geom_size[:, 2]
         is_robot = np.array([not self._is_scenery(geom) for geom in range(self.model.ngeom)])
         order = np.lexsort((heights, is_robot))  # walls and blocks, what the task draws, the robot on top
         for geom in order[~is_robot[order]]:
@@ -66,7 +70,8 @@ class FlatRenderer(Renderer):
         if kind == _BOX:
             is_static = self.model.body_weldid[self.model.geom_bodyid[geom]] == 0
             corners = [place + axes @ (size * [i, j, 0]) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-            sheet.polygon(corners, _WALL if is_static else _BLOCK)
+            is_platform = self.model.geom(geom).name.startswith("platform")
+            sheet.polygon(corners, _GROUND if is_platform else _WALL if is_static else _BLOCK)
         elif kind == _SPHERE:
             sheet.circle(place, size[0], color)
         elif kind in _BARS:
@@ -96,11 +101,13 @@ def _marks(first: float, last: float) -> F64Array:
 class _Sheet:
     """A picture in the making, addressed in metres."""
 
-    def __init__(self, window: tuple[float, float, float], width: int, height: int) -> None:
+    def __init__(
+        self, window: tuple[float, float, float], width: int, height: int, ground: tuple[int, int, int]
+    ) -> None:
         self._x, self._y, half = window
         self._scale = height / (2 * half)
         self._width, self._height = width, height
-        self._image = Image.new("RGB", (width, height), _GROUND)
+        self._image = Image.new("RGB", (width, height), ground)
         self._draw = ImageDraw.Draw(self._image, "RGBA")
 
     def _pixel(self, place: F64Array) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from shes.types import F64Array
 __all__ = ["MujocoRenderer", "add_markers"]
 
 _FOLLOW = {"azimuth": 90.0, "elevation": -42.0, "distance": 11.0}
-_LOOK_AT_HEIGHT_M = 0.5
+_ROBOT_BODY = 1  # worlds begin with the robot
 _TOP_MARGIN = 1.02
 _TOP_DISTANCE_M = 120.0  # far away, and narrow: nearly no perspective, so that no wall hides what is behind it
 _MAX_GEOMS = 4000
@@ -36,16 +36,16 @@ class MujocoRenderer(Renderer):
 
     def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
         """Return a picture of the world at `qpos`."""
-        self._aim(qpos, camera)
         self.data.qpos[:] = qpos
         mujoco.mj_forward(self.model, self.data)
+        self._aim(camera)
         self._renderer.update_scene(self.data, self._camera)
         # From above a shadow hides more than it shows, and it is half the work.
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != "top"
         add_markers(self._renderer.scene, markers)
         return self._renderer.render()
 
-    def _aim(self, qpos: F64Array, name: str) -> None:
+    def _aim(self, name: str) -> None:
         """Point the camera."""
         check_camera(name)
         camera = self._camera
@@ -54,7 +54,7 @@ class MujocoRenderer(Renderer):
             self.model.vis.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
             camera.azimuth, camera.elevation = _FOLLOW["azimuth"], _FOLLOW["elevation"]
             camera.distance = _FOLLOW["distance"]
-            camera.lookat[:] = (qpos[0], qpos[1], _LOOK_AT_HEIGHT_M)
+            camera.lookat[:] = self.data.xpos[_ROBOT_BODY]
             return
         left, bottom, right, top = self.extent
         half = max((top - bottom) / 2, (right - left) / 2 * self.height / self.width) * _TOP_MARGIN

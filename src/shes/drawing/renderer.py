@@ -55,12 +55,12 @@ class Renderer(ABC):
 
         Of the walls around, only the inner rim.
         """
-        mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_kinematics(self.model, self.data)
+        data = mujoco.MjData(self.model)  # not that of the pose being drawn
+        mujoco.mj_kinematics(self.model, data)
         boxes = self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
         if not boxes.any():
             return (-_OPEN_HALF_M, -_OPEN_HALF_M, _OPEN_HALF_M, _OPEN_HALF_M)
-        center, half = self.data.geom_xpos[boxes, :2], self.model.geom_size[boxes, :2]
+        center, half = data.geom_xpos[boxes, :2], self.model.geom_size[boxes, :2]
         sides = [*(center - half).min(axis=0), *(center + half).max(axis=0)]
         for i, side in enumerate(sides):
             sign = -1 if i < 2 else 1

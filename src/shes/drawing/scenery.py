@@ -20,8 +20,8 @@ _SKY = ([0.62, 0.76, 0.90], [0.93, 0.96, 0.98])
 _GROUND = ([0.80, 0.83, 0.80], [0.87, 0.89, 0.86])
 _GROUND_LINE = [0.70, 0.74, 0.70]
 _WALL = [0.52, 0.56, 0.62, 1.0]
-_PLATFORM = [0.80, 0.83, 0.80, 1.0]
 _WALL_HALF_HEIGHT_M = 0.4
+_CHASM = [0.55, 0.57, 0.58, 1.0]
 _BLOCK = [0.78, 0.62, 0.42, 1.0]
 _GROUND_SQUARES_M = 2.0
 
@@ -54,14 +54,15 @@ def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         castshadow=True,
     )
     _ground(spec)
+    has_platforms = any(geom.name.startswith("platform") for geom in spec.geoms)
     for geom in spec.geoms:
-        if geom.name == "floor":
+        if geom.name.startswith(("floor", "platform")):
             geom.material = "ground"
+            if has_platforms and geom.name == "floor":
+                geom.rgba = _CHASM
         elif geom.name.startswith("wall"):
             geom.rgba = _WALL
             _lower(geom)
-        elif geom.name.startswith("platform"):
-            geom.rgba = _PLATFORM
         elif geom.name.startswith("block"):
             geom.rgba = _BLOCK
         else:

@@ -57,9 +57,9 @@ class Ant(Body):
     control_limit: ClassVar[float] = 30.0
     quaternion: ClassVar[slice | None] = slice(3, 7)
 
-    def add_to(self, spec: mujoco.MjSpec) -> None:
+    def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
         """Add torso, legs and motors to `spec`."""
-        torso = spec.worldbody.add_body(name="torso", pos=[0, 0, TORSO_HEIGHT_M])
+        torso = spec.worldbody.add_body(name="torso", pos=[0, 0, ground_m + TORSO_HEIGHT_M])
         torso.add_joint(name="root", type=mujoco.mjtJoint.mjJNT_FREE, margin=0.01)
         torso.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[TORSO_RADIUS_M, 0, 0])
         for number in _LEGS:

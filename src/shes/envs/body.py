@@ -46,8 +46,8 @@ class Body(ABC):
         return len(self.controls)
 
     @abstractmethod
-    def add_to(self, spec: mujoco.MjSpec) -> None:
-        """Add the robot and its actuators to `spec`, at the origin."""
+    def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
+        """Add the robot and its actuators to `spec`, at the origin, on ground of this height."""
 
     @abstractmethod
     def heading(self, qpos: F64Array) -> F64Array:

@@ -1,4 +1,7 @@
-"""Gather: collect food, leave poison. Source: environment specification, Tasks and Gather details (`spec="shes"`)."""
+"""Gather: collect food, leave poison.
+
+Source: environment specification, Tasks and Gather details. `shes` is the SHES authors', `hiro` rllab's.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,8 @@ import numpy as np
 from shes.drawing.markers import FOOD, POISON, Marker, ball
 from shes.envs.body import Body
 from shes.envs.layout import ObservationElement, elements
-from shes.envs.task import TIME_SCALE, VELOCITY_CLIP, SimulatorFactory, Task, TaskDescription, TaskOptions
-from shes.envs.worlds import GATHER, add_walls, empty_world
+from shes.envs.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription, TaskOptions
+from shes.envs.worlds import GATHER, add_grid, add_square_walls, empty_world
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
@@ -25,7 +28,10 @@ ACTIVITY_RANGE_M = 10.0
 FREE_RADIUS_M = 2.0
 """No object lies nearer to the origin than this."""
 CATCH_RANGE_M = 1.0
-SENSOR_RANGE_M = 8.0
+SENSOR_RANGE_M = {"shes": 8.0, "hiro": 6.0}
+HIRO_WALLS_M = 10.5
+"""Half width of the arena in hiro; in shes the walls are those of the grid."""
+HIRO_FALL_REWARD = -10.0
 NUM_BINS = 10
 """Sensor bins of each kind over the full circle; bin 0 starts behind the robot."""
 MARKER_RADIUS_M = 0.4
@@ -35,15 +41,20 @@ VALUES = np.array([1.0, -1.0])
 
 
 class Gather(Task):
-    """Eight pieces of food (+1) and eight of poison (-1) between walls at 12 m.
+    """Eight pieces of food (+1) and eight of poison (-1) between walls.
 
-    A robot notices an object within 8 m in one of ten sectors around its heading, and collects it within 1 m.
+    A robot notices an object in one of ten sectors around its heading, and collects it within 1 m. In `shes` objects
+    lie anywhere, the sensors reach 8 m and the walls are at 12 m; in `hiro` objects lie on even coordinates, the
+    sensors reach 6 m and the walls are at 10.5 m.
     """
 
     name: ClassVar[str] = "gather"
+    specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
+    heeds: ClassVar[frozenset[str]] = frozenset({"fall_penalty"})
     description: ClassVar[TaskDescription] = TaskDescription(
-        reward="+1 for each piece of food and -1 for each piece of poison collected in the step",
-        ends="when the robot falls over (the ant: its torso leaves heights of 0.2 to 1.0 m; the point cannot)",
+        reward="+1 for each piece of food and -1 for each piece of poison collected; hiro: -10 in the step of a fall",
+        ends="when the robot falls over (the ant: its torso leaves heights of 0.2 to 1.0 m; the point cannot); "
+        "hiro: when all is collected, too",
         score="highest running return in the episode, at least 0",
         success="the score is above 0",
     )
@@ -65,27 +76,33 @@ class Gather(Task):
 
     @classmethod
     def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
-        """Return the arena: a free square of 24 m between walls; objects are not geoms."""
+        """Return the arena: a free square between walls; objects are not geoms."""
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
-        add_walls(spec, GATHER)
+        if options.spec == "hiro":
+            add_square_walls(spec, HIRO_WALLS_M)
+        else:
+            add_grid(spec, GATHER)
         body.add_to(spec)
         return spec
 
     @property
     def layout(self) -> tuple[ObservationElement, ...]:
-        """The robot's qpos and clipped qvel, two kinds of readings, time."""
+        """The robot's qpos and qvel, two kinds of readings, time; in hiro the time before the readings."""
         readings = tuple(
             element
             for kind in ("food", "poison")
             for number in range(NUM_BINS)
-            for element in elements([f"{kind}_{number}"], _sector(kind, number), low=0.0, high=1.0)
+            for element in elements([f"{kind}_{number}"], _sector(kind, number, self.options.spec), low=0.0, high=1.0)
         )
+        if self.options.spec == "hiro":
+            return self._robot_layout() + self._time_layout() + readings
         return self._robot_layout() + readings + self._time_layout()
 
     @property
     def terminated(self) -> BoolArray:
-        """Whether the robot has fallen [N]. Collecting everything does not end an episode."""
-        return self.body.fallen(self.sim.qpos)
+        """Whether the robot has fallen [N]; in hiro also whether nothing is left."""
+        fallen = self.body.fallen(self.sim.qpos)
+        return fallen | ~self.present.any(axis=(1, 2)) if self.options.spec == "hiro" else fallen
 
     @property
     def score(self) -> F64Array:
@@ -127,8 +144,9 @@ class Gather(Task):
         return NUM_OBJECTS - self.present[:, 1].sum(axis=1)
 
     def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        draw = _draw_lattice if self.options.spec == "hiro" else _draw_places
         for i, rng in zip(ids, rngs, strict=True):
-            self.objects[i] = _draw_places(rng, 2 * NUM_OBJECTS).reshape(2, NUM_OBJECTS, 2)
+            self.objects[i] = draw(rng, 2 * NUM_OBJECTS).reshape(2, NUM_OBJECTS, 2)
         self.present[ids] = True
         self._best_return[ids] = 0
         self._measure(ids)
@@ -143,27 +161,38 @@ class Gather(Task):
     def _update_features(self) -> F64Array:
         self._measure(slice(None))
         caught = self.present & (self._squared_distance < CATCH_RANGE_M**2)
-        reward = np.zeros(self.num_episodes)
+        pays_for_falls = self.options.spec == "hiro" and self.options.fall_penalty
+        fallen = self.body.fallen(self.sim.qpos) if pays_for_falls else np.zeros(self.num_episodes, dtype=np.bool_)
+        reward = np.where(fallen, HIRO_FALL_REWARD, 0.0)
         if caught.any():
-            caught &= ~self.sim.diverged[:, None, None]
+            caught &= ~(self.sim.diverged | fallen)[:, None, None]
             self.present ^= caught
-            reward = caught.sum(axis=2) @ VALUES
+            reward += caught.sum(axis=2) @ VALUES
             np.maximum(self._best_return, self.running_return + reward, out=self._best_return)
         return reward
 
     def observe(self) -> F64Array:
         """Return robot, readings after this step's pickups, and time [N, O]."""
         nq, nv = self.body.num_qpos, self.body.num_qvel
+        is_hiro = self.options.spec == "hiro"
         out = self._observation
         out[:, :nq] = self.sim.qpos
-        np.clip(self.sim.qvel, -VELOCITY_CLIP, VELOCITY_CLIP, out=out[:, nq : nq + nv])
-        out[:, nq + nv : -1] = self._readings()
-        np.multiply(self.time, TIME_SCALE, out=out[:, -1])
+        self._write_velocity(self.sim.qvel, out[:, nq : nq + nv])
+        readings = slice(nq + nv + 1, None) if is_hiro else slice(nq + nv, -1)
+        out[:, readings] = self._readings()
+        np.multiply(self.time, TIME_SCALE, out=out[:, nq + nv if is_hiro else -1])
         return out
 
     def _readings(self) -> F64Array:
-        """Return `1 - d^2 / range^2` of the nearest object in each bin [N, kind * bin], 0 where there is none."""
-        intensity = 1 - self._squared_distance / SENSOR_RANGE_M**2
+        """Return the reading of the nearest object in each bin [N, kind * bin], 0 where there is none.
+
+        `1 - d^2 / range^2` in shes, `1 - d / range` in hiro.
+        """
+        sensor_range = SENSOR_RANGE_M[self.options.spec]
+        if self.options.spec == "hiro":
+            intensity = 1 - np.sqrt(self._squared_distance) / sensor_range
+        else:
+            intensity = 1 - self._squared_distance / sensor_range**2
         intensity *= self.present
         bearing = np.arctan2(self._offset[..., 1], self._offset[..., 0])
         bearing -= self.heading[:, None, None]
@@ -176,14 +205,23 @@ class Gather(Task):
         return readings.reshape(self.num_episodes, 2 * NUM_BINS)
 
 
-def _sector(kind: str, number: int) -> str:
+def _sector(kind: str, number: int, spec: str) -> str:
     """Return the meaning of a reading."""
     width = 360 // NUM_BINS
     first = number * width - 180
+    reading = "1 - d/6" if spec == "hiro" else "1 - d^2/8^2"
     return (
-        f"1 - d^2/{SENSOR_RANGE_M:.0f}^2 of the nearest {kind} at a bearing of {first} to {first + width} degrees "
-        "from the heading; 0 if none is in range"
+        f"{reading} of the nearest {kind} at a bearing of {first} to {first + width} degrees from the heading; "
+        "0 if none is in range"
     )
+
+
+def _draw_lattice(rng: np.random.Generator, count: int) -> F64Array:
+    """Draw `count` places [count, 2] with even coordinates, all different, as `_draw_places` does else."""
+    line = np.arange(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, 2.0)
+    places = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    places = places[(places**2).sum(axis=1) >= FREE_RADIUS_M**2]
+    return places[rng.permutation(len(places))[:count]]
 
 
 def _draw_places(rng: np.random.Generator, count: int) -> F64Array:

@@ -12,24 +12,26 @@ MAX_EPISODE_STEPS = 500
 """Control steps after which Gymnasium truncates an episode (Table I)."""
 
 
-def gymnasium_id(name: str) -> str:
-    """Return the id in Gymnasium of environment `name`: `shes/AntGather-v0` for `ant-gather`.
+def gymnasium_id(name: str, spec: str = "shes") -> str:
+    """Return the id in Gymnasium of environment `name`: `shes/AntGather-v0` for `ant-gather`, `AntGatherHiro` for hiro.
 
     Raises:
         UnknownNameError: `name` is not in the registry.
     """
     check_name(name)
-    return f"shes/{name.title().replace('-', '')}-v0"
+    variant = "" if spec == "shes" else spec.title()
+    return f"shes/{name.title().replace('-', '')}{variant}-v0"
 
 
 def register_all() -> None:
     """Register every environment that Gymnasium does not know yet."""
-    for name in ENVIRONMENTS:
-        if gymnasium_id(name) not in gymnasium.registry:
-            gymnasium.register(
-                gymnasium_id(name),
-                entry_point="shes.envs.gymnasium_env:TaskEnv",
-                vector_entry_point="shes.envs.vector_env:TaskVectorEnv",
-                max_episode_steps=MAX_EPISODE_STEPS,
-                kwargs={"name": name},
-            )
+    for name, environment in ENVIRONMENTS.items():
+        for spec in environment.task.specs:
+            if gymnasium_id(name, spec) not in gymnasium.registry:
+                gymnasium.register(
+                    gymnasium_id(name, spec),
+                    entry_point="shes.envs.gymnasium_env:TaskEnv",
+                    vector_entry_point="shes.envs.vector_env:TaskVectorEnv",
+                    max_episode_steps=MAX_EPISODE_STEPS,
+                    kwargs={"name": name, "spec": spec},
+                )

@@ -7,8 +7,12 @@ from typing import NamedTuple
 from shes.envs.ant import Ant
 from shes.envs.body import Body
 from shes.envs.entries import check_class, check_name_is_free
+from shes.envs.fall import Fall
+from shes.envs.flagrun import Flagrun
 from shes.envs.gather import Gather
-from shes.envs.point import Point
+from shes.envs.maze import Maze
+from shes.envs.point import FallingPoint, Point
+from shes.envs.push import Push
 from shes.envs.task import SimulatorFactory, Task, TaskOptions
 from shes.errors import UnknownNameError
 from shes.sim.cpu import CpuSimulator
@@ -31,7 +35,15 @@ class Environment(NamedTuple):
 
 ENVIRONMENTS: dict[str, Environment] = {
     "ant-gather": Environment(Ant, Gather),
+    "ant-maze": Environment(Ant, Maze),
+    "ant-push": Environment(Ant, Push),
+    "ant-fall": Environment(Ant, Fall),
+    "ant-flagrun": Environment(Ant, Flagrun),
     "point-gather": Environment(Point, Gather),
+    "point-maze": Environment(Point, Maze),
+    "point-push": Environment(Point, Push),
+    "point-fall": Environment(FallingPoint, Fall),
+    "point-flagrun": Environment(Point, Flagrun),
 }
 
 

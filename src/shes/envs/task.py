@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import mujoco
@@ -26,6 +26,9 @@ from shes.types import BoolArray, F64Array, FloatArray, IntArray
 __all__ = [
     "CONTROL_STEP_S",
     "FRAME_SKIP",
+    "SPECS",
+    "TARGET_SAMPLINGS",
+    "TIME_SCALE",
     "VELOCITY_CLIP",
     "SimulatorFactory",
     "Task",
@@ -38,8 +41,13 @@ FRAME_SKIP = 5
 CONTROL_STEP_S = FRAME_SKIP * TIMESTEP_S
 VELOCITY_CLIP = 10.0
 """Generalised velocities are observed clipped to this, in m/s and rad/s."""
+SPECS = {"shes": "euler", "hiro": "rk4"}
+"""Specifications and their integrators."""
+TARGET_SAMPLINGS = ("square", "free_cells")
 TIME_SCALE = 0.001
 """Control steps are observed times this."""
+
+_COMMON_OPTIONS = frozenset({"spec", "integrator", "reset_noise", "evaluation"})
 
 SimulatorFactory = Callable[[mujoco.MjModel, int], Simulator]
 
@@ -48,8 +56,10 @@ SimulatorFactory = Callable[[mujoco.MjModel, int], Simulator]
 class TaskOptions:
     """What may differ between two uses of one task."""
 
-    integrator: str = "euler"
-    """`euler` (as the SHES environments stepped), `rk4` or `implicitfast`."""
+    spec: str = "shes"
+    """Which published specification: `shes` (the SHES authors' environments) or `hiro` (Nachum et al. 2018, rllab)."""
+    integrator: str = "default"
+    """`euler`, `rk4`, `implicitfast`, or `default`: that of the specification, `euler` for shes and `rk4` for hiro."""
     reset_noise: float = 0.1
     """Half width of the uniform noise on qpos, standard deviation of the normal noise on qvel, at a reset.
 
@@ -57,16 +67,36 @@ class TaskOptions:
     """
     evaluation: bool = False
     """Whether evaluation's targets are used in place of training's, where the task has targets."""
+    target_sampling: str = "square"
+    """Maze, training: the target is uniform in the `square` [-4, 20] x [-4, 20] m, or there in `free_cells` only."""
+    target: tuple[float, ...] | None = None
+    """Maze, Push, Fall, training: a fixed target in metres in place of the task's own."""
+    evaluation_target: tuple[float, ...] | None = None
+    """Maze, Push, Fall: the target of evaluation in metres in place of the task's own."""
+    observe_block: bool | None = None
+    """Push, Fall: whether the block is observed; in shes it is, in hiro it is not, unless this says so."""
+    fall_penalty: bool = True
+    """Gather, hiro: whether the step of a fall pays -10 in place of its pickups."""
+    goal_interval: int = 25
+    """Flagrun: control steps that a goal is held."""
 
     def __post_init__(self) -> None:
         """Check every value.
 
         Raises:
-            ConfigError: `reset_noise` is negative.
-            UnknownNameError: `integrator` is not one of `INTEGRATORS`.
+            ConfigError: A number is out of range.
+            UnknownNameError: `spec`, `integrator` or `target_sampling` is not known.
         """
+        if self.spec not in SPECS:
+            raise UnknownNameError("spec", self.spec, SPECS, "Set --spec.")
+        if self.integrator == "default":
+            object.__setattr__(self, "integrator", SPECS[self.spec])
         if self.integrator not in INTEGRATORS:
-            raise UnknownNameError("integrator", self.integrator, INTEGRATORS, "Set --integrator.")
+            raise UnknownNameError("integrator", self.integrator, ("default", *INTEGRATORS), "Set --integrator.")
+        if self.target_sampling not in TARGET_SAMPLINGS:
+            raise UnknownNameError("target sampling", self.target_sampling, TARGET_SAMPLINGS, "Set --target-sampling.")
+        if self.goal_interval < 1:
+            raise ConfigError(f"goal_interval must be at least 1, got {self.goal_interval}. Set --controller-interval.")
         if not 0 <= self.reset_noise < 1:
             raise ConfigError(f"reset_noise must be in [0, 1), got {self.reset_noise}. Set --reset-noise.")
 
@@ -94,11 +124,16 @@ class Task(ABC):
     """Reward, ending and score in words."""
     ground_m: ClassVar[float] = 0.0
     """Height of the ground that the robot starts on."""
+    specs: ClassVar[tuple[str, ...]] = ("shes",)
+    """Specifications that there are of this task."""
+    heeds: ClassVar[frozenset[str]] = frozenset()
+    """Names of the options that this task heeds, beside those that every task does."""
 
     def __init__(
         self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
     ) -> None:
         """Build the world for `body` and `num_episodes` simulations of it."""
+        self._check(options)
         self.body = body
         self.options = options
         self.num_episodes = num_episodes
@@ -110,6 +145,30 @@ class Task(ABC):
         """Reward of the last step [N]; 0 where the simulation diverged."""
         self.running_return: F64Array = np.zeros(num_episodes)
         """Sum of the rewards since the reset [N]."""
+
+    @classmethod
+    def option_names(cls) -> frozenset[str]:
+        """Return the names of the options that this task has."""
+        return _COMMON_OPTIONS | cls.heeds
+
+    @classmethod
+    def _check(cls, options: TaskOptions) -> None:
+        """Refuse options that this task has not.
+
+        Raises:
+            UnknownNameError: There is no such specification of it.
+            ConfigError: An option that it does not heed is set.
+        """
+        if options.spec not in cls.specs:
+            raise UnknownNameError(f"specification of {cls.name}", options.spec, cls.specs, "Set --spec.")
+        for field in fields(TaskOptions):
+            if field.name in cls.option_names() or getattr(options, field.name) == field.default:
+                continue
+            heeded = ", ".join(sorted(cls.option_names()))
+            raise ConfigError(
+                f"{cls.name} has no {field.name}, got {getattr(options, field.name)!r}. Its options: {heeded}. "
+                f"Leave --{field.name.replace('_', '-')} away."
+            )
 
     @classmethod
     @abstractmethod
@@ -166,9 +225,13 @@ class Task(ABC):
     @property
     def proprioception(self) -> IntArray:
         """Indices in the observation of the robot's own qpos and qvel, in that order."""
-        robot = self.body
-        velocity = self.sim.qpos.shape[1] + np.arange(robot.num_qvel)
-        return np.concatenate([np.arange(robot.num_qpos), velocity])
+        places = {element.name: index for index, element in enumerate(self.layout)}
+        return np.array([places[element.name] for element in (*self.body.pose, *self.body.velocity)])
+
+    @property
+    def primitive_view(self) -> IntArray:
+        """Indices in the observation of what the primitive may see; the rest is for the controller alone."""
+        return np.arange(self.observation_size)
 
     @property
     def position(self) -> F64Array:
@@ -202,10 +265,21 @@ class Task(ABC):
         return []
 
     def _robot_layout(self) -> tuple[ObservationElement, ...]:
-        """Return the elements of the robot's qpos and clipped qvel."""
-        unclipped = self.body.velocity
-        clipped = tuple(replace(each, low=-VELOCITY_CLIP, high=VELOCITY_CLIP) for each in unclipped)
-        return self.body.pose + clipped
+        """Return the elements of the robot's qpos and qvel."""
+        return self.body.pose + self._clipped(self.body.velocity)
+
+    def _clipped(self, velocity: tuple[ObservationElement, ...]) -> tuple[ObservationElement, ...]:
+        """Return the elements of velocities as this specification shows them."""
+        if self.options.spec == "hiro":
+            return velocity
+        return tuple(replace(each, low=-VELOCITY_CLIP, high=VELOCITY_CLIP) for each in velocity)
+
+    def _write_velocity(self, velocity: F64Array, out: F64Array) -> None:
+        """Write velocities into `out` as this specification shows them: clipped in shes, as they are in hiro."""
+        if self.options.spec == "hiro":
+            out[:] = velocity
+        else:
+            np.clip(velocity, -VELOCITY_CLIP, VELOCITY_CLIP, out=out)
 
     @staticmethod
     def _time_layout() -> tuple[ObservationElement, ...]:

@@ -1,7 +1,8 @@
-"""Worlds: a grid of cells becomes static boxes in a MuJoCo model. Source: environment specification, Worlds.
+"""Worlds: a grid of cells becomes static boxes and a movable block in a MuJoCo model.
 
-`#` wall, `.` free, `r` the robot's cell, which is the origin. Column j is x = 8 j - x_robot, row i is
-y = 8 i - y_robot, row 0 first.
+Source: environment specification, Worlds. `#` wall, `.` free, `r` the robot's cell, which is the origin, `B` movable
+block, `C` chasm. Column j is x = 8 j - x_robot, row i is y = 8 i - y_robot, row 0 first. Where there is a chasm, all
+other cells are platforms 4 m high.
 """
 
 from __future__ import annotations
@@ -12,22 +13,44 @@ from shes.errors import UnknownNameError
 
 __all__ = [
     "CELL_SIZE_M",
+    "FALL",
     "GATHER",
     "INTEGRATORS",
+    "MAZE",
+    "PUSH",
     "TIMESTEP_S",
     "WALL_HEIGHT_M",
-    "add_walls",
+    "Grid",
+    "add_grid",
+    "add_square_walls",
     "empty_world",
-    "wall_boxes",
+    "is_free",
+    "merged_boxes",
 ]
+
+Grid = tuple[str, ...]
+"""Rows of cells."""
 
 CELL_SIZE_M = 8.0
 WALL_HEIGHT_M = 4.0
+"""Height of walls, platforms and blocks."""
 FLOOR_HALF_SIZE_M = 40.0
 TIMESTEP_S = 0.02
 """Physics step."""
 
-GATHER = ("#####", "#...#", "#.r.#", "#...#", "#####")
+GATHER: Grid = ("#####", "#...#", "#.r.#", "#...#", "#####")
+MAZE: Grid = ("#####", "#r..#", "###.#", "#...#", "#####")
+PUSH: Grid = ("#####", "#.r##", "#.B.#", "##.##", "#####")
+FALL: Grid = ("####", "#r.#", "#.B#", "#CC#", "#..#", "####")
+
+BLOCK_MASS_KG = 0.0002
+FALLING_BLOCK_MASS_KG = 0.001
+FALLING_BLOCK_SHRINK = 0.99
+"""A block that can fall is this much narrower than its cell, so that it fits between platforms."""
+BLOCK_MARGIN_M = 0.01
+
+_SOLIMP = [0.8, 0.8, 0.01, 0.5, 2.0]
+_STIFF_SOLIMP = [0.995, 0.995, 0.01, 0.5, 2.0]
 
 INTEGRATORS = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,
@@ -36,8 +59,10 @@ INTEGRATORS = {
 }
 
 
-def empty_world(name: str, integrator: str) -> mujoco.MjSpec:
+def empty_world(name: str, integrator: str, *, has_block: bool = False) -> mujoco.MjSpec:
     """Return a world with a floor, the contact defaults of the tasks, and the integrator of this name.
+
+    A world with a movable block has stiffer contacts throughout.
 
     Raises:
         UnknownNameError: `integrator` is not one of `INTEGRATORS`.
@@ -57,35 +82,60 @@ def empty_world(name: str, integrator: str) -> mujoco.MjSpec:
     geom.friction = [1.0, 0.5, 0.5]
     geom.margin = 0.01
     geom.solref = [0.02, 1.0]
-    geom.solimp = [0.8, 0.8, 0.01, 0.5, 2.0]
-    spec.worldbody.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[FLOOR_HALF_SIZE_M] * 3,
-        conaffinity=1,
-        rgba=[0.8, 0.9, 0.8, 1],
-    )
+    geom.solimp = _STIFF_SOLIMP if has_block else _SOLIMP
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[FLOOR_HALF_SIZE_M] * 3, conaffinity=1)
     return spec
 
 
-def wall_boxes(grid: tuple[str, ...]) -> list[tuple[float, float, float, float]]:
-    """Return the walls of `grid` as boxes (x, y, half width, half depth) in metres.
+def add_grid(spec: mujoco.MjSpec, grid: Grid) -> None:
+    """Add the walls, platforms and blocks of `grid` to `spec`."""
+    ground = 0.0
+    if _has(grid, "C"):
+        _add_boxes(spec, "platform", merged_boxes(grid, "#.rB"), ground)
+        ground = WALL_HEIGHT_M
+    _add_boxes(spec, "wall", merged_boxes(grid, "#"), ground)
+    for i, row in enumerate(grid):
+        for j, cell in enumerate(row):
+            if cell == "B":
+                _add_block(spec, _center(grid, i, j), ground, can_fall=_has(grid, "C"))
 
-    Neighbouring wall cells are merged, first along rows, then equal runs along columns: same contacts, less work.
+
+def add_square_walls(spec: mujoco.MjSpec, half_width: float) -> None:
+    """Add walls around the square of this half width, in metres, whose centre is the origin."""
+    half = CELL_SIZE_M / 2
+    middle, outer = half_width + half, half_width + CELL_SIZE_M
+    boxes = [
+        (0.0, -middle, outer, half),
+        (0.0, middle, outer, half),
+        (-middle, 0.0, half, half_width),
+        (middle, 0.0, half, half_width),
+    ]
+    _add_boxes(spec, "wall", boxes, 0.0)
+
+
+def is_free(grid: Grid, x: float, y: float) -> bool:
+    """Tell whether the cell at (x, y), in metres, is in the grid and no wall."""
+    row, column = _robot_cell(grid)
+    i, j = round(y / CELL_SIZE_M) + row, round(x / CELL_SIZE_M) + column
+    return 0 <= i < len(grid) and 0 <= j < len(grid[i]) and grid[i][j] != "#"
+
+
+def merged_boxes(grid: Grid, signs: str) -> list[tuple[float, float, float, float]]:
+    """Return the cells of `grid` with one of `signs` as boxes (x, y, half width, half depth) in metres.
+
+    Neighbouring cells are merged, first along rows, then equal runs along columns: same contacts, less work.
     """
-    robot_row = next(i for i, row in enumerate(grid) if "r" in row)
-    robot_column = grid[robot_row].index("r")
     open_runs: dict[tuple[int, int], int] = {}  # (first column, last column) -> first row
     boxes: list[tuple[float, float, float, float]] = []
 
     def close(run: tuple[int, int], first_row: int, last_row: int) -> None:
-        x = ((run[0] + run[1]) / 2 - robot_column) * CELL_SIZE_M
-        y = ((first_row + last_row) / 2 - robot_row) * CELL_SIZE_M
+        left, low = _center(grid, first_row, run[0])
+        right, high = _center(grid, last_row, run[1])
         half = CELL_SIZE_M / 2
-        boxes.append((x, y, (run[1] - run[0] + 1) * half, (last_row - first_row + 1) * half))
+        boxes.append(((left + right) / 2, (low + high) / 2, (right - left) / 2 + half, (high - low) / 2 + half))
 
     for i, row in enumerate((*grid, "")):
-        runs = _wall_runs(row)
+        runs = _runs(row, signs)
         for run in [run for run in open_runs if run not in runs]:
             close(run, open_runs.pop(run), i - 1)
         for run in runs:
@@ -93,11 +143,11 @@ def wall_boxes(grid: tuple[str, ...]) -> list[tuple[float, float, float, float]]
     return boxes
 
 
-def _wall_runs(row: str) -> list[tuple[int, int]]:
-    """Return the first and last column of every run of walls in `row`."""
+def _runs(row: str, signs: str) -> list[tuple[int, int]]:
+    """Return the first and last column of every run of `signs` in `row`."""
     runs: list[tuple[int, int]] = []
     for j, cell in enumerate(row):
-        if cell != "#":
+        if cell not in signs:
             continue
         if runs and runs[-1][1] == j - 1:
             runs[-1] = (runs[-1][0], j)
@@ -106,14 +156,59 @@ def _wall_runs(row: str) -> list[tuple[int, int]]:
     return runs
 
 
-def add_walls(spec: mujoco.MjSpec, grid: tuple[str, ...]) -> None:
-    """Add the walls of `grid` to `spec`, standing on the floor."""
-    for number, (x, y, half_width, half_depth) in enumerate(wall_boxes(grid)):
+def _has(grid: Grid, sign: str) -> bool:
+    return any(sign in row for row in grid)
+
+
+def _robot_cell(grid: Grid) -> tuple[int, int]:
+    """Return row and column of the robot's cell."""
+    row = next(i for i, cells in enumerate(grid) if "r" in cells)
+    return row, grid[row].index("r")
+
+
+def _center(grid: Grid, i: int, j: int) -> tuple[float, float]:
+    """Return the centre (x, y) in metres of the cell in row `i`, column `j`."""
+    row, column = _robot_cell(grid)
+    return (j - column) * CELL_SIZE_M, (i - row) * CELL_SIZE_M
+
+
+def _add_boxes(spec: mujoco.MjSpec, name: str, boxes: list[tuple[float, float, float, float]], ground: float) -> None:
+    """Add static boxes (x, y, half width, half depth) that stand at height `ground`."""
+    for number, (x, y, half_width, half_depth) in enumerate(boxes):
         spec.worldbody.add_geom(
-            name=f"wall_{number}",
+            name=f"{name}_{number}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[x, y, WALL_HEIGHT_M / 2],
+            pos=[x, y, ground + WALL_HEIGHT_M / 2],
             size=[half_width, half_depth, WALL_HEIGHT_M / 2],
             conaffinity=1,
-            rgba=[0.9, 0.9, 0.9, 1],
         )
+
+
+def _add_block(spec: mujoco.MjSpec, center: tuple[float, float], ground: float, *, can_fall: bool) -> None:
+    """Add a block that fills a cell: it slides along x and y, or, if it can fall, along y and down.
+
+    Deviation: the limit along y of a block that can fall is as stiff as the contacts. With MuJoCo's soft default a
+    block that was pushed hard rides over the far platform (measured: 0.6 m and more) and opens a gap behind it.
+    """
+    body = spec.worldbody.add_body(name="block", pos=[*center, ground + WALL_HEIGHT_M / 2])
+    half = CELL_SIZE_M / 2 * (FALLING_BLOCK_SHRINK if can_fall else 1.0)
+    for axis in "yz" if can_fall else "xy":
+        joint = body.add_joint(
+            name=f"block_{axis}",
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=[float(axis == each) for each in "xyz"],
+            margin=BLOCK_MARGIN_M,
+        )
+        if can_fall:
+            joint.limited = True
+            joint.range = [-WALL_HEIGHT_M, 0.0] if axis == "z" else [-CELL_SIZE_M, CELL_SIZE_M]
+            if axis == "y":
+                joint.solimp_limit = _STIFF_SOLIMP
+    body.add_geom(
+        name="block",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[half, half, WALL_HEIGHT_M / 2],
+        mass=FALLING_BLOCK_MASS_KG if can_fall else BLOCK_MASS_KG,
+        margin=BLOCK_MARGIN_M,
+        conaffinity=1,
+    )

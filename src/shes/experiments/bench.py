@@ -73,7 +73,7 @@ def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
     return {
         "env": config.env,
         "hidden": list(config.hidden),
-        "integrator": config.integrator,
+        "integrator": plan.training.integrator,
         "population_size": config.population_size,
         "episodes_per_policy": config.episodes_per_policy,
         "num_workers": workers,

@@ -37,10 +37,18 @@ __all__ = [
 
 def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
     """Return the options of the environment in training or in evaluation."""
+    has_intervals = "goal_interval" in find_environment(config.env).task.heeds
     return TaskOptions(
+        spec=config.spec,
         integrator=config.integrator,
         reset_noise=config.evaluation_reset_noise if is_evaluation else config.reset_noise,
         evaluation=is_evaluation,
+        target_sampling=config.target_sampling,
+        target=config.target,
+        evaluation_target=config.evaluation_target,
+        observe_block=config.observe_block,
+        fall_penalty=config.fall_penalty,
+        **({"goal_interval": config.controller_interval} if has_intervals else {}),
     )
 
 
@@ -66,7 +74,8 @@ def build_design(config: TrainConfig) -> AgentDesign:
     encoding = make_goal_encoding(config.goal_encoding)
     return AgentDesign(
         controller=MLP(task.observation_size, config.hidden, 2),
-        primitive=MLP(encoding.size + task.observation_size, config.hidden, task.action_size),
+        primitive=MLP(encoding.size + len(task.primitive_view), config.hidden, task.action_size),
+        primitive_view=tuple(task.primitive_view.tolist()),
         goal_encoding=encoding,
         primitive_reward=make_primitive_reward(config.primitive_reward),
         goal_distance=config.goal_distance,

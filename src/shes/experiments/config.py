@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from shes.envs.registry import ENVIRONMENTS, check_name
+from shes.envs.task import SPECS, TARGET_SAMPLINGS
 from shes.envs.worlds import INTEGRATORS
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS, check_population
@@ -42,9 +43,11 @@ HEADINGS: dict[str, str] = {
 _CHOICES: dict[str, tuple[str, ...]] = {
     "backend": BACKENDS,
     "biases": BIAS_INITIALISATIONS,
-    "integrator": tuple(INTEGRATORS),
+    "integrator": ("default", *INTEGRATORS),
     "mirrored": MIRRORINGS,
     "rank_ties": TIES,
+    "spec": tuple(SPECS),
+    "target_sampling": TARGET_SAMPLINGS,
 }
 _REGISTERED: dict[str, Callable[[str], None]] = {
     "env": check_name,
@@ -75,8 +78,9 @@ _AT_LEAST: dict[str, int] = {
 _POSITIVE = ("goal_distance", "learning_rate", "minutes", "sigma")
 _NOT_NEGATIVE = ("evaluation_reset_noise", "reset_noise", "weight_decay")
 _FRACTIONS = ("statistics_fraction",)
-_SWITCHES = ("common_random_numbers", "minimum_goal_distance")
-_OPTIONAL = ("evaluation_horizon", "minutes")
+_SWITCHES = ("common_random_numbers", "fall_penalty", "minimum_goal_distance", "observe_block")
+_PLACES = ("evaluation_target", "target")
+_OPTIONAL = ("evaluation_horizon", "minutes", "observe_block", *_PLACES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,12 +145,24 @@ class TrainConfig:
     """Control steps in an episode of training (Table I: 500)."""
     evaluation_horizon: int | None = None
     """Control steps in an episode of evaluation; the same as in training if none."""
-    integrator: str = "euler"
-    """MuJoCo's integrator: euler, rk4 or implicitfast."""
+    spec: str = "shes"
+    """Published specification of the environment: shes, or hiro (Nachum et al. 2018, rllab)."""
+    integrator: str = "default"
+    """MuJoCo's integrator; default is that of the specification: euler for shes, rk4 for hiro."""
     reset_noise: float = 0.1
     """Noise on the robot's pose and velocity at a reset, in training."""
     evaluation_reset_noise: float = 0.1
     """The same in evaluation."""
+    target_sampling: str = "square"
+    """Maze: training's targets are uniform in a square that covers walls too, or there in free_cells only."""
+    target: tuple[float, ...] | None = None
+    """Maze, push, fall: a fixed target of training, in metres, in place of the task's own."""
+    evaluation_target: tuple[float, ...] | None = None
+    """Maze, push, fall: the target of evaluation, in metres, in place of the task's own."""
+    observe_block: bool | None = None
+    """Push, fall: whether the block is observed; none leaves it to the specification (shes: yes, hiro: no)."""
+    fall_penalty: bool = True
+    """Gather, hiro: whether the step of a fall pays -10 in place of its pickups."""
     evaluation_interval: int = 10
     """Generations between evaluations of the mean policies (there is one after the first generation, too)."""
     evaluation_episodes: int = 50
@@ -200,6 +216,8 @@ class TrainConfig:
             raise _out_of_range(name, value, "between 0 and 1")
         if name in _SWITCHES and not isinstance(value, bool):
             raise _out_of_range(name, value, "true or false")
+        if name in _PLACES and not _is_place(value):
+            raise _out_of_range(name, value, f"coordinates in metres, e.g. {flag(name)} 0 16")
 
     @property
     def workers(self) -> int:
@@ -263,6 +281,13 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         value = value.tolist()
     return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value
+
+
+def _is_place(value: Any) -> bool:
+    """Tell whether `value` is a tuple of finite numbers."""
+    items: tuple[Any, ...] = value if isinstance(value, tuple) else ()
+    are_numbers = [isinstance(item, int | float) and not isinstance(item, bool) for item in items]
+    return len(items) > 0 and all(are_numbers) and bool(np.isfinite(items).all())
 
 
 def _out_of_range(name: str, value: Any, allowed: str) -> ConfigError:

@@ -6,6 +6,7 @@ import fcntl
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import fields, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -159,6 +160,9 @@ class RunFolder:
         path = self.checkpoint_path(name)
         checkpoint = load_checkpoint(path)
         mine = self.read_config().numbers()
+        # Settings that came after the checkpoint was written have their defaults, which change nothing.
+        missing = {field.name: field.default for field in fields(TrainConfig) if field.name in mine}
+        checkpoint = replace(checkpoint, numbers={**missing, **checkpoint.numbers})
         if checkpoint.numbers != mine:
             keys = sorted(mine.keys() | checkpoint.numbers.keys())
             other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]

@@ -40,6 +40,8 @@ class AgentDesign:
     """Whether goals nearer than 1 m are pushed outward."""
     control_limit: float
     """Control that an output of 1 of the primitive stands for."""
+    primitive_view: tuple[int, ...] | None = None
+    """Indices in the observation of what the primitive sees; all of it if None."""
 
     @property
     def policies(self) -> tuple[MLP, MLP]:
@@ -100,6 +102,7 @@ class HierarchicalAgent:
         """Where the robots stood when their goals were set [N, 2]."""
         self.goal_start_distance: F64Array = np.ones(rows)
         """Distance to the goal when it was set [N]."""
+        self._view: slice | IntArray = _columns(design.primitive_view)
         self._primitive_input: F64Array = np.zeros((rows, design.observation_sizes[PRIMITIVE]))
         self._normalisation: list[tuple[F64Array, F64Array]] = [(np.zeros(0), np.ones(0))] * 2
 
@@ -140,7 +143,7 @@ class HierarchicalAgent:
         features = self.design.goal_encoding.size
         vector = self.goal - position
         self.design.goal_encoding.encode(vector, _length(vector), heading, inputs[:, :features])
-        inputs[:, features:] = observation
+        inputs[:, features:] = observation[:, self._view]
         if self.is_recording:
             self.moments[PRIMITIVE].add(slice(None), inputs)
         scaled = normalise(inputs, *self._normalisation[PRIMITIVE])
@@ -182,6 +185,13 @@ class HierarchicalAgent:
     def _by_policy(self, rows: F32Array) -> F32Array:
         """View rows [N, O] as [P, E, O]."""
         return rows.reshape(-1, self.num_episodes, rows.shape[1])
+
+
+def _columns(indices: tuple[int, ...] | None) -> slice | IntArray:
+    """Return what picks columns `indices`, all if None: a slice where it can be one, because that is quicker."""
+    if indices is None or indices == tuple(range(len(indices))):
+        return slice(None if indices is None else len(indices))
+    return np.array(indices, dtype=np.int64)
 
 
 def _aligned_copy(theta: F32Array, policies: IntArray) -> F32Array:

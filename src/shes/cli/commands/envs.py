@@ -1,4 +1,4 @@
-"""`shes envs`: the environments with their dimensions."""
+"""`shes envs`: the environments with their dimensions, rewards and scores."""
 
 from __future__ import annotations
 
@@ -23,18 +23,41 @@ _GROUPS = (Group(heading="flags", options=options_of(Arguments)),)
 
 
 def _run(values: dict[str, Any]) -> int:
+    from shes.envs.registration import gymnasium_id
     from shes.envs.registry import ENVIRONMENTS, make_task
+    from shes.envs.task import SPECS, TaskOptions
 
     rows: list[dict[str, Any]] = []
-    for name in ENVIRONMENTS:
-        task = make_task(name, 1)
-        what = " ".join((type(task).__doc__ or "").split("\n\n", maxsplit=1)[0].split())
-        rows.append({"name": name, "observation": task.observation_size, "action": task.action_size, "task": what})
+    for name, environment in ENVIRONMENTS.items():
+        specs = environment.task.specs
+        sizes = {spec: make_task(name, 1, TaskOptions(spec=spec)) for spec in specs}
+        rows.append(
+            {
+                "name": name,
+                "task": environment.task.name,
+                "gymnasium": [gymnasium_id(name, spec) for spec in specs],
+                "observation": {spec: task.observation_size for spec, task in sizes.items()},
+                "action": sizes[specs[0]].action_size,
+                "reward": environment.task.description.reward,
+                "ends": environment.task.description.ends,
+                "score": environment.task.description.score,
+                "about": " ".join((environment.task.__doc__ or "").split("\n\n", maxsplit=1)[0].split()),
+            }
+        )
     if Arguments(**values).json:
         print(json.dumps(rows, indent=2))
         return 0
-    headings = ("environment", "observation", "action", "task")
-    print_table(headings, [[str(value) for value in row.values()] for row in rows])
+    print_table(
+        ("environment", "task", "observation", "hiro", "action"),
+        [
+            (row["name"], row["task"], *(str(row["observation"].get(spec, "")) for spec in SPECS), str(row["action"]))
+            for row in rows
+        ],
+    )
+    words = {environment.task.name: environment.task.description for environment in ENVIRONMENTS.values()}
+    texts = [(name, each.reward, each.ends, each.score) for name, each in words.items()]
+    print_table(("task", "reward of a step", "ends early", "score of an episode"), texts)
+    print("In Gymnasium: shes/AntGather-v0, and shes/AntGatherHiro-v0 for --spec hiro. More: --json, and `make docs`.")
     return 0
 
 

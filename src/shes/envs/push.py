@@ -1,0 +1,20 @@
+"""Push: move a block out of the way. Source: environment specification, Tasks."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from shes.envs.target_task import TargetTask
+from shes.envs.worlds import PUSH, Grid
+
+__all__ = ["Push"]
+
+
+class Push(TargetTask):
+    """A block stands in the way. Pushed straight ahead it closes the passage; pushed aside it opens it."""
+
+    name: ClassVar[str] = "push"
+    heeds: ClassVar[frozenset[str]] = frozenset({"target", "evaluation_target", "observe_block"})
+    grid: ClassVar[Grid] = PUSH
+    block_axes: ClassVar[str] = "xy"
+    own_target: ClassVar[tuple[float, ...]] = (0.0, 19.0)
