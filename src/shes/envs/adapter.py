@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from shes.envs.layout import bounds
 from shes.envs.registry import make_task
 from shes.envs.task import CONTROL_STEP_S, TaskOptions
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
+from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["TaskAdapter"]
@@ -27,9 +29,15 @@ class TaskAdapter:
     """A task of N episodes in Gymnasium's terms."""
 
     def __init__(
-        self, name: str, num_envs: int, render_mode: str | None, render_modes: Sequence[str], options: Mapping[str, Any]
+        self,
+        name: str,
+        num_envs: int,
+        render_mode: str | None,
+        render_modes: Sequence[str],
+        options: Mapping[str, Any],
+        num_threads: int = 1,
     ) -> None:
-        """Make `num_envs` episodes of environment `name`.
+        """Make `num_envs` episodes of environment `name`, whose physics `num_threads` threads share.
 
         Raises:
             UnknownNameError: `name`, `render_mode` or another name is not known.
@@ -41,7 +49,7 @@ class TaskAdapter:
             raise UnknownNameError("render_mode", str(render_mode), render_modes)
         self._render_mode = render_mode
         task_options, self._picture = _split_options(options)
-        self.task = make_task(name, num_envs, task_options)
+        self.task = make_task(name, num_envs, task_options, partial(CpuSimulator, num_threads=num_threads))
         low, high = bounds(self.task.layout)
         self.observation_space = Box(low, high, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""The vector Gymnasium environment: a task with N episodes, stepped at once by one thread.
+"""The vector Gymnasium environment: a task with N episodes, stepped at once.
 
 Source: Gymnasium's `VectorEnv` with its three autoreset modes; what it returns equals `SyncVectorEnv` over N single
 environments, to the bit.
@@ -6,6 +6,7 @@ environments, to the bit.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,6 +28,11 @@ _RENDER_MODES = ["rgb_array"]
 Steps = tuple[F64Array, F64Array, BoolArray, BoolArray, dict[str, Any]]
 
 
+def _num_cores() -> int:
+    """Return the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
     """N episodes of a task at a time. Actions [N, A] lie in [-1, 1]; a step takes 0.1 s of simulated time."""
 
@@ -37,6 +43,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         max_episode_steps: int | None = None,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        num_threads: int = 0,
         **options: Any,
     ) -> None:
         """Make `num_envs` environments `name` of the registry.
@@ -47,13 +54,17 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             max_episode_steps: Control steps after which an episode is truncated; never if None.
             render_mode: `rgb_array` or None.
             autoreset_mode: When an episode that has ended begins anew: `NextStep`, `SameStep` or `Disabled`.
+            num_threads: Threads that share the physics; 0 is one for every core. Never changes a number.
             options: Fields of `TaskOptions`; `width`, `height` and `camera` (`follow` or `top`) of the pictures.
 
         Raises:
             UnknownNameError: `name`, `render_mode` or another name is not known.
             ConfigError: An option is unknown or out of range.
         """
-        self._adapter = TaskAdapter(name, num_envs, render_mode, _RENDER_MODES, options)
+        if num_threads < 0:
+            raise ConfigError(f"num_threads must be a whole number of at least 0, got {num_threads}.")
+        threads = min(num_threads or _num_cores(), num_envs)
+        self._adapter = TaskAdapter(name, num_envs, render_mode, _RENDER_MODES, options, threads)
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError as error:

@@ -1,4 +1,4 @@
-"""MuJoCo on the CPU: N simulations on one thread of `mujoco.batch`, equal to the bit to a loop over `mj_step`."""
+"""MuJoCo on the CPU: N simulations by `mujoco.batch`, equal to the bit to a loop over `mj_step`."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ def log_physics_warnings() -> None:
 
 
 class CpuSimulator(Simulator):
-    """N simulations stepped by the calling thread."""
+    """N simulations stepped by the calling thread, or by several."""
 
-    def __init__(self, model: mujoco.MjModel, num_sims: int) -> None:
-        """Make `num_sims` simulations of `model`, all in its default state."""
+    def __init__(self, model: mujoco.MjModel, num_sims: int, num_threads: int = 1) -> None:
+        """Make `num_sims` simulations of `model`, all in its default state; `num_threads` never changes a bit."""
         log_physics_warnings()
         self.model = model
         self.num_sims = num_sims
         self.xp = np
-        self._batch = Batch(model, num_sims, nthread=1)
+        self._batch = Batch(model, num_sims, nthread=num_threads)
         self._batch.reset()
         self.qpos = self._batch.bind("qpos")
         self.qvel = self._batch.bind("qvel")

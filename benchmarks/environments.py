@@ -1,0 +1,129 @@
+"""Speed of the environments: every task in training, and Gymnasium's face. On an idle machine.
+
+Prints two tables and, with `--out FILE`, writes every number as CSV. Each task is `shes bench rollout` in a process of
+its own; the face is measured in turns, so that the machine's drift meets all alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import statistics
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+import gymnasium
+import mujoco
+import numpy as np
+from run import LAPTOP, bench
+
+import shes  # registers
+from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.task import FRAME_SKIP
+
+assert shes
+
+NUM_ENVS = 64
+STEPS = 40
+REPEATS = 9
+LEAST = 0.85
+
+
+def tasks() -> list[dict[str, object]]:
+    """Measure and print every task in training, 64 x 64 policies, one worker, against bare `mj_step`."""
+    print(f"| {'task':16} | env steps/s | bare mj_step/s | ratio | at least |")
+    print(f"|{'-' * 18}|------------:|---------------:|------:|---------:|")
+    rows: list[dict[str, object]] = []
+    for name in ENVIRONMENTS:
+        found = bench(["rollout", name, "--workers", "1", *LAPTOP])
+        speed, bare, ratio = found["env_steps_per_s"], found["bare_steps_per_s"], found["ratio"]
+        least = LEAST if name.startswith("ant") else ""
+        print(f"| {name:16} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {least:>8} |", flush=True)
+        rows.append({"what": name, "steps_per_s": speed, "bare_per_s": bare, "ratio": ratio})
+    return rows
+
+
+def bare_steps_per_s() -> float:
+    """Return control steps per second of an `mj_step` loop on Ant Gather with random controls, without resets."""
+    task = make_task("ant-gather", 1)
+    data = mujoco.MjData(task.sim.model)
+    controls = np.random.default_rng(0).uniform(-30, 30, (NUM_ENVS * STEPS, task.action_size))
+    start = perf_counter()
+    for control in controls:
+        data.ctrl[:] = control
+        mujoco.mj_step(task.sim.model, data, nstep=FRAME_SKIP)
+    return len(controls) / (perf_counter() - start)
+
+
+def single_steps_per_s(env: gymnasium.Env) -> float:
+    """Return steps per second of one environment with random actions."""
+    actions = np.random.default_rng(0).uniform(-1, 1, (NUM_ENVS * STEPS, *env.action_space.shape)).astype(np.float32)
+    env.reset(seed=0)
+    start = perf_counter()
+    for action in actions:
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset()
+    return len(actions) / (perf_counter() - start)
+
+
+def vector_steps_per_s(env: gymnasium.vector.VectorEnv) -> float:
+    """Return steps per second of all environments of `env` together with random actions."""
+    actions = np.random.default_rng(0).uniform(-1, 1, (STEPS, *env.action_space.shape)).astype(np.float32)
+    env.reset(seed=0)
+    start = perf_counter()
+    for action in actions:
+        env.step(action)
+    return STEPS * env.num_envs / (perf_counter() - start)
+
+
+def face() -> list[dict[str, object]]:
+    """Measure and print Gymnasium's face of Ant Gather."""
+    identity = "shes/AntGather-v0"
+    single = gymnasium.make(identity)
+    ours = gymnasium.make_vec(identity, num_envs=NUM_ENVS)
+    asynchronous = gymnasium.make_vec(identity, num_envs=NUM_ENVS, vectorization_mode="async")
+    measures: dict[str, Callable[[], float]] = {
+        "bare mj_step": bare_steps_per_s,
+        "single environment": lambda: single_steps_per_s(single),
+        f"AsyncVectorEnv, {NUM_ENVS}": lambda: vector_steps_per_s(asynchronous),
+        f"our vector environment, {NUM_ENVS}": lambda: vector_steps_per_s(ours),
+    }
+    found: dict[str, list[float]] = {name: [] for name in measures}
+    for _ in range(REPEATS):
+        for name, measure in measures.items():
+            found[name].append(measure())
+    for env in (single, ours, asynchronous):
+        env.close()
+    bare, alone, theirs, mine = found.values()
+    print(f"\n| {'Ant Gather in Gymnasium':28} | env steps/s |")
+    print(f"|{'-' * 30}|------------:|")
+    for name, values in found.items():
+        print(f"| {name:28} | {statistics.median(values):11,.0f} |")
+    ratios = {
+        "single / bare (at least 0.3)": statistics.median(np.divide(alone, bare)),
+        "vector / AsyncVectorEnv (goal 3)": statistics.median(np.divide(mine, theirs)),
+        "vector / bare": statistics.median(np.divide(mine, bare)),
+    }
+    for name, ratio in ratios.items():
+        print(f"{name}: {ratio:.2f}")
+    speeds = [{"what": name, "steps_per_s": statistics.median(values)} for name, values in found.items()]
+    return [*speeds, *({"what": name, "ratio": ratio} for name, ratio in ratios.items())]
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, help="CSV file for the numbers")
+    out = parser.parse_args().out
+    rows = [*tasks(), *face()]
+    if out is not None:
+        with out.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, ["what", "steps_per_s", "bare_per_s", "ratio"], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
