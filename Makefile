@@ -63,11 +63,11 @@ test: $(STAMP) ## fast tests, no extras: at most 3 minutes on 2 cores
 	$(PYTEST) -m "not slow and not extras and not gpu and not cluster and not render and not hiro"
 
 # pytest exits 5 when the markers select nothing.
-test-extras: $(STAMP) ## tests of optional parts: engines, rendering, HIRO
+test-extras: $(DOCS_STAMP) ## tests of optional parts: engines, rendering, HIRO
 	@$(PYTEST) -m "(extras or render or hiro) and not gpu and not cluster"; status=$$?; \
 	if [ $$status -eq 5 ]; then echo "no tests with these markers yet"; else exit $$status; fi
 
-test-all: $(STAMP) ## every test but those that need a GPU
+test-all: $(DOCS_STAMP) ## every test but those that need a GPU
 	$(PYTEST) -m "not gpu"
 
 lint: $(STAMP) ## ruff: rules and format

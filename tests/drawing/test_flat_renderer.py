@@ -79,7 +79,7 @@ def test_a_camera_that_there_is_not_is_refused():
         renderer.draw(task.sim.qpos[0], (), "side")
 
 
-@pytest.mark.parametrize("size", [(8, 100), (100, 4000)])
+@pytest.mark.parametrize("size", [(8, 100), (100, 4000), ("big", 100), (100.5, 100)])
 def test_a_size_out_of_range_is_refused(size):
     task, _ = make()
     with pytest.raises(ConfigError, match="must be 16 to 2048 pixels"):

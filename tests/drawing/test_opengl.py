@@ -1,7 +1,10 @@
 """Which OpenGL is taken: MUJOCO_GL decides where it is set, else what works."""
 
 import logging
+import os
 import subprocess
+import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -19,7 +22,7 @@ def works(monkeypatch):
 
     def say(*names):
         def run(command, **options):
-            name = next(name for name in ("egl", "osmesa") if f"mujoco.{name} " in command[-1])
+            name = next(name for name in ("egl", "osmesa", "glfw") if f"mujoco.{name} " in command[-1])
             tried.append(name)
             return subprocess.CompletedProcess(command, 0 if name in names else -11)
 
@@ -69,6 +72,31 @@ def test_a_choice_that_does_not_work_is_refused(works, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "egl")
     with pytest.raises(ConfigError, match=r"asks for egl, which does not work here. Unset MUJOCO_GL.*libosmesa6"):
         opengl.find_opengl()
+
+
+def test_another_kind_of_opengl_is_tried_too(works, monkeypatch):
+    works("egl")
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    with pytest.raises(ConfigError, match="asks for glfw, which does not work here"):
+        opengl.find_opengl()
+
+
+def test_what_was_found_is_used_whatever_the_environment_said(monkeypatch):
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "other")
+    monkeypatch.setitem(sys.modules, "mujoco.osmesa", SimpleNamespace(GLContext="the context"))
+    monkeypatch.setattr(opengl.gl_context, "GLContext", None)
+    opengl.use_opengl("osmesa")
+    assert (os.environ["PYOPENGL_PLATFORM"], opengl.gl_context.GLContext) == ("osmesa", "the context")
+
+
+def test_switched_off_it_is_not_said_to_be_missing(works, monkeypatch, caplog):
+    works("egl")
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    task = make_task("point-gather", 1)
+    with caplog.at_level(logging.WARNING, logger="shes.drawing"):
+        make_renderer(lambda: task.build_spec(task.body, task.options), 64, 64)
+    assert "MUJOCO_GL is off" in caplog.text
+    assert "apt" not in caplog.text
 
 
 def test_a_driver_that_hangs_does_not_work(works, monkeypatch):

@@ -543,3 +543,10 @@ def test_a_file_system_that_is_read_only_is_an_error_that_names_the_fix(refused,
 def test_a_picture_in_a_missing_folder_is_refused(refused, run_copy):
     message = refused("plot", run_copy, "--out", "none/curves.png")
     assert re.search(r"cannot write none/curves\.png: there is no such folder: create it first.*--out", message)
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    command = f"{sys.executable} -m shes.cli train --help | head -1"
+    done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False)
+    assert (done.returncode in (0, 141), done.stderr) == (True, "")
+    assert done.stdout.startswith("usage: shes train")

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from shes.errors import CheckpointError, RunFolderError, ShapeError
+from shes.errors import CheckpointError, ConfigError, RunFolderError, ShapeError
 from shes.experiments.build import build_task
 from shes.experiments.play import load
 from shes.experiments.run_folder import RunFolder
@@ -151,3 +151,9 @@ def test_an_agent_plays_in_gymnasiums_environments_single_and_vector(tiny_run):
     assert truncated
     assert all_truncated.all()
     assert info["score"] == infos["score"][0]
+
+
+@pytest.mark.parametrize("wrong", [-1, 2])
+def test_an_environment_that_there_is_not_cannot_begin(tiny_run, wrong):
+    with pytest.raises(ConfigError, match=f"env must be from 0 to 1, got {wrong}"):
+        load(tiny_run, num_envs=2).reset(wrong)

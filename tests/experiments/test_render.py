@@ -1,9 +1,7 @@
 """Videos: what they show, how long they are, and that nothing half-written is left."""
 
-import gc
 import io
 import subprocess
-import warnings
 
 import imageio_ffmpeg
 import numpy as np
@@ -160,14 +158,33 @@ def test_a_video_that_fails_leaves_what_was_there(tmp_path):
 
 
 def test_an_encoder_that_fails_is_an_error_of_storage(tmp_path, monkeypatch):
-    monkeypatch.setattr("imageio_ffmpeg._io.get_ffmpeg_exe", lambda: "/bin/false")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # imageio-ffmpeg leaves the pipe to a dead encoder open
-        with pytest.raises(StorageError, match=r"ffmpeg could not write .*temporary folder") as caught:
-            write_video(tmp_path / "walk.mp4", iter([np.zeros((64, 64, 3), np.uint8)] * 3))
-        del caught
-        gc.collect()
-    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", lambda: "/bin/false")
+    out = tmp_path / "walk.mp4"
+    out.write_bytes(b"the last one")
+    with pytest.raises(StorageError, match=r"could not encode .*untouched\. It said: .*temporary folder .* TMPDIR"):
+        write_video(out, iter([np.zeros((64, 64, 3), np.uint8)] * 3))
+    assert out.read_bytes() == b"the last one"
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_a_file_that_the_encoder_did_not_finish_takes_no_place(tmp_path, monkeypatch, suffix):
+    """As on a full disk: ffmpeg writes a part of the file, then fails."""
+    ffmpeg = tmp_path / "ffmpeg"
+    ffmpeg.write_text('#!/bin/sh\nfor last; do :; done\necho part > "$last"\ncat > /dev/null\necho full >&2\nexit 1\n')
+    ffmpeg.chmod(0o755)
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", lambda: str(ffmpeg))
+    out = tmp_path / f"walk{suffix}"
+    out.write_bytes(b"the last one")
+    with pytest.raises(StorageError, match=r"It said: full\."):
+        write_video(out, iter([np.zeros((64, 64, 3), np.uint8)] * 3))
+    assert out.read_bytes() == b"the last one"
+
+
+def test_a_missing_encoder_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", lambda: "/nowhere/ffmpeg")
+    with pytest.raises(ConfigError, match=r"no ffmpeg: /nowhere/ffmpeg is not there.*IMAGEIO_FFMPEG_EXE"):
+        write_video(tmp_path / "walk.mp4", iter([]))
 
 
 @pytest.mark.render

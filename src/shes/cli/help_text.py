@@ -40,8 +40,10 @@ def overview(summaries: Mapping[str, str]) -> str:
         _heading("everywhere"),
         *_rows(_EVERYWHERE),
         "",
-        "`shes COMMAND --help` explains a command. First steps: shes train point-gather --generations 60, then",
-        "shes plot RUN, then shes train ant-gather. Completion by the tab key: shes completion --help.",
+        *_wrapped(
+            "`shes COMMAND --help` explains a command. First steps: shes train point-gather --generations 60, then "
+            "shes plot RUN, then shes train ant-gather. Completion by the tab key: shes completion --help."
+        ),
     ]
     return "\n".join(lines)
 

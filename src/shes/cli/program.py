@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -17,6 +18,9 @@ __all__ = ["main"]
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
+BROKEN_PIPE = 141
+"""Exit code when nobody reads the output, as that of programs which SIGPIPE ends."""
+
 _HELP = ("-h", "--help")
 
 
@@ -27,15 +31,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         modules, words = _take_imports([word for word in words if word != "--debug"])
         import_modules(modules)
-        return _dispatch(words)
+        status = _dispatch(words)
+        sys.stdout.flush()  # a broken pipe or a full disk shows here, not at Python's end
     except KeyboardInterrupt:
         print_interrupted()
         return INTERRUPTED
+    except BrokenPipeError:  # whoever read the output has gone, as head does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes at its end
+        return BROKEN_PIPE
     except (ShesError, OSError) as error:  # OSError: standard output is a full disk, a path cannot be read, ...
         if is_debug:
             raise
         print_error(error)
         return error.exit_code if isinstance(error, ShesError) else ConfigError.exit_code
+    return status
 
 
 def _take_imports(words: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -12,7 +12,7 @@ from mujoco.rendering.classic import gl_context
 
 from shes.errors import ConfigError
 
-__all__ = ["HOW_TO_GET_OPENGL", "find_opengl", "use_opengl"]
+__all__ = ["HOW_TO_GET_OPENGL", "find_opengl", "is_switched_off", "use_opengl"]
 
 HOW_TO_GET_OPENGL = (
     "For three-dimensional pictures install EGL or OSMesa, on Debian and Ubuntu: "
@@ -36,18 +36,23 @@ def find_opengl() -> str | None:
         ConfigError: MUJOCO_GL asks for one that does not work here.
     """
     asked = os.environ.get("MUJOCO_GL", "").lower().strip()
-    if asked in _OFF:
+    if is_switched_off():
         return None
     if sys.platform != "linux":
         return asked or "cgl"
     if asked not in _ON:
-        if asked in ("egl", "osmesa") and not _works(asked):
+        if not _works(asked if asked in ("egl", "osmesa") else "glfw"):
             raise ConfigError(
                 f"MUJOCO_GL asks for {asked}, which does not work here. Unset MUJOCO_GL to let SHES choose, or set it "
                 f"to off for flat pictures. {HOW_TO_GET_OPENGL}"
             )
         return asked
     return next((name for name in ("egl", "osmesa") if _works(name)), None)
+
+
+def is_switched_off() -> bool:
+    """Tell whether MUJOCO_GL says that there is to be no OpenGL."""
+    return os.environ.get("MUJOCO_GL", "").lower().strip() in _OFF
 
 
 def _works(name: str) -> bool:
@@ -68,5 +73,5 @@ def use_opengl(name: str) -> None:
     MuJoCo chooses by MUJOCO_GL when it is first imported, which is long past; the renderer looks the class up here.
     """
     if name in ("egl", "osmesa"):
-        os.environ.setdefault("PYOPENGL_PLATFORM", name)
+        os.environ["PYOPENGL_PLATFORM"] = name  # whatever it was: `find_opengl` has seen that this one works
         gl_context.GLContext = import_module(f"mujoco.{name}").GLContext

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.drawing.markers import Marker
-from shes.drawing.opengl import HOW_TO_GET_OPENGL, find_opengl
+from shes.drawing.opengl import HOW_TO_GET_OPENGL, find_opengl, is_switched_off
 from shes.drawing.scenery import MAX_PIXELS
 from shes.errors import ConfigError, UnknownNameError
 from shes.types import F64Array
 
-__all__ = ["CAMERAS", "Picture", "Renderer", "between", "make_renderer"]
+__all__ = ["CAMERAS", "Picture", "Renderer", "between", "check_camera", "make_renderer"]
 
 logger = logging.getLogger("shes.drawing")
 
@@ -82,13 +82,17 @@ def make_renderer(make_spec: Callable[[], mujoco.MjSpec], width: int, height: in
         ConfigError: The size is not allowed, or MUJOCO_GL asks for what does not work here.
     """
     for name, pixels in (("width", width), ("height", height)):
-        if not 16 <= pixels <= MAX_PIXELS:
-            raise ConfigError(f"{name} of a picture must be 16 to {MAX_PIXELS} pixels, got {pixels}. Set --size.")
+        is_whole = isinstance(pixels, int | np.integer) and not isinstance(pixels, bool)
+        if not (is_whole and 16 <= pixels <= MAX_PIXELS):
+            raise ConfigError(f"{name} of a picture must be 16 to {MAX_PIXELS} pixels, got {pixels!r}. Change {name}.")
     found = find_opengl()
     if found is None:
         from shes.drawing.flat_renderer import FlatRenderer
 
-        logger.warning("No OpenGL here: drawing a flat picture from above. %s", HOW_TO_GET_OPENGL)
+        if is_switched_off():
+            logger.warning("MUJOCO_GL is off: drawing flat pictures from above. Unset it for three-dimensional ones.")
+        else:
+            logger.warning("No OpenGL here: drawing flat pictures from above. %s", HOW_TO_GET_OPENGL)
         return FlatRenderer(make_spec().compile(), width, height)
     from shes.drawing.mujoco_renderer import MujocoRenderer
 

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
-from shes.drawing.renderer import CAMERAS, Picture, Renderer, make_renderer
+from shes.drawing.renderer import Picture, Renderer, check_camera, make_renderer
 from shes.drawing.viewer import Viewer
 from shes.envs.layout import bounds
 from shes.envs.registry import make_task
@@ -166,6 +166,5 @@ def _split_options(options: Mapping[str, Any]) -> tuple[TaskOptions, dict[str, A
             known = nearest_first(name, [*of_task, *_PICTURE_DEFAULTS])
             raise ConfigError(f"the environment has no option {name!r}. Options: {', '.join(known)}.")
     picture = {name: options.get(name, default) for name, default in _PICTURE_DEFAULTS.items()}
-    if picture["camera"] not in CAMERAS:
-        raise UnknownNameError("camera", str(picture["camera"]), CAMERAS)
+    check_camera(picture["camera"])
     return TaskOptions(**{name: value for name, value in options.items() if name in of_task}), picture

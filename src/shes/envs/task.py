@@ -88,17 +88,20 @@ class TaskOptions:
             UnknownNameError: `spec`, `integrator` or `target_sampling` is not known.
         """
         if self.spec not in SPECS:
-            raise UnknownNameError("spec", self.spec, SPECS, "Set --spec.")
+            raise UnknownNameError("spec", self.spec, SPECS, "Change spec (--spec).")
         if self.integrator == "default":
             object.__setattr__(self, "integrator", SPECS[self.spec])
         if self.integrator not in INTEGRATORS:
-            raise UnknownNameError("integrator", self.integrator, ("default", *INTEGRATORS), "Set --integrator.")
+            raise UnknownNameError(
+                "integrator", self.integrator, ("default", *INTEGRATORS), "Set integrator (--integrator)."
+            )
         if self.target_sampling not in TARGET_SAMPLINGS:
             raise UnknownNameError("target sampling", self.target_sampling, TARGET_SAMPLINGS, "Set --target-sampling.")
         if self.goal_interval < 1:
             raise ConfigError(f"goal_interval must be at least 1, got {self.goal_interval}. Set --controller-interval.")
-        if not 0 <= self.reset_noise < 1:
-            raise ConfigError(f"reset_noise must be in [0, 1), got {self.reset_noise}. Set --reset-noise.")
+        is_number = isinstance(self.reset_noise, int | float | np.number)
+        if not (is_number and 0 <= self.reset_noise < 1):
+            raise ConfigError(f"reset_noise must be in [0, 1), got {self.reset_noise!r}. Set it (--reset-noise).")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,6 +33,22 @@ def _num_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def _step_limit(max_episode_steps: int | None) -> float:
+    """Return the steps after which an episode is truncated; None and -1 are never, as in `gymnasium.make`.
+
+    Raises:
+        ConfigError: It is something else than a whole number of at least 1.
+    """
+    if max_episode_steps is None or max_episode_steps == -1:
+        return np.inf
+    is_whole = isinstance(max_episode_steps, int | np.integer) and not isinstance(max_episode_steps, bool)
+    if not is_whole or max_episode_steps < 1:
+        raise ConfigError(
+            f"max_episode_steps must be a whole number of at least 1, or -1 for no limit; got {max_episode_steps!r}."
+        )
+    return max_episode_steps
+
+
 class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
     """N episodes of a task at a time. Actions [N, A] lie in [-1, 1]; a step takes 0.1 s of simulated time."""
 
@@ -51,7 +67,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         Args:
             name: Name in the registry, e.g. `ant-gather`.
             num_envs: Number of environments, N.
-            max_episode_steps: Control steps after which an episode is truncated; never if None.
+            max_episode_steps: Control steps after which an episode is truncated; never if None or -1.
             render_mode: `rgb_array` or None.
             autoreset_mode: When an episode that has ended begins anew: `NextStep`, `SameStep` or `Disabled`.
             num_threads: Threads that share the physics; 0 is one for every core. Never changes a number.
@@ -81,7 +97,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         self.single_action_space = self._adapter.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._max_steps = np.inf if max_episode_steps is None else max_episode_steps
+        self._max_steps = _step_limit(max_episode_steps)
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._has_ended: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self._is_ready: BoolArray = np.zeros(num_envs, dtype=np.bool_)
@@ -99,6 +115,8 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             ConfigError: There are not N seeds, or the mask is none.
         """
         ids = np.flatnonzero(self._mask(options))
+        if isinstance(seed, float | str):
+            raise ConfigError(f"seed must be a whole number or a list of them, got {seed!r}.")
         seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
         if seeds is not None and len(seeds) != self.num_envs:
             raise ConfigError(f"a list of seeds must have one for each of {self.num_envs} environments; got {seeds!r}.")

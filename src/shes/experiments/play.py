@@ -49,6 +49,8 @@ class Agent:
 
     def reset(self, env: int | None = None) -> None:
         """Begin a new episode in environment `env`, or in all of them: the next `act` sets a new goal."""
+        if env is not None and not 0 <= env < self.num_envs:
+            raise ConfigError(f"env must be from 0 to {self.num_envs - 1}, got {env}: there are {self.num_envs}.")
         for number in range(self.num_envs) if env is None else (env,):
             self._agent.start(number)
 

@@ -61,7 +61,7 @@ class Playback:
         """
         if seed is not None and seed < 0:
             raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
-        if steps is not None and steps < 1:
+        if steps is not None and (not isinstance(steps, int) or steps < 1):
             raise ConfigError(f"steps must be a whole number of at least 1, got {steps}. Set --steps.")
         folder = RunFolder.open(run)
         config = folder.read_config()

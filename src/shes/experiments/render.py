@@ -30,7 +30,7 @@ def render(
     run: Path | str,
     out: Path | str = "walk.mp4",
     *,
-    checkpoints: Sequence[str] = ("best",),
+    checkpoints: str | Sequence[str] = ("best",),
     camera: str = "both",
     episode: int = 0,
     seed: int | None = None,
@@ -64,6 +64,8 @@ def render(
     check_video_path(target)
     if camera not in VIEWS:
         raise UnknownNameError("camera", camera, VIEWS, "Set --camera.")
+    if isinstance(checkpoints, str):
+        checkpoints = (checkpoints,)
     if not checkpoints:
         raise ConfigError("render needs at least one checkpoint: best, last or the number of a generation.")
     if size % 2 or not 64 <= size <= 1080:

@@ -3,91 +3,113 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 import tempfile
 from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 
 import imageio_ffmpeg
-import numpy as np
 
 from shes.drawing.renderer import Picture
-from shes.errors import ConfigError, ShesError, StorageError
+from shes.errors import ConfigError, StorageError
 from shes.storage import write_atomically
 
 __all__ = ["FRAMES_PER_SECOND", "check_video_path", "write_video"]
 
 FRAMES_PER_SECOND = 20
 """Two for each control step. A GIF can show no 30: it counts in hundredths of a second."""
-_SUFFIXES = (".mp4", ".gif")
-# One palette for all frames, made from what moves.
-_GIF_FILTER = (
+# One palette for all frames of a GIF, made from what moves.
+_PALETTE = (
     "split[a][b];[a]palettegen=stats_mode=diff[p];[b][p]paletteuse=dither=bayer:bayer_scale=4:diff_mode=rectangle"
 )
+_ENCODERS: dict[str, list[str]] = {
+    ".mp4": ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"],
+    ".gif": ["-vf", _PALETTE],
+}
+_SHOWN_LOG = 300  # characters of ffmpeg's own words in an error
 
 
 def check_video_path(path: Path) -> None:
     """Refuse a path that no video can be written to, before work goes into it.
 
     Raises:
-        ConfigError: Its suffix is not known, or there is no such folder.
+        ConfigError: Its suffix is not known, it is a folder, there is no such folder, or there is no ffmpeg.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise ConfigError(f"a video must end in {' or '.join(_SUFFIXES)}, got {str(path)!r}. Set --out.")
+    if path.suffix.lower() not in _ENCODERS:
+        raise ConfigError(f"a video must end in {' or '.join(_ENCODERS)}, got {str(path)!r}. Set --out.")
     if not path.parent.is_dir():
         raise ConfigError(f"there is no folder {path.parent}. Create it, or choose another path with --out.")
     if path.is_dir():
         raise ConfigError(f"{path} is a folder. Choose another path with --out.")
+    _find_ffmpeg()
 
 
 def write_video(path: Path, frames: Iterable[Picture]) -> None:
     """Write `frames` (pictures [H, W, 3] of one even size) to `path`, atomically.
 
     Raises:
-        ConfigError: The suffix of `path` is not known.
-        StorageError: The file cannot be written.
+        ConfigError: `path` is not one that `check_video_path` allows.
+        StorageError: The file cannot be written; what was at `path` is untouched.
     """
     check_video_path(path)
     with tempfile.TemporaryDirectory(prefix="shes-video-") as folder:
         file = Path(folder) / f"video{path.suffix.lower()}"
-        try:
-            _encode(file, frames)
-        except OSError as error:
-            if isinstance(error, ShesError):  # from whoever makes the frames
-                raise
-            raise _encoding_error(path, folder) from error
-        if not file.exists() or not file.stat().st_size:
-            raise _encoding_error(path, folder)
+        said = _encode(file, frames)
+        if said is not None:
+            raise StorageError(
+                f"ffmpeg could not encode {path}; what was there before is untouched. It said: {said or 'nothing'}. "
+                f"If the temporary folder {Path(folder).parent} is full, set TMPDIR to another one."
+            )
         with file.open("rb") as source:
             write_atomically(path, lambda target: shutil.copyfileobj(source, target))
 
 
-def _encoding_error(path: Path, folder: str) -> StorageError:
-    return StorageError(
-        f"ffmpeg could not write the frames of {path}; what was there before is untouched. Is the temporary folder "
-        f"{Path(folder).parent} full? TMPDIR names another one."
-    )
+def _find_ffmpeg() -> str:
+    """Return ffmpeg's path.
 
-
-def _encode(file: Path, frames: Iterable[Picture]) -> None:
-    """Let ffmpeg write `file`."""
-    is_gif = file.suffix == ".gif"
-    writer = None
+    Raises:
+        ConfigError: There is none.
+    """
     try:
-        for frame in frames:
-            if writer is None:
-                writer = imageio_ffmpeg.write_frames(
-                    file,
-                    (frame.shape[1], frame.shape[0]),
-                    fps=FRAMES_PER_SECOND,
-                    codec="gif" if is_gif else "libx264",
-                    pix_fmt_out="pal8" if is_gif else "yuv420p",
-                    quality=7,
-                    macro_block_size=2,
-                    ffmpeg_log_level="error",
-                    output_params=["-vf", _GIF_FILTER] if is_gif else ["-movflags", "+faststart"],
-                )
-                writer.send(None)
-            writer.send(np.ascontiguousarray(frame))
-    finally:
-        if writer is not None:
-            writer.close()
+        found = imageio_ffmpeg.get_ffmpeg_exe()
+    except RuntimeError as error:
+        found, reason = None, error
+    else:
+        reason = f"{found} is not there"
+    if found is None or shutil.which(found) is None:
+        raise ConfigError(
+            f"there is no ffmpeg: {reason}. Reinstall it by `pip install --force-reinstall imageio-ffmpeg`, or set "
+            "IMAGEIO_FFMPEG_EXE to the path of one."
+        )
+    return found
+
+
+def _encode(file: Path, frames: Iterable[Picture]) -> str | None:
+    """Let ffmpeg write `file`; return None, or where it fails the end of what it said."""
+    stream = iter(frames)
+    first = next(stream)
+    size = f"{first.shape[1]}x{first.shape[0]}"
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(FRAMES_PER_SECOND), "-i", "-"]
+    command = [_find_ffmpeg(), "-v", "error", "-y", *raw, *_ENCODERS[file.suffix], str(file)]
+    # A session of its own: a Ctrl-C in a terminal reaches this process alone, which then ends ffmpeg.
+    with (
+        tempfile.TemporaryFile() as log,
+        subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, start_new_session=True) as encoder,
+    ):
+        assert encoder.stdin is not None
+        is_broken = False
+        try:
+            for frame in chain([first], stream):
+                encoder.stdin.write(frame.tobytes())
+            encoder.stdin.close()
+        except BrokenPipeError:
+            is_broken = True
+        except BaseException:
+            encoder.kill()
+            raise
+        status = encoder.wait()
+        if status == 0 and not is_broken and file.exists():
+            return None
+        log.seek(0)
+        return " ".join(log.read().decode(errors="replace").split())[-_SHOWN_LOG:]

@@ -1,0 +1,49 @@
+"""What the vector environment is given: limits, threads, seeds."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import shes  # registers
+from shes.errors import ConfigError
+
+assert shes
+
+
+def make(num_envs=3, **options):
+    return gymnasium.make_vec("shes/PointGather-v0", num_envs=num_envs, **options)
+
+
+def test_minus_one_takes_the_time_limit_away_as_in_gymnasium():
+    for env in (make(max_episode_steps=-1), make(max_episode_steps=-1, vectorization_mode="sync")):
+        env.reset(seed=0)
+        for _ in range(520):
+            _, _, _, truncated, _ = env.step(np.zeros(env.action_space.shape, np.float32))
+            assert not truncated.any()
+
+
+@pytest.mark.parametrize("wrong", [0, -3, 2.5, "a", True])
+def test_another_limit_is_a_whole_number_of_at_least_one(wrong):
+    with pytest.raises(ConfigError, match=rf"max_episode_steps must be .*at least 1, or -1 .*got {wrong!r}"):
+        make(max_episode_steps=wrong)
+
+
+@pytest.mark.parametrize("wrong", [1.5, "a"])
+def test_a_seed_is_a_whole_number_or_a_list(wrong):
+    with pytest.raises(ConfigError, match=rf"seed must be a whole number or a list of them, got {wrong!r}"):
+        make().reset(seed=wrong)
+
+
+def test_threads_change_no_bit():
+    envs = [make(num_envs=8, num_threads=threads) for threads in (1, 2, 3)]
+    starts = [env.reset(seed=1)[0] for env in envs]
+    actions = np.random.default_rng(0).uniform(-1, 1, (50, *envs[0].action_space.shape)).astype(np.float32)
+    played = [np.array([env.step(action)[0] for action in actions]) for env in envs]
+    for start, observations in zip(starts[1:], played[1:], strict=True):
+        np.testing.assert_array_equal(start, starts[0])
+        np.testing.assert_array_equal(observations, played[0])
+
+
+def test_a_number_of_threads_is_not_negative():
+    with pytest.raises(ConfigError, match="num_threads must be a whole number of at least 0, got -1"):
+        make(num_threads=-1)
