@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import venv
 import zipfile
 from pathlib import Path
 
@@ -42,11 +41,29 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     assert wheel.stat().st_size < 1_000_000
 
 
-def test_an_empty_environment_can_train_evaluate_render_and_play(wheel, tmp_path):
+def find_python(version):
+    """Return an interpreter of this version, from PATH or pyenv, that can make environments; None without one."""
+    root = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
+    for candidate in (f"python{version}", *sorted(root.glob(f"versions/{version}*/bin/python"))):
+        command = [str(candidate), "-c", "import ensurepip, sys, venv; print('%d.%d' % sys.version_info[:2])"]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+        except OSError:
+            continue
+        if (done.returncode, done.stdout.strip()) == (0, version):
+            return candidate
+    return None
+
+
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13"])
+def test_an_empty_environment_can_train_evaluate_render_and_play(wheel, tmp_path, version):
+    found = find_python(version)
+    if found is None:
+        pytest.skip(f"there is no Python {version} here")
     home = tmp_path / "home"
     home.mkdir()
     environment = tmp_path / "environment"
-    venv.create(environment, with_pip=True)
+    subprocess.run([str(found), "-m", "venv", str(environment)], check=True)
     python = environment / "bin" / "python"
     # A registry that the machine is configured for is not part of an empty HOME: pip's own settings stay.
     variables = {name: value for name, value in os.environ.items() if name.startswith("PIP_") or name == "MUJOCO_GL"}
