@@ -1,4 +1,4 @@
-"""What every environment promises to Gymnasium's users, over the registry: single and vector, made by id."""
+"""What every environment and specification promises to Gymnasium's users: single and vector, made by id."""
 
 import warnings
 
@@ -9,24 +9,19 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
 
 import shes  # registers
-from shes.envs.registration import MAX_EPISODE_STEPS, gymnasium_id
-from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.task import TaskOptions
+from shes.envs.registration import MAX_EPISODE_STEPS
 from shes.errors import ConfigError, PolicyError, ShapeError, ShesError, UnknownNameError
+from tests.contracts.variants import over_variants
 
 assert shes
 
 NUM_ENVS = 4
 
-pytestmark = pytest.mark.parametrize("name", ENVIRONMENTS)
+pytestmark = over_variants
 
 
-def make(name, **options):
-    return gymnasium.make(gymnasium_id(name), **options)
-
-
-def make_vector(name, num_envs=NUM_ENVS, **options):
-    return gymnasium.make_vec(gymnasium_id(name), num_envs=num_envs, **options)
+def make_vector(variant, num_envs=NUM_ENVS, **options):
+    return variant.make_vector(num_envs, **options)
 
 
 def draw_actions(env, steps, seed=0):
@@ -44,29 +39,29 @@ def rollout(env, actions, seed):
     return shown
 
 
-def test_gymnasiums_checker_warns_of_unbounded_observations_alone(name):
+def test_gymnasiums_checker_warns_of_unbounded_observations_alone(variant):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        check_env(make(name).unwrapped, skip_render_check=True)
+        check_env(variant.make_env().unwrapped, skip_render_check=True)
     others = [str(warning.message) for warning in caught if "infinity" not in str(warning.message)]
     assert others == []
     assert len(caught) <= 2
 
 
-def test_making_and_playing_warns_of_nothing(name):
-    env = make(name)  # with Gymnasium's passive checker; warnings are errors
+def test_making_and_playing_warns_of_nothing(variant):
+    env = variant.make_env()  # with Gymnasium's passive checker; warnings are errors
     env.reset(seed=0)
     for action in draw_actions(env, 5):
         env.step(action)
     env.close()
-    vector = make_vector(name)
+    vector = make_vector(variant)
     vector.reset(seed=0)
     vector.step(vector.action_space.sample())
     vector.close()
 
 
-def test_spaces_are_those_of_the_task(name):
-    env, task = make(name), make_task(name, 1)
+def test_spaces_are_those_of_the_task(variant):
+    env, task = variant.make_env(), variant.make_task(1)
     assert env.observation_space.shape == (task.observation_size,)
     assert env.observation_space.dtype == np.float64
     assert env.action_space == gymnasium.spaces.Box(-1, 1, (task.action_size,), np.float32)
@@ -75,8 +70,8 @@ def test_spaces_are_those_of_the_task(name):
     assert {element.name for element in task.layout}.__len__() == task.observation_size
 
 
-def test_an_episode_is_the_tasks_with_that_seed(name):
-    env, task, actions = make(name), make_task(name, 1, TaskOptions()), draw_actions(make(name), 40)
+def test_an_episode_is_the_tasks_with_that_seed(variant):
+    env, task, actions = variant.make_env(), variant.make_task(1), draw_actions(variant.make_env(), 40)
     task.reset(np.array([0]), [17])
     observation, info = env.reset(seed=17)
     np.testing.assert_array_equal(observation, task.observe()[0])
@@ -93,8 +88,8 @@ def test_an_episode_is_the_tasks_with_that_seed(name):
     assert info["score"] == task.score[0]
 
 
-def test_a_seed_gives_the_same_trajectory_single_and_vector(name):
-    env, vector = make(name), make_vector(name)
+def test_a_seed_gives_the_same_trajectory_single_and_vector(variant):
+    env, vector = variant.make_env(), make_vector(variant)
     seeds = [5, 6, 7, 8]
     actions = draw_actions(vector, 25)
     many = rollout(vector, actions, seed=5)
@@ -107,8 +102,8 @@ def test_a_seed_gives_the_same_trajectory_single_and_vector(name):
                 np.testing.assert_array_equal(value, all_of_them[-1][key][i], err_msg=key)
 
 
-def test_episodes_without_a_seed_follow_from_the_seed_before(name):
-    env, same, other = make(name), make(name), make(name)
+def test_episodes_without_a_seed_follow_from_the_seed_before(variant):
+    env, same, other = variant.make_env(), variant.make_env(), variant.make_env()
     starts = []
     for each, seed in ((env, 1), (same, 1), (other, 2)):
         each.reset(seed=seed)
@@ -118,17 +113,17 @@ def test_episodes_without_a_seed_follow_from_the_seed_before(name):
     assert (np.array(starts[0]) != np.array(starts[2])).any()
 
 
-def test_without_any_seed_episodes_differ(name):
-    assert (make(name).reset()[0] != make(name).reset()[0]).any()
-    starts = make_vector(name).reset()[0]
+def test_without_any_seed_episodes_differ(variant):
+    assert (variant.make_env().reset()[0] != variant.make_env().reset()[0]).any()
+    starts = make_vector(variant).reset()[0]
     assert len(np.unique(starts, axis=0)) == NUM_ENVS
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_the_vector_environment_equals_gymnasiums_over_single_ones(name, mode):
-    ours = make_vector(name, autoreset_mode=mode, max_episode_steps=7)
+def test_the_vector_environment_equals_gymnasiums_over_single_ones(variant, mode):
+    ours = make_vector(variant, autoreset_mode=mode, max_episode_steps=7)
     theirs = make_vector(
-        name, vectorization_mode="sync", vector_kwargs={"autoreset_mode": AutoresetMode(mode)}, max_episode_steps=7
+        variant, vectorization_mode="sync", vector_kwargs={"autoreset_mode": AutoresetMode(mode)}, max_episode_steps=7
     )
     assert ours.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
     for space in ("observation_space", "action_space", "single_observation_space", "single_action_space"):
@@ -138,10 +133,13 @@ def test_the_vector_environment_equals_gymnasiums_over_single_ones(name, mode):
         assert data_equivalence(ours.step(action), theirs.step(action))
 
 
-def test_without_autoreset_the_user_resets_who_has_ended(name):
-    ours = make_vector(name, autoreset_mode="Disabled", max_episode_steps=3)
+def test_without_autoreset_the_user_resets_who_has_ended(variant):
+    ours = make_vector(variant, autoreset_mode="Disabled", max_episode_steps=3)
     theirs = make_vector(
-        name, vectorization_mode="sync", vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED}, max_episode_steps=3
+        variant,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
+        max_episode_steps=3,
     )
     assert data_equivalence(ours.reset(seed=1), theirs.reset(seed=1))
     actions = draw_actions(ours, 5)
@@ -160,18 +158,18 @@ def test_without_autoreset_the_user_resets_who_has_ended(name):
     ours.step(actions[3])
 
 
-def test_the_time_limit_truncates_and_can_be_moved(name):
-    env = make(name)
+def test_the_time_limit_truncates_and_can_be_moved(variant):
+    env = variant.make_env()
     assert env.spec.max_episode_steps == MAX_EPISODE_STEPS == 500
     for limit in (3, 7):
-        shown = rollout(make(name, max_episode_steps=limit), draw_actions(env, 20) * 0, seed=0)
+        shown = rollout(variant.make_env(max_episode_steps=limit), draw_actions(env, 20) * 0, seed=0)
         assert len(shown) == limit + 1
         assert shown[-1][3] is True
         assert not any(step[3] for step in shown[1:-1])
 
 
-def test_info_carries_what_a_user_wants_to_know(name):
-    env = make(name)
+def test_info_carries_what_a_user_wants_to_know(variant):
+    env = variant.make_env()
     _, info = env.reset(seed=0)
     _, _, _, _, later = env.step(draw_actions(env, 1)[0])
     for found in (info, later):
@@ -182,14 +180,14 @@ def test_info_carries_what_a_user_wants_to_know(name):
             assert type(found[key]) is float, key
         assert found["position"].shape == (2,)
         assert found["distance"] > 0
-    counts = make_task(name, 1).counts
+    counts = variant.make_task(1).counts
     assert set(info) == {"success", "score", "distance", "position", "heading", "diverged", *counts}
     for key in counts:
         assert type(info[key]) is int
 
 
-def test_what_is_returned_does_not_change_later(name):
-    vector = make_vector(name)
+def test_what_is_returned_does_not_change_later(variant):
+    vector = make_vector(variant)
     observation, info = vector.reset(seed=0)
     first = vector.step(draw_actions(vector, 1)[0])
     before = [observation.copy(), info["position"].copy(), *(part.copy() for part in first[:4])]
@@ -199,8 +197,8 @@ def test_what_is_returned_does_not_change_later(name):
         np.testing.assert_array_equal(left, right)
 
 
-def test_a_diverged_simulation_ends_its_episode(name):
-    env = make(name).unwrapped
+def test_a_diverged_simulation_ends_its_episode(variant):
+    env = variant.make_env().unwrapped
     env.reset(seed=0)
     env._adapter.task.sim.qvel[0, 0] = 1e12
     _, reward, terminated, _, info = env.step(np.zeros(env.action_space.shape))
@@ -209,8 +207,8 @@ def test_a_diverged_simulation_ends_its_episode(name):
     assert (reward, info["score"], info["success"]) == (0, 0, False)
 
 
-def test_actions_are_scaled_to_the_controls(name):
-    env = make(name).unwrapped
+def test_actions_are_scaled_to_the_controls(variant):
+    env = variant.make_env().unwrapped
     env.reset(seed=0)
     env.step(np.full(env.action_space.shape, 0.5))
     task = env._adapter.task
@@ -218,8 +216,8 @@ def test_actions_are_scaled_to_the_controls(name):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_an_action_that_is_no_number_is_refused(name, value):
-    env, vector = make(name).unwrapped, make_vector(name)
+def test_an_action_that_is_no_number_is_refused(variant, value):
+    env, vector = variant.make_env().unwrapped, make_vector(variant)
     env.reset(seed=0)
     vector.reset(seed=0)
     with pytest.raises(PolicyError, match=r"NaN or infinity; actions lie in \[-1, 1\]"):
@@ -228,12 +226,12 @@ def test_an_action_that_is_no_number_is_refused(name, value):
         vector.step(np.full(vector.action_space.shape, value))
 
 
-def test_an_action_of_another_shape_is_refused(name):
-    env, vector = make(name).unwrapped, make_vector(name)
+def test_an_action_of_another_shape_is_refused(variant):
+    env, vector = variant.make_env().unwrapped, make_vector(variant)
     size = env.action_space.shape[0]
     env.reset(seed=0)
     vector.reset(seed=0)
-    with pytest.raises(ShapeError, match=rf"{name} has shape \({size},\); got \({size + 1},\)"):
+    with pytest.raises(ShapeError, match=rf"{variant.name} has shape \({size},\); got \({size + 1},\)"):
         env.step(np.zeros(size + 1))
     with pytest.raises(ShapeError, match=rf"in each of {NUM_ENVS} environments; got \({NUM_ENVS + 1}, {size}\)"):
         vector.step(np.zeros((NUM_ENVS + 1, size)))
@@ -248,23 +246,23 @@ def test_an_action_of_another_shape_is_refused(name):
         ({"camera": "left"}, UnknownNameError, "unknown camera 'left'"),
     ],
 )
-def test_a_wrong_option_is_refused(name, options, error, message):
+def test_a_wrong_option_is_refused(variant, options, error, message):
     with pytest.raises(error, match=message):
-        make(name, **options)
+        variant.make_env(**options)
     with pytest.raises(error, match=message):
-        make_vector(name, **options)
+        make_vector(variant, **options)
 
 
-def test_options_reach_the_task(name):
-    env = make(name, reset_noise=0.0, integrator="rk4").unwrapped
+def test_options_reach_the_task(variant):
+    env = variant.make_env(reset_noise=0.0, integrator="rk4").unwrapped
     env.reset(seed=0)
     task = env._adapter.task
     np.testing.assert_array_equal(task.sim.qpos[0], task.sim.model.qpos0)
-    assert task.options.integrator == "rk4"
+    assert task.options == variant.options(reset_noise=0.0, integrator="rk4")
 
 
-def test_a_wrong_use_of_the_vector_environment_is_refused(name):
-    vector = make_vector(name)
+def test_a_wrong_use_of_the_vector_environment_is_refused(variant):
+    vector = make_vector(variant)
     with pytest.raises(gymnasium.error.ResetNeeded, match="call reset"):
         vector.step(vector.action_space.sample())
     with pytest.raises(ConfigError, match=r"one for each of 4 environments; got \[1, 2\]"):
@@ -275,16 +273,16 @@ def test_a_wrong_use_of_the_vector_environment_is_refused(name):
     with pytest.raises(ConfigError, match="at least one True"):
         vector.reset(options={"reset_mask": np.zeros(4, bool)})
     with pytest.raises(ConfigError, match=r"autoreset_mode must be one of .*NextStep.*; got 'later'"):
-        make_vector(name, autoreset_mode="later")
+        make_vector(variant, autoreset_mode="later")
     with pytest.raises(ConfigError, match="num_envs must be"):
-        make_vector(name, num_envs=0)
+        make_vector(variant, num_envs=0)
 
 
-def test_render_needs_a_mode(name):
-    env, vector = make(name).unwrapped, make_vector(name)
+def test_render_needs_a_mode(variant):
+    env, vector = variant.make_env().unwrapped, make_vector(variant)
     for each in (env, vector):
         each.reset(seed=0)
         with pytest.raises(ShesError, match='render_mode="rgb_array"'):
             each.render()
     with pytest.raises(UnknownNameError, match="unknown render_mode 'ansi'"):
-        type(env)(name, render_mode="ansi")
+        type(env)(variant.name, render_mode="ansi")

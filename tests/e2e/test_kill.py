@@ -66,7 +66,9 @@ def test_a_run_killed_inside_a_generation_goes_on_with_the_same_numbers(started,
     inside = kill_main_inside(process, path, 3)
     assert runs.differences(undisturbed, path)  # something is left to do
     resume(path)
-    assert f"begins after generation {inside - 1} with 2 workers" in runs.log_lines(path)
+    # The checkpoint of a generation is written beside the next one: on a busy machine that of the one before is last.
+    begins = {f"begins after generation {inside - late} with 2 workers" for late in (1, 2)}
+    assert begins & set(runs.log_lines(path)[1:])
     assert runs.differences(undisturbed, path) == []
 
 

@@ -5,6 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
+import shes
+from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
 
 SETTINGS = {
@@ -71,6 +73,23 @@ def test_the_ant_has_the_same_numbers_on_one_and_three_workers(tmp_path):
         assert (code, err) == (0, ""), out
         paths.append(path)
     assert runs.differences(*paths) == []
+
+
+@pytest.mark.parametrize(
+    "variant",
+    [
+        pytest.param(each, id="-".join(each), marks=[] if each == ("point-push", "hiro") else [pytest.mark.slow])
+        for each in VARIANTS
+    ],
+)
+def test_neither_workers_nor_a_resume_change_the_numbers_of_any_task(tmp_path, variant):
+    settings = {"spec": variant.spec, "population_size": 12, "evaluation_interval": 1, "keep_checkpoints": 1}
+    one = runs.train_tiny(tmp_path / "one", variant.name, **settings, generations=2)
+    two = tmp_path / "two"
+    runs.train_tiny(two, variant.name, **settings, generations=1, backend="processes", num_workers=2, chunk_size=3)
+    shes.resume(two, generations=2)
+    assert runs.differences(one, two) == []
+    assert "progress.csv/env_steps" in runs.numbers(one)
 
 
 def test_the_comparison_sees_every_kind_of_number(tiny_run):

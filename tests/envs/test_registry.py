@@ -62,7 +62,7 @@ def test_an_unknown_integrator_is_refused_with_the_nearest_name():
 
 @pytest.mark.parametrize("noise", [-0.1, -1e-9, 1.0, 5.0, np.nan, np.inf])
 def test_reset_noise_outside_0_to_1_is_refused(noise):
-    with pytest.raises(ConfigError, match=rf"reset_noise must be in \[0, 1\), got {noise}. Set --reset-noise"):
+    with pytest.raises(ConfigError, match=rf"reset_noise must be in \[0, 1\), got {noise}. Set it \(--reset-noise\)"):
         TaskOptions(reset_noise=noise)
 
 

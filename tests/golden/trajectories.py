@@ -1,4 +1,6 @@
-"""Golden trajectories: short episodes of every environment, stored as JSON beside this file.
+"""Golden trajectories: short episodes of every environment and specification, stored as JSON beside this file.
+
+Robots of Maze, Push and Fall start in front of the wall or block that they are about to hit.
 
 Write them anew with
 
@@ -15,7 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from shes.envs.registry import ENVIRONMENTS, make_task
+from tests.contracts.variants import VARIANTS
 
 FOLDER = Path(__file__).parent
 SEEDS = (11, 12, 13)
@@ -23,11 +25,22 @@ NUM_STEPS = 20
 STORED_EVERY = 4
 """Observations are stored after every so many control steps, the start included."""
 DECIMALS = 12
+STARTS_M = {"maze": (0.0, 3.0), "push": (0.0, 3.0), "fall": (8.0, 3.0)}
+"""Where robots start, relative to where a reset puts them: 1 m before the wall or block."""
+START_SPEED_M_S = 2.0
+"""How fast they fly toward it at first, along y."""
+OPTIONS = {"flagrun": {"goal_interval": 8}}
+"""Options of a task: Flagrun's goals move within the stored steps."""
 
 
-def golden_file(name):
-    """Return where the golden trajectory of environment `name` lies."""
-    return FOLDER / f"trajectory_{name}.json"
+def title(variant):
+    """Return the name that a variant goes by: the environment's, and the specification where it is not shes."""
+    return variant.name if variant.spec == "shes" else f"{variant.name}-{variant.spec}"
+
+
+def golden_file(variant):
+    """Return where the golden trajectory of this environment and specification lies."""
+    return FOLDER / f"trajectory_{title(variant)}.json"
 
 
 def smooth_actions(num_actions, control_limit):
@@ -36,11 +49,15 @@ def smooth_actions(num_actions, control_limit):
     return 0.8 * control_limit * np.sin(0.25 * step + 1.3 * control + 0.9)
 
 
-def play(name, shift=0.0):
-    """Play environment `name` and return its trajectory; `shift` is added to the first velocity at the start."""
-    task = make_task(name, len(SEEDS))
+def play(variant, shift=0.0):
+    """Play an environment and return its trajectory; `shift` is added to the first velocity at the start."""
+    _, kind = variant.name.split("-")
+    task = variant.make_task(len(SEEDS), **OPTIONS.get(kind, {}))
     ids = np.arange(len(SEEDS))
     task.reset(ids, SEEDS)
+    if kind in STARTS_M:
+        task.sim.qpos[:, :2] += STARTS_M[kind]
+        task.sim.qvel[:, 1] += START_SPEED_M_S
     task.sim.qvel[:, 0] += shift
     observations, rewards = [task.observe().copy()], []
     for step, action in enumerate(smooth_actions(task.action_size, task.control_limit), start=1):
@@ -49,7 +66,7 @@ def play(name, shift=0.0):
         if step % STORED_EVERY == 0:
             observations.append(task.observe().copy())
     return {
-        "environment": name,
+        "environment": title(variant),
         "mujoco": mujoco.__version__,
         "seeds": list(SEEDS),
         "rewards": np.array(rewards).T.tolist(),
@@ -58,23 +75,23 @@ def play(name, shift=0.0):
     }
 
 
-def load(name):
-    """Return the stored trajectory of environment `name`."""
-    return json.loads(golden_file(name).read_text(encoding="utf-8"))
+def load(variant):
+    """Return the stored trajectory of this environment and specification."""
+    return json.loads(golden_file(variant).read_text(encoding="utf-8"))
 
 
-def write(name):
-    """Store the trajectory of environment `name`: one line per observation, so that a difference can be read."""
-    trajectory = play(name)
+def write(variant):
+    """Store the trajectory of this environment: one line per observation, so that a difference can be read."""
+    trajectory = play(variant)
     lines = [f' "{key}": {json.dumps(trajectory[key])},' for key in trajectory if key != "observations"]
     rows = [",\n  ".join(json.dumps(row) for row in episode) for episode in trajectory["observations"]]
     episodes = "],\n [".join(f"\n  {episode}" for episode in rows)
-    golden_file(name).write_text(
+    golden_file(variant).write_text(
         "{\n" + "\n".join(lines) + f'\n "observations": [\n [{episodes}]\n ]\n' + "}\n", encoding="utf-8"
     )
 
 
 if __name__ == "__main__":
-    for each in ENVIRONMENTS:
+    for each in VARIANTS:
         write(each)
         sys.stdout.write(f"wrote {golden_file(each)}\n")

@@ -1,0 +1,224 @@
+"""Worlds of Maze, Push, Fall, Flagrun and Gather as MJCF text, written apart from the package, for its tests.
+
+Sources: shared/spec/environments.md (it decides), then sash-a/HrlMuJoCoEnvs.jl (src/WorldStructure.jl), then
+Nachum et al. 2018, efficient-hrl's maze_env.py. The ant itself is the text in reference_gather.py.
+
+What the specification leaves open about worlds, and how it is read here:
+- Unmerged boxes, one per cell, are the base; `merged=True` joins runs along a row, then equal runs of rows that follow
+  each other. Platforms and the walls on them are two layers, and stay two boxes.
+- In a world with a chasm every cell but the chasm is a platform, the walls' and the block's too; walls stand on it, at
+  z 4 to 8; the floor stays at z 0, the bottom of the chasm.
+- The block has the geoms' default friction (efficient-hrl; JR writes "0 0 0", which is the same: MuJoCo takes the
+  larger friction of two geoms) and contype 1, conaffinity 1, so it meets robot, floor, walls and platforms.
+- "margin 0.01" is the margin of the block's joint limits; its geom has the default margin, 0.01 too. MuJoCo 4.0 adds
+  the margins of two geoms, so that every contact acts from 0.02 on (JR's and efficient-hrl's MuJoCo: 0.01).
+- A falling block is limited to +-8 in y and [-4, 0] in z; one that cannot fall has no limits at all.
+- The solimp of a world with a block is the default of all geoms: robot, floor, walls, platforms, block.
+- Point: no limits on its slides; the floor takes contacts (the block of Push stands on it, the sphere is too high to
+  touch it). In Fall the torso starts at z 4.75 like the ant's, its third qpos is the height itself (the slide has
+  ref 4.75), all three slides have the same damping, there are two motors, and the floor and gravity act.
+- Walls of the hiro Gather: inner faces at +-10.5; 8 thick and 4 high like all walls (rllab: 1 thick, 1 high).
+"""
+
+from typing import Literal
+
+from tests.envs.reference_gather import ant_gather_xml
+
+BodyName = Literal["ant", "point"]
+Box = tuple[float, float, float, float, float, float]
+"""x, y, z of the centre and half sizes."""
+
+CELL = 8.0
+HEIGHT = 4.0
+TORSO = 0.75
+TORSO_ABOVE_CHASM = 4.75
+POINT_HEIGHT = 0.5
+
+GATHER = ("#####", "#...#", "#.r.#", "#...#", "#####")
+MAZE = ("#####", "#r..#", "###.#", "#...#", "#####")
+PUSH = ("#####", "#.r##", "#.B.#", "##.##", "#####")
+FALL = ("####", "#r.#", "#.B#", "#CC#", "#..#", "####")
+
+INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicitfast": "implicitfast"}
+PLAIN_SOLIMP = "0.8 0.8 0.01"
+BLOCK_SOLIMP = "0.995 0.995 0.01"
+
+ANT_WALLS_START, ANT_WALLS_END = '    <geom name="wall_north"', "  </worldbody>"
+
+POINT = """
+<mujoco model="reference_point">
+  <option timestep="0.02" integrator="Euler" gravity="0 0 GRAVITY"/>
+  <default>
+    <geom contype="1" conaffinity="0" condim="3" density="5" margin="0.01" friction="1 0.5 0.5"
+          solref="0.02 1" solimp="0.8 0.8 0.01"/>
+  </default>
+  <worldbody>
+    <geom name="floor" type="plane" pos="0 0 0" size="40 40 40" conaffinity="1"/>
+    <body name="torso" pos="0 0 START">
+      <joint name="slide_x" type="slide" axis="1 0 0" damping="DAMPING"/>
+      <joint name="slide_y" type="slide" axis="0 1 0" damping="DAMPING"/>
+Z_SLIDE
+      <geom name="torso" type="sphere" size="0.25" mass="0.33"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="slide_x" joint="slide_x" gear="GEAR" ctrllimited="true" ctrlrange="-1 1"/>
+    <motor name="slide_y" joint="slide_y" gear="GEAR" ctrllimited="true" ctrlrange="-1 1"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def world_xml(
+    grid: tuple[str, ...],
+    body: BodyName,
+    *,
+    integrator: str = "euler",
+    merged: bool = False,
+    gear: float = 3.0,
+    damping: float = 0.4,
+    block_margin: float = 0.01,
+    limit_solimp: str = "0.9 0.95 0.001",
+) -> str:
+    """Robot, floor, platforms, walls and block of `grid`.
+
+    `gear` and `damping` are the point's. `block_margin` is that of the block's geom, `limit_solimp` that of a falling
+    block's limits in y: what a stiffer or truer block would change; by default as specified, and MuJoCo's default.
+    """
+    boxes = layer(grid, "#.rB", 0.0, merged) if is_elevated(grid) else []
+    boxes = boxes + layer(grid, "#", HEIGHT if is_elevated(grid) else 0.0, merged)
+    text = _robot_xml(body, elevated=is_elevated(grid), gear=gear, damping=damping)
+    if has_block(grid):
+        assert text.count(PLAIN_SOLIMP) == 1
+        text = text.replace(PLAIN_SOLIMP, BLOCK_SOLIMP)
+    return _finish(text, _boxes_xml(boxes) + _block_xml(grid, block_margin, limit_solimp), integrator)
+
+
+def hiro_gather_xml(body: BodyName, *, integrator: str = "rk4", gear: float = 3.0, damping: float = 0.4) -> str:
+    """The arena of the hiro Gather: four walls with inner faces at +-10.5, 8 thick, 4 high."""
+    inner, half_thickness, half_height = 10.5, CELL / 2, HEIGHT / 2
+    middle, outer = inner + half_thickness, inner + 2 * half_thickness
+    boxes = [
+        (0.0, -middle, half_height, outer, half_thickness, half_height),
+        (0.0, middle, half_height, outer, half_thickness, half_height),
+        (-middle, 0.0, half_height, half_thickness, inner, half_height),
+        (middle, 0.0, half_height, half_thickness, inner, half_height),
+    ]
+    text = _robot_xml(body, elevated=False, gear=gear, damping=damping)
+    return _finish(text, _boxes_xml(boxes), integrator)
+
+
+def is_elevated(grid: tuple[str, ...]) -> bool:
+    """Whether the world has a chasm."""
+    return any("C" in row for row in grid)
+
+
+def has_block(grid: tuple[str, ...]) -> bool:
+    """Whether the world has a movable block."""
+    return any("B" in row for row in grid)
+
+
+def cell_centre(grid: tuple[str, ...], i: int, j: int) -> tuple[float, float]:
+    """Place of the centre of row i, column j; the robot's cell is the origin."""
+    for robot_i, row in enumerate(grid):
+        for robot_j, cell in enumerate(row):
+            if cell == "r":
+                return CELL * (j - robot_j), CELL * (i - robot_i)
+    raise ValueError("no robot in the grid")
+
+
+def cell_at(grid: tuple[str, ...], x: float, y: float) -> str:
+    """The cell that holds (x, y), a wall outside the grid; used to redraw targets (`free_cells`)."""
+    for i, row in enumerate(grid):
+        for j, cell in enumerate(row):
+            centre_x, centre_y = cell_centre(grid, i, j)
+            if abs(x - centre_x) < CELL / 2 and abs(y - centre_y) < CELL / 2:
+                return cell
+    return "#"
+
+
+def layer(grid: tuple[str, ...], cells: str, bottom: float, merged: bool) -> list[Box]:
+    """One box per cell whose sign is in `cells`, from z `bottom` to `bottom` + 4, or as few as merging leaves."""
+    # A rectangle of cells: first and last row, first and last column.
+    rectangles = [(i, i, j, j) for i, row in enumerate(grid) for j, cell in enumerate(row) if cell in cells]
+    if merged:
+        rectangles = _join(rectangles, along_row=True)
+        rectangles = _join(rectangles, along_row=False)
+    boxes = []
+    for first_i, last_i, first_j, last_j in rectangles:
+        left, low = cell_centre(grid, first_i, first_j)
+        right, high = cell_centre(grid, last_i, last_j)
+        half_x, half_y = (right - left + CELL) / 2, (high - low + CELL) / 2
+        boxes.append(((left + right) / 2, (low + high) / 2, bottom + HEIGHT / 2, half_x, half_y, HEIGHT / 2))
+    return boxes
+
+
+def _join(rectangles: list[tuple[int, int, int, int]], along_row: bool) -> list[tuple[int, int, int, int]]:
+    """Join a pair of neighbours of the same width or height until there is none left."""
+    result = list(rectangles)
+    for one in result:
+        for other in result:
+            if along_row:
+                fit = one[:2] == other[:2] and one[3] + 1 == other[2]
+            else:
+                fit = one[2:] == other[2:] and one[1] + 1 == other[0]
+            if fit:
+                rest = [rectangle for rectangle in result if rectangle not in (one, other)]
+                return _join([*rest, (one[0], other[1], one[2], other[3])], along_row)
+    return result
+
+
+def _robot_xml(body: BodyName, *, elevated: bool, gear: float, damping: float) -> str:
+    """The robot and the floor without anything else."""
+    if body == "ant":
+        text = ant_gather_xml()
+        start, end = text.index(ANT_WALLS_START), text.index(ANT_WALLS_END)
+        text = text[:start] + text[end:]
+        return text.replace(f'pos="0 0 {TORSO}"', f'pos="0 0 {TORSO_ABOVE_CHASM if elevated else TORSO}"')
+    if body != "point":
+        raise ValueError(f"unknown body {body!r}")
+    text = POINT.replace("GRAVITY", "-9.81" if elevated else "0")
+    text = text.replace("START", repr(TORSO_ABOVE_CHASM if elevated else POINT_HEIGHT))
+    slide = f'      <joint name="slide_z" type="slide" axis="0 0 1" ref="{TORSO_ABOVE_CHASM}" damping="DAMPING"/>'
+    text = text.replace("Z_SLIDE", slide if elevated else "")
+    return text.replace("GEAR", repr(float(gear))).replace("DAMPING", repr(float(damping)))
+
+
+def _boxes_xml(boxes: list[Box]) -> str:
+    lines = [
+        f'    <geom name="box_{number}" type="box" pos="{x} {y} {z}" size="{half_sizes}" conaffinity="1"/>'
+        for number, (x, y, z, *half) in enumerate(boxes)
+        for half_sizes in [" ".join(str(size) for size in half)]
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _block_xml(grid: tuple[str, ...], margin: float, limit_solimp: str) -> str:
+    """The movable block: slides in x and y, or where there is a chasm in y and z; nothing without a block."""
+    if not has_block(grid):
+        return ""
+    ((i, j),) = [(i, j) for i, row in enumerate(grid) for j, cell in enumerate(row) if cell == "B"]
+    x, y = cell_centre(grid, i, j)
+    if is_elevated(grid):
+        z, half, mass = HEIGHT + HEIGHT / 2, CELL / 2 * 0.99, 0.001
+        slides = [
+            ("y", "0 1 0", f'limited="true" range="-8 8" solimplimit="{limit_solimp}"'),
+            ("z", "0 0 1", 'limited="true" range="-4 0"'),
+        ]
+    else:
+        z, half, mass = HEIGHT / 2, CELL / 2, 0.0002
+        slides = [("x", "1 0 0", 'limited="false"'), ("y", "0 1 0", 'limited="false"')]
+    joints = "".join(
+        f'      <joint name="block_{name}" type="slide" axis="{axis}" {limits} margin="0.01"'
+        ' armature="0" damping="0"/>\n'
+        for name, axis, limits in slides
+    )
+    size = f"{half} {half} {HEIGHT / 2}"
+    geom = f'<geom name="block" type="box" size="{size}" mass="{mass}" margin="{margin}" conaffinity="1"/>'
+    return f'    <body name="block" pos="{x} {y} {z}">\n{joints}      {geom}\n    </body>\n'
+
+
+def _finish(text: str, more: str, integrator: str) -> str:
+    """Put `more` at the end of the world and set the integrator."""
+    text = text.replace("  </worldbody>", more + "  </worldbody>")
+    return text.replace('integrator="Euler"', f'integrator="{INTEGRATORS[integrator]}"')

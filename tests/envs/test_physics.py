@@ -1,0 +1,320 @@
+"""Nothing passes through a wall, a platform or the block, and the block enters neither walls nor platforms.
+
+Robots start right before a wall, the block, a corner or an edge, fly at it at up to 10 units per second and act at the
+limit. Where everything is then is measured after every physics step by geometry alone, apart from MuJoCo's contacts:
+all boxes are parallel to the axes, so how deep a point or a box is inside another is a subtraction. (At 11 m/s nothing
+crosses a box of 8 m unseen within 0.02 s.) More of Gather's walls: test_ant.py and test_point.py.
+"""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.task import FRAME_SKIP, TaskOptions
+from shes.envs.worlds import INTEGRATORS
+from shes.sim.cpu import CpuSimulator
+
+NAMES = [name for name in ENVIRONMENTS if name.endswith(("-maze", "-push", "-fall"))]
+
+START_SPEED_M_S = (4.0, 10.0)
+CLEARANCE_M = {"point": 0.3, "ant": 0.95}
+"""How far from walls and block the robot's centre starts at least: an ant's feet are 0.9 m ahead of it."""
+RUN_UP_M = 0.5
+"""How much further off it may start."""
+
+# How deep the robot's centre (of the sphere; of the ant's torso, another sphere of 0.25 m) may be inside a box, and the
+# block in a wall or platform. Nothing may ever be over a wall.
+DEEPEST_IN_WALL_M = 0.0
+DEEPEST_IN_BLOCK_M = 0.5
+"""Contacts with a block of 0.2 g are soft: a point that pushes with its 6 N goes on with its surface 0.2 m in it, and
+one that hits it when a wall is behind it gets 0.6 m in, its centre 0.35 m; it is pushed out again."""
+DEEPEST_BLOCK_IN_WALL_M = 0.4
+"""0.25 m at most in a thousand episodes of any task and integrator."""
+
+
+@dataclass
+class Boxes:
+    """Boxes parallel to the axes: centres and half sizes [B, 3]."""
+
+    center: np.ndarray
+    half: np.ndarray
+
+    def depth(self, center, half=0.0):
+        """Return how deep the point or the box at each of `center` [N, 3] is in the box that holds it deepest [N]."""
+        return (self.half + half - np.abs(center[:, None] - self.center)).min(axis=2).max(axis=1)
+
+    def up_to_the_sky(self):
+        """Return these boxes with what is over them."""
+        return Boxes(self.center, self.half + np.array([0.0, 0.0, 100.0]))
+
+
+def find_boxes(model, prefix):
+    """Return the boxes whose name begins with this."""
+    found = [model.geom(i) for i in range(model.ngeom) if model.geom(i).name.startswith(prefix)]
+    boxes = np.array([[geom.pos, geom.size] for geom in found]).reshape(-1, 2, 3)
+    return Boxes(boxes[:, 0], boxes[:, 1])
+
+
+def robot_center(task):
+    """Return the centre of the point or of the ant's torso [N, 3]."""
+    qpos = task.sim.qpos
+    height = qpos[:, 2] if task.body.num_qpos > 2 else np.full(len(qpos), 0.5)
+    return np.column_stack([qpos[:, :2], height])
+
+
+def block_axes(task):
+    """Return the axes that the task's block moves along, as numbers; none without a block."""
+    return ["xyz".index(axis) for axis in getattr(task, "block_axes", "")]
+
+
+def block_center(task):
+    """Return the centre of the block [N, 3]."""
+    center = np.tile(task.sim.model.body("block").pos, (task.num_episodes, 1))
+    first = task.body.num_qpos
+    center[:, block_axes(task)] += task.sim.qpos[:, first : first + 2]
+    return center
+
+
+def depths(task):
+    """Return how deep everything is in everything now: positive means inside, in metres [N]."""
+    model, robot = task.sim.model, robot_center(task)
+    walls, platforms = find_boxes(model, "wall"), find_boxes(model, "platform")
+    found = {"robot in wall": walls.depth(robot), "robot over wall": walls.up_to_the_sky().depth(robot)}
+    found["robot under ground"] = -robot[:, 2]
+    if len(platforms.center):
+        found["robot in platform"] = platforms.depth(robot)
+    if block_axes(task):
+        block, half = block_center(task), model.geom("block").size
+        # Not to where it could leave through the bottom: the block stands on the ground.
+        inside = np.minimum((half - np.abs(robot - block))[:, :2].min(axis=1), block[:, 2] + half[2] - robot[:, 2])
+        is_beneath = robot[:, 2] < block[:, 2] - half[2]
+        found["robot in block"] = np.where(is_beneath, -1.0, inside)
+        found["block in wall"] = walls.depth(block, half)
+        if len(platforms.center):
+            found["block in platform"] = platforms.depth(block, half)
+            found["block under ground"] = half[2] - block[:, 2]
+    return found
+
+
+ALLOWED_M = {
+    "robot in wall": DEEPEST_IN_WALL_M,
+    "robot over wall": DEEPEST_IN_WALL_M,
+    "robot in platform": DEEPEST_IN_WALL_M,
+    "robot under ground": DEEPEST_IN_WALL_M,
+    "robot in block": DEEPEST_IN_BLOCK_M,
+    "block in wall": DEEPEST_BLOCK_IN_WALL_M,
+    "block in platform": DEEPEST_BLOCK_IN_WALL_M,
+    "block under ground": DEEPEST_BLOCK_IN_WALL_M,
+}
+
+
+def choose_starts(task, rng):
+    """Return where each robot starts and the direction in which what it is to hit is, [N, 2] each.
+
+    A third aims at a corner or edge, the others at any place of a face. All start on free ground: within the outer
+    walls, not in any wall.
+    """
+    model = task.sim.model
+    walls = find_boxes(model, "wall")
+    centers, halves = walls.center[:, :2], walls.half[:, :2]
+    low, high = (centers - halves).min(axis=0), (centers + halves).max(axis=0)
+    if block_axes(task):
+        centers = np.vstack([centers, model.body("block").pos[:2]])
+        halves = np.vstack([halves, model.geom("block").size[:2]])
+    clearance = CLEARANCE_M[task.body.name]
+    chosen = []
+    while len(chosen) < task.num_episodes:
+        which = rng.integers(len(centers))
+        shift = rng.uniform(-1, 1, 2)
+        axis = rng.integers(2)
+        shift[axis] = rng.choice([-1, 1])
+        if rng.random() < 1 / 3:
+            shift = np.sign(shift)
+        aim = centers[which] + shift * halves[which]
+        angle = rng.uniform(-np.pi, np.pi)
+        direction = np.array([np.cos(angle), np.sin(angle)])
+        start = aim - direction * rng.uniform(clearance, clearance + RUN_UP_M)
+        outside = np.maximum(np.abs(start - centers) - halves, 0)
+        is_clear = np.linalg.norm(outside, axis=1).min() >= clearance
+        if is_clear and (start > low).all() and (start < high).all() and is_on_ground(task, start):
+            chosen.append((start, direction))
+    return np.array(chosen).transpose(1, 0, 2)
+
+
+def is_on_ground(task, place):
+    """Tell whether there is ground at the robot's height under (x, y) `place`."""
+    platforms = find_boxes(task.sim.model, "platform")
+    if not len(platforms.center):
+        return True
+    return platforms.up_to_the_sky().depth(np.array([[*place, 0.0]]))[0] > 0
+
+
+def draw_action(task, rng):
+    """Return extreme actions [N, A]."""
+    return rng.choice([-1.0, 1.0], (task.num_episodes, task.action_size)) * task.control_limit
+
+
+def crash(name, num_episodes, steps, seed, *, change=None, **options):
+    """Let robots of environment `name` hit what is in their world.
+
+    They first act in the direction of what they are to hit, then anyhow, each action lasting for some steps; at the end
+    they do nothing for a second. `change` is given the model beforehand.
+
+    Returns the greatest depths [N] by name, the last ones, whether each robot touched anything [N] and whether its
+    simulation diverged [N].
+    """
+
+    def make_simulator(model, num_sims):
+        if change is not None:
+            change(model)
+        return CpuSimulator(model, num_sims)
+
+    task = make_task(name, num_episodes, TaskOptions(**options), make_simulator)
+    ids, rng = np.arange(num_episodes), np.random.default_rng(seed)
+    task.reset(ids, ids)
+    start, direction = choose_starts(task, rng)
+    task.sim.qpos[:, :2] = start
+    task.sim.qvel[:, :2] = direction * rng.uniform(*START_SPEED_M_S, num_episodes)[:, None]
+    if task.body.quaternion is not None:
+        half_yaw = rng.uniform(-np.pi, np.pi, num_episodes) / 2
+        zeros = np.zeros(num_episodes)
+        task.sim.qpos[:, 3:7] = np.column_stack([np.cos(half_yaw), zeros, zeros, np.sin(half_yaw)])
+    greatest = {each: depth.copy() for each, depth in depths(task).items()}
+    touch = Touch(task)
+    action = draw_action(task, rng)
+    if task.body.name == "point":
+        action = np.where(direction > 0, 1.0, -1.0) * task.control_limit
+    for step in range(steps + 10):
+        if step >= 4:
+            changes = rng.random(num_episodes) < 0.2
+            action = np.where(changes[:, None], draw_action(task, rng), action)
+        task.sim.ctrl[:] = action if step < steps else 0
+        for _ in range(FRAME_SKIP):  # what Task.step does, seen from near
+            task.sim.step(ids, 1)
+            for each, depth in depths(task).items():
+                np.maximum(greatest[each], depth, out=greatest[each])
+            touch.look()
+    return SimpleNamespace(
+        greatest=greatest, last=depths(task), has_touched=touch.has_touched, has_diverged=task.diverged.copy()
+    )
+
+
+class Touch:
+    """Notices which robots have touched a wall or the block, by MuJoCo's contacts."""
+
+    def __init__(self, task):
+        self.task, self.model = task, task.sim.model
+        self.data = mujoco.MjData(self.model)
+        self.has_touched = np.zeros(task.num_episodes, dtype=bool)
+        names = [self.model.geom(i).name for i in range(self.model.ngeom)]
+        self.obstacles = [i for i, name in enumerate(names) if name.startswith(("wall", "block"))]
+        moving = self.model.geom_bodyid > 0
+        self.robot = [i for i, name in enumerate(names) if moving[i] and name != "block"]
+
+    def look(self):
+        """Look at those that have touched nothing yet."""
+        for i in np.flatnonzero(~self.has_touched):
+            self.data.qpos[:] = self.task.sim.qpos[i]
+            mujoco.mj_fwdPosition(self.model, self.data)
+            pairs = self.data.contact.geom
+            of_both = np.isin(pairs, self.robot).any(axis=1) & np.isin(pairs, self.obstacles).any(axis=1)
+            self.has_touched[i] = of_both.any()
+
+
+def assert_nothing_passes(crashes):
+    assert crashes.has_touched.mean() >= 0.9
+    assert not crashes.has_diverged.any()
+    for each, depth in crashes.greatest.items():
+        assert depth.max() <= ALLOWED_M[each], f"{each}: {depth.max():.2f} m, episode {depth.argmax()}"
+    if "robot in block" in crashes.last:  # whoever hit it hard was pushed out again
+        assert crashes.last["robot in block"].max() <= 0
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_passes_through_anything(name, integrator):
+    assert_nothing_passes(crash(name, 20, 15, seed=0, integrator=integrator))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_passes_through_anything_in_a_thousand_episodes(name, integrator):
+    assert_nothing_passes(crash(name, 1000, 60, seed=1, integrator=integrator))
+
+
+@pytest.mark.parametrize(
+    ("name", "prefix"),
+    [
+        ("point-maze", "wall"),
+        ("ant-maze", "wall"),
+        ("point-push", "block"),
+        ("ant-push", "block"),
+        ("point-fall", "platform"),
+        ("ant-fall", "block"),
+    ],
+)
+def test_the_measurement_sees_what_passes_through(name, prefix):
+    def make_intangible(model):
+        for i in range(model.ngeom):
+            if model.geom(i).name.startswith(prefix):
+                model.geom_contype[i] = model.geom_conaffinity[i] = 0
+
+    greatest = crash(name, 40, 15, seed=0, change=make_intangible).greatest
+    assert any(depth.max() > 2 * ALLOWED_M[each] for each, depth in greatest.items())
+
+
+def play_randomly(name, num_episodes, steps, seed, **options):
+    """Let robots act at the limit, each action lasting for about three steps, some of them from right before the block.
+
+    Returns the task and how long each episode was: to its end, or to a divergence, or all of it.
+    """
+    task = make_task(name, num_episodes, TaskOptions(**options))
+    ids, rng = np.arange(num_episodes), np.random.default_rng(seed)
+    task.reset(ids, ids)
+    close = ids[::4]
+    angle = rng.uniform(-np.pi / 2, np.pi / 2, len(close)) + np.pi / 2
+    task.sim.qpos[close, 1] = 4 - CLEARANCE_M[task.body.name] - rng.uniform(0, 0.2, len(close))
+    speed = rng.uniform(0, 10, len(close))
+    task.sim.qvel[close, :2] += np.column_stack([np.cos(angle), np.sin(angle)]) * speed[:, None]
+    action, running, lengths = draw_action(task, rng), ids, np.zeros(num_episodes, dtype=int)
+    for _ in range(steps):
+        changes = rng.random(num_episodes) < 0.3
+        action = np.where(changes[:, None], draw_action(task, rng), action)
+        task.step(running, action)
+        lengths[running] += 1
+        assert np.isfinite(task.sim.qpos).all()
+        assert np.isfinite(task.observe()).all()
+        running = running[~(task.terminated | task.diverged)[running]]
+    return task, lengths
+
+
+def assert_none_diverges(task, lengths, steps):
+    assert not task.diverged.any(), f"{task.diverged.sum()} of {task.num_episodes} diverged"
+    assert (lengths == steps).all()
+    assert np.abs(task.sim.qpos[:, :2]).max() < 24  # all within the outer walls
+
+
+@pytest.mark.parametrize("name", ["point-push", "ant-push"])
+def test_no_random_episode_of_push_diverges(name):
+    assert_none_diverges(*play_randomly(name, 60, 40, seed=0), steps=40)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+@pytest.mark.parametrize(
+    ("name", "spec", "num_episodes"),
+    [
+        ("point-push", "shes", 3500),
+        ("point-push", "hiro", 1500),
+        ("ant-push", "shes", 3500),
+        ("ant-push", "hiro", 1500),
+    ],
+)
+def test_none_of_ten_thousand_random_episodes_of_push_diverges(name, spec, num_episodes):
+    assert_none_diverges(*play_randomly(name, num_episodes, 500, seed=1, spec=spec), steps=500)

@@ -1,0 +1,130 @@
+"""Short scripts solve the point's tasks, and do not where they should not: the worlds are what they are meant to be.
+
+A script is a list of places to steer to, one after the other: x, y, and where it may never be reached, after how many
+steps the point gives up and goes on with the next.
+"""
+
+import numpy as np
+import pytest
+
+from shes.envs.registry import make_task
+from shes.envs.task import TaskOptions
+from shes.envs.worlds import INTEGRATORS
+
+NEVER = 10_000
+THROUGH_THE_MAZE = [(15, 0), (16, 14), (3, 16)]
+STRAIGHT_AT_THE_MAZES_TARGET = [(0, 16)]
+ROUND_THE_BLOCK = [(-8, 0), (-8, 8)]
+PUSH_ASIDE = [*ROUND_THE_BLOCK, (0, 8), (-2, 8), (-2, 16)]
+PUSH_AHEAD = [(0, 19)]
+INTO_THE_CHASM = [(0, 24)]
+PUSH = [(8, 0), (8, 13, 60)]
+"""The last place is in the block, which the far platform holds: the point presses it against that for a while."""
+PUSH_AND_CROSS = [*PUSH, (8, 9), (8, 24), (0, 26)]
+KEEP_PUSHING = [(8, 0), (8, 24), (0, 26)]
+
+NUM_EPISODES = 5
+REACHED_M = 0.6
+"""A place is reached when it is nearer."""
+
+
+def steer(task, places):
+    """Return full thrust towards `places` [N, 2], less near them and against speed [N, A]."""
+    return np.clip(1.5 * (places - task.position) - 0.3 * task.sim.qvel[:, :2], -1, 1) * task.control_limit
+
+
+def follow(name, script, steps, **options):
+    """Let five episodes follow `script`; return the task, and the step of the first success of each (0: none)."""
+    task = make_task(name, NUM_EPISODES, TaskOptions(evaluation=True, **options))
+    ids = np.arange(NUM_EPISODES)
+    task.reset(ids, ids)
+    places = np.array([place[:2] for place in script], dtype=float)
+    patience = np.array([place[2] if len(place) > 2 else NEVER for place in script])
+    current, begun, solved_at = (np.zeros(NUM_EPISODES, dtype=int) for _ in range(3))
+    for step in range(1, steps + 1):
+        task.step(ids, steer(task, places[current]))
+        is_there = np.linalg.norm(places[current] - task.position, axis=1) < REACHED_M
+        goes_on = (is_there | (step - begun >= patience[current])) & (current < len(places) - 1)
+        current, begun = current + goes_on, np.where(goes_on, step, begun)
+        solved_at[task.success & (solved_at == 0)] = step
+    assert not task.diverged.any()
+    return task, solved_at
+
+
+over_specs = pytest.mark.parametrize("spec", ["shes", "hiro"])
+
+
+@over_specs
+def test_a_script_solves_the_maze_within_50_to_80_steps(spec):
+    task, solved_at = follow("point-maze", THROUGH_THE_MAZE, 80, spec=spec)
+    assert solved_at.min() >= 50
+    assert solved_at.max() <= 80
+    assert task.score.tolist() == [1] * NUM_EPISODES
+
+
+def test_the_straight_way_to_the_mazes_target_ends_at_the_wall():
+    task, solved_at = follow("point-maze", STRAIGHT_AT_THE_MAZES_TARGET, 100)
+    assert not solved_at.any()
+    np.testing.assert_allclose(task.position, np.tile([0, 3.8], (NUM_EPISODES, 1)), atol=0.1)
+
+
+@over_specs
+def test_whoever_pushes_the_block_aside_solves_push(spec):
+    task, solved_at = follow("point-push", PUSH_ASIDE, 140, spec=spec)
+    assert solved_at.min() > 90
+    assert solved_at.max() <= 140
+    assert task.success.all()
+    block_x, block_y = task.sim.qpos[:, 2:].T
+    assert (block_x > 2.5).all()
+    assert (np.abs(block_y) < 0.1).all()
+
+
+@over_specs
+def test_whoever_pushes_the_block_ahead_closes_the_passage(spec):
+    task, solved_at = follow("point-push", PUSH_AHEAD, 300, spec=spec)
+    assert not solved_at.any()
+    block_x, block_y = task.sim.qpos[:, 2:].T
+    assert (np.abs(block_x) < 0.1).all()
+    assert (np.abs(block_y - 8) < 0.2).all()  # in the passage, against the wall behind it
+
+
+@over_specs
+def test_without_the_block_the_point_falls_into_the_chasm_and_stays_there(spec):
+    task, solved_at = follow("point-fall", INTO_THE_CHASM, 200, spec=spec)
+    assert not solved_at.any()
+    x, y, z, block_y, block_z = task.sim.qpos.T
+    assert (z < 3).all()
+    assert ((y > 12) & (y < 20)).all()
+    assert (np.abs(block_y) < 0.01).all()
+    assert (np.abs(block_z) < 0.05).all()
+    assert (np.abs(x) < 0.1).all()
+
+
+@over_specs
+def test_whoever_pushes_the_block_into_the_chasm_and_steps_back_crosses_over_it(spec):
+    task, solved_at = follow("point-fall", PUSH_AND_CROSS, 220, spec=spec)
+    assert solved_at.min() > 100
+    assert task.success.all()
+    _, y, z, block_y, block_z = task.sim.qpos.T
+    assert (y > 20).all()
+    assert (np.abs(z - 4.25) < 0.1).all()
+    assert (np.abs(block_y - 8) < 0.1).all()
+    assert (np.abs(block_z + 4) < 0.1).all()  # at the bottom of the chasm, its top level with the platforms
+
+
+def test_pressing_holds_the_block_over_the_chasm():
+    """It is as light as a leaf: friction with the platform's edge carries it. Letting go is a part of the task."""
+    task, solved_at = follow("point-fall", KEEP_PUSHING, 300)
+    assert not solved_at.any()
+    assert (np.abs(task.sim.qpos[:, 3] - 8) < 0.1).all()
+    assert (task.sim.qpos[:, 4] > -0.5).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize(
+    ("name", "script", "steps"),
+    [("point-maze", THROUGH_THE_MAZE, 80), ("point-push", PUSH_ASIDE, 140), ("point-fall", PUSH_AND_CROSS, 220)],
+)
+def test_scripts_solve_tasks_with_every_integrator(name, script, steps, integrator):
+    assert follow(name, script, steps, integrator=integrator)[0].success.all()
