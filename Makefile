@@ -4,6 +4,7 @@
 VENV := .venv
 STAMP := $(VENV)/.setup-done
 DOCS_STAMP := $(VENV)/.docs-done
+EXTRAS_STAMP := $(VENV)/.extras-done
 PY := $(VENV)/bin/python
 # One BLAS thread: parallelism comes from worker processes, and the thread count changes bits.
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest
@@ -62,12 +63,18 @@ demo: $(STAMP) ## train a small agent and show what it learned
 test: $(STAMP) ## fast tests, no extras: at most 3 minutes on 2 cores
 	$(PYTEST) -m "not slow and not extras and not gpu and not cluster and not render and not hiro"
 
+# Optional parts come only with the tests that need them.
+$(EXTRAS_STAMP): $(DOCS_STAMP)
+	@echo "setup: installing the optional parts"
+	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,docs,robotics]'
+	@touch $(EXTRAS_STAMP)
+
 # pytest exits 5 when the markers select nothing.
-test-extras: $(DOCS_STAMP) ## tests of optional parts: engines, rendering, HIRO
+test-extras: $(EXTRAS_STAMP) ## tests of optional parts: engines, rendering, HIRO
 	@$(PYTEST) -m "(extras or render or hiro) and not gpu and not cluster"; status=$$?; \
 	if [ $$status -eq 5 ]; then echo "no tests with these markers yet"; else exit $$status; fi
 
-test-all: $(DOCS_STAMP) ## every test but those that need a GPU
+test-all: $(EXTRAS_STAMP) ## every test but those that need a GPU
 	$(PYTEST) -m "not gpu"
 
 lint: $(STAMP) ## ruff: rules and format

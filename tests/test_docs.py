@@ -244,7 +244,7 @@ def code_blocks(path, language):
     ("page", "number"),
     [
         (page, number)
-        for page in ("environments/index.md", "extending.md")
+        for page in ("environments/index.md", "extending.md", "external.md")
         for number in range(len(code_blocks(DOCS / page, "python")))
     ],
 )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from shes import es
-    from shes.envs.registry import register_environment
+    from shes.envs.registry import register_environment, register_external_environment
     from shes.experiments.evaluate import Evaluation, evaluate
     from shes.experiments.play import Agent, load
     from shes.experiments.train import Run, resume, train
@@ -31,6 +31,7 @@ __all__ = [
     "evaluate",
     "load",
     "register_environment",
+    "register_external_environment",
     "register_goal_encoding",
     "register_primitive_reward",
     "resume",
@@ -45,6 +46,7 @@ _HOMES = {
     "evaluate": "shes.experiments.evaluate",
     "load": "shes.experiments.play",
     "register_environment": "shes.envs.registry",
+    "register_external_environment": "shes.envs.registry",
     "register_goal_encoding": "shes.hierarchy.goals",
     "register_primitive_reward": "shes.hierarchy.rewards",
     "resume": "shes.experiments.train",

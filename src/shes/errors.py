@@ -11,6 +11,7 @@ from collections.abc import Iterable
 __all__ = [
     "CheckpointError",
     "ConfigError",
+    "MissingExtraError",
     "PolicyError",
     "RunFolderError",
     "ShapeError",
@@ -46,6 +47,10 @@ class UnknownNameError(ShesError, LookupError):
     def __reduce__(self) -> tuple[type[UnknownNameError], tuple[str, str, tuple[str, ...], str]]:
         """Pickle by the constructor's arguments: the error may travel from a worker process."""
         return (type(self), self.arguments)
+
+
+class MissingExtraError(ShesError, ImportError):
+    """Something needs an optional package that is not installed; the message names the extra that brings it."""
 
 
 class ShapeError(ShesError, ValueError):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from shes.envs.registry import Environment
+from shes.envs.registry import EnvironmentMaker
 from shes.envs.task import TaskOptions
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
@@ -28,8 +28,8 @@ _MIN_ROWS, _MAX_ROWS = 32, 96  # episodes in lockstep: enough to share Python's 
 class WorkerPlan:
     """Everything that a worker needs to know once; sent to it when it starts."""
 
-    env: Environment
-    """Body and task, not their name: a class of a user's script is in no registry of a worker process."""
+    env: EnvironmentMaker
+    """What makes the episodes, not its name: a class of a user's script is in no registry of a worker process."""
     training: TaskOptions
     """Options of the environment in training."""
     evaluation: TaskOptions
@@ -112,6 +112,8 @@ class RolloutWorker:
         lanes = max(1, -(-share // waves))  # even waves: no last one with a few lanes alone
         rollout = self._rollouts.get(is_evaluation)
         if rollout is None or rollout.num_lanes != lanes:
+            if rollout is not None:
+                rollout.task.close()
             options = plan.evaluation if is_evaluation else plan.training
             make = partial(plan.env.make, options=options)
             horizon = plan.evaluation_horizon if is_evaluation else plan.horizon

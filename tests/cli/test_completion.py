@@ -7,8 +7,9 @@ import pytest
 
 from shes.cli import main
 from shes.cli.commands import SUMMARIES
+from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
-from shes.experiments.config import TrainConfig, flag
+from shes.experiments.config import WITHOUT_FLAG, TrainConfig, flag
 
 ANTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("ant-")]
 POINTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("point-")]
@@ -57,7 +58,7 @@ def test_bash_completes_commands_flags_environments_presets_and_choices(complete
         "shes ": list(SUMMARIES),
         "shes tr": ["train"],
         "shes --ver": ["--version"],
-        "shes train ": list(ENVIRONMENTS),
+        "shes train ": [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS],
         "shes train po": POINTS,
         "shes train --sig": ["--sigma"],
         "shes train point-gather --work": ["--workers"],
@@ -71,7 +72,7 @@ def test_bash_completes_commands_flags_environments_presets_and_choices(complete
         "shes --import=mine train po": POINTS,
         "shes --import ": [],
         "shes bench ": ["rollout", "update"],
-        "shes bench rollout ": list(ENVIRONMENTS),
+        "shes bench rollout ": [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS],
         "shes resume ": ["a run"],
         "shes train --out a": ["a file", "a run"],
         "shes render --camera ": ["both", "follow", "top"],
@@ -88,7 +89,7 @@ def test_bash_completes_commands_flags_environments_presets_and_choices(complete
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 def test_bash_offers_every_setting_once_the_environment_is_there(complete):
     (flags,) = complete("shes train ant-gather ")
-    assert {flag(name) for name in TrainConfig.__dataclass_fields__ if name != "env"} <= set(flags)
+    assert {flag(name) for name in TrainConfig.__dataclass_fields__.keys() - WITHOUT_FLAG} <= set(flags)
     assert "--num-workers" not in flags
 
 

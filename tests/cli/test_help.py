@@ -16,10 +16,10 @@ from shes.cli.parsing import parse
 from shes.cli.settings import setting_groups
 from shes.envs.registry import ENVIRONMENTS
 from shes.experiments import plot, render
-from shes.experiments.config import EXECUTION_FIELDS, HEADINGS, TrainConfig, flag
+from shes.experiments.config import EXECUTION_FIELDS, HEADINGS, WITHOUT_FLAG, TrainConfig, flag
 from shes.experiments.presets import PRESETS, make_config
 
-SETTINGS = [field.name for field in fields(TrainConfig) if field.name != "env"]
+SETTINGS = [field.name for field in fields(TrainConfig) if field.name not in WITHOUT_FLAG]
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ NAMES = [
 ]
 SWITCHES = ["common_random_numbers", "fall_penalty", "minimum_goal_distance", "observe_block"]
 PLACES = ["evaluation_target", "target"]
-OTHERS = ["env", "hidden", "population_size", "preset", "statistics_fraction"]
+OTHERS = ["env", "external", "hidden", "population_size", "preset", "statistics_fraction"]
 
 
 def make(**settings):

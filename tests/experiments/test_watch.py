@@ -3,7 +3,6 @@
 import pytest
 
 from shes.errors import ConfigError
-from shes.experiments import watch as watch_module
 from shes.experiments.playback import Playback
 from shes.experiments.watch import watch
 
@@ -27,7 +26,7 @@ class FakeViewer:
 
 
 def test_episodes_follow_each_other_until_the_window_is_closed(tiny_run, monkeypatch):
-    monkeypatch.setattr(watch_module, "Viewer", FakeViewer)
+    monkeypatch.setattr("shes.drawing.viewer.Viewer", FakeViewer)
     watch(tiny_run)
     window = FakeViewer.last
     assert window.is_closed
@@ -36,7 +35,7 @@ def test_episodes_follow_each_other_until_the_window_is_closed(tiny_run, monkeyp
     playback = Playback(tiny_run, "best")
     for episode, start in ((0, 0), (1, 21)):
         first = next(iter(playback.play(playback.seed_of(episode))))
-        assert (first.qpos == window.shown[start][0]).all()
+        assert (first.pose == window.shown[start][0]).all()
 
 
 def test_the_window_is_closed_after_an_error(tiny_run, monkeypatch):
@@ -44,7 +43,7 @@ def test_the_window_is_closed_after_an_error(tiny_run, monkeypatch):
         def show(self, qpos, markers, *, is_new_episode):
             raise ConfigError("lost the screen")
 
-    monkeypatch.setattr(watch_module, "Viewer", Broken)
+    monkeypatch.setattr("shes.drawing.viewer.Viewer", Broken)
     with pytest.raises(ConfigError, match="lost the screen"):
         watch(tiny_run)
     assert FakeViewer.last.is_closed

@@ -7,6 +7,7 @@ from dataclasses import fields
 from typing import Any, get_type_hints
 
 from shes.cli.options import Group, Option, field_texts, shown_value
+from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
 from shes.experiments.config import HEADINGS, TrainConfig, choices, flag
 from shes.experiments.presets import PRESETS, make_config
@@ -42,12 +43,13 @@ def setting_groups(config: TrainConfig | None, names: Container[str]) -> tuple[G
 
 def environment_group(*, is_required: bool) -> Group:
     """Return the positional that names the environment."""
+    names = (*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS)
     env = Option(
         name="env",
         kind=str,
-        text=f"What to train on: {', '.join(ENVIRONMENTS)}.",
+        text=f"What to train on: {', '.join(names)}; or a file (.toml, .json) that describes another environment.",
         metavar="ENV",
-        choices=tuple(ENVIRONMENTS),
+        choices=names,
         default="" if is_required else DEFAULT_ENV,
         noun="an environment",
         is_required=is_required,
@@ -61,7 +63,7 @@ def asked_config(words: Sequence[str]) -> TrainConfig:
     Raises:
         UnknownNameError: There is no such preset.
     """
-    env = next((word for word in words if word in ENVIRONMENTS), DEFAULT_ENV)
+    env = next((word for word in words if word in ENVIRONMENTS or word in EXTERNAL_ENVIRONMENTS), DEFAULT_ENV)
     preset = DEFAULT_PRESET
     for word, follower in zip(words, [*words[1:], ""], strict=False):
         name, equals, value = word.partition("=")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import logging
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from shes.drawing.drawer import Drawer, Picture
 from shes.drawing.markers import Marker
 from shes.drawing.opengl import HOW_TO_GET_OPENGL, find_opengl, is_switched_off
 from shes.drawing.scenery import MAX_PIXELS
@@ -21,9 +21,6 @@ __all__ = ["CAMERAS", "Picture", "Renderer", "between", "check_camera", "make_re
 
 logger = logging.getLogger("shes.drawing")
 
-Picture = NDArray[np.uint8]
-"""Pixels [H, W, 3]."""
-
 CAMERAS = ("follow", "top")
 """Behind and above the robot, moving with it; or from above, showing the whole world."""
 
@@ -32,8 +29,10 @@ _RIM_M = 1.0
 _OPEN_HALF_M = 10.0  # without walls
 
 
-class Renderer(ABC):
-    """Draws one world at one size. Cameras are those of `CAMERAS`."""
+class Renderer(Drawer):
+    """Draws one world at one size. A pose is its qpos [nq]."""
+
+    cameras = CAMERAS
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         """Draw `model` in pictures of `width` times `height` pixels."""
@@ -42,12 +41,12 @@ class Renderer(ABC):
         self.data = mujoco.MjData(model)
 
     @abstractmethod
-    def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
+    def draw(self, qpos: F64Array, /, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
         """Return a picture [H, W, 3] of the world at `qpos`, with `markers` in it."""
 
-    @abstractmethod
-    def close(self) -> None:
-        """Give back what the renderer holds."""
+    def between(self, start: F64Array, end: F64Array, fraction: float) -> F64Array:
+        """Return the pose [nq] a `fraction` of the way from `start` to `end`."""
+        return between(self.model, start, end, fraction)
 
     @cached_property
     def extent(self) -> tuple[float, float, float, float]:

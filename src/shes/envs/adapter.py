@@ -11,11 +11,11 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
-from shes.drawing.renderer import Picture, Renderer, check_camera, make_renderer
-from shes.drawing.viewer import Viewer
+from shes.drawing.drawer import Drawer, Picture, Window
+from shes.drawing.renderer import check_camera
 from shes.envs.layout import bounds
 from shes.envs.registry import make_task
-from shes.envs.task import CONTROL_STEP_S, TaskOptions
+from shes.envs.task import TaskOptions
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
@@ -53,8 +53,8 @@ class TaskAdapter:
         low, high = bounds(self.task.layout)
         self.observation_space = Box(low, high, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)
-        self._renderer: Renderer | None = None
-        self._viewer: Viewer | None = None
+        self._drawer: Drawer | None = None
+        self._window: Window | None = None
         self._is_new_episode = True
 
     @staticmethod
@@ -117,13 +117,10 @@ class TaskAdapter:
 
     def picture(self, episode: int) -> Picture:
         """Return a picture [H, W, 3] of episode `episode`."""
-        if self._renderer is None:
-            self._renderer = make_renderer(
-                lambda: self.task.build_spec(self.task.body, self.task.options),
-                self._picture["width"],
-                self._picture["height"],
-            )
-        return self._renderer.draw(self.task.sim.qpos[episode], self.task.markers(episode), self._picture["camera"])
+        task = self.task
+        if self._drawer is None:
+            self._drawer = task.make_drawer(self._picture["width"], self._picture["height"])
+        return self._drawer.draw(task.pose(episode), task.markers(episode), self._picture["camera"])
 
     def render(self, episode: int) -> Picture | None:
         """Return a picture of episode `episode` in mode `rgb_array`; in mode `human` the window shows it.
@@ -140,17 +137,17 @@ class TaskAdapter:
         if self._render_mode != "human":
             return
         task = self.task
-        if self._viewer is None:
-            self._viewer = Viewer(task.build_spec(task.body, task.options), CONTROL_STEP_S)
-        self._viewer.show(task.sim.qpos[0], task.markers(0), is_new_episode=self._is_new_episode)
+        if self._window is None:
+            self._window = task.open_window()
+        self._window.show(task.pose(0), task.markers(0), is_new_episode=self._is_new_episode)
         self._is_new_episode = False
 
     def close(self) -> None:
         """Close the window and free the renderer."""
-        for holder in (self._renderer, self._viewer):
+        for holder in (self._drawer, self._window):
             if holder is not None:
                 holder.close()
-        self._renderer = self._viewer = None
+        self._drawer = self._window = None
 
 
 def _split_options(options: Mapping[str, Any]) -> tuple[TaskOptions, dict[str, Any]]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from shes.errors import ConfigError
 
-__all__ = ["check_class", "check_name_is_free"]
+__all__ = ["check_class", "check_name_form", "check_name_is_free"]
 
 _NAME = re.compile(r"[a-z][a-z0-9]*([-_][a-z0-9]+)*")
 
@@ -41,6 +41,19 @@ def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0) 
         ) from error
 
 
+def check_name_form(kind: str, name: object) -> None:
+    """Refuse a name that is none.
+
+    Raises:
+        ConfigError: It is malformed.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise ConfigError(
+            f"{kind} name must be lower-case words of letters and digits, joined by - or _, got {name!r}. "
+            "For example: 'my-own-2'."
+        )
+
+
 def check_name_is_free(
     kind: str, name: object, entry: type | tuple[type, ...], registry: Mapping[str, type | tuple[type, ...]]
 ) -> None:
@@ -49,11 +62,8 @@ def check_name_is_free(
     Raises:
         ConfigError: It is malformed or taken.
     """
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise ConfigError(
-            f"{kind} name must be lower-case words of letters and digits, joined by - or _, got {name!r}. "
-            "For example: 'my-own-2'."
-        )
+    check_name_form(kind, name)
+    assert isinstance(name, str)
     # By full name, not by identity: a notebook's cell that is run again, or a reload, makes the same class anew.
     if name in registry and _full_name(registry[name]) != _full_name(entry):
         raise ConfigError(f"{kind} {name!r} is {_full_name(registry[name])} already. Choose another name.")

@@ -1,12 +1,20 @@
-"""The environments by name: a body and a task each. Adding one is one line here, or `register_environment`."""
+"""The environments by name: a body and a task each. Adding one is one line here, or `register_environment`.
+
+Environments of others, made by Gymnasium, have names too: `register_external_environment`.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
 
 from shes.envs.ant import Ant
 from shes.envs.body import Body
-from shes.envs.entries import check_class, check_name_is_free
+from shes.envs.entries import check_class, check_name_form, check_name_is_free
+from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.external.description import ExternalDescription
+from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS, READY
+from shes.envs.external.selection import Selection
 from shes.envs.fall import Fall
 from shes.envs.flagrun import Flagrun
 from shes.envs.gather import Gather
@@ -14,10 +22,36 @@ from shes.envs.maze import Maze
 from shes.envs.point import FallingPoint, Point
 from shes.envs.push import Push
 from shes.envs.task import SimulatorFactory, Task, TaskOptions
-from shes.errors import UnknownNameError
+from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
 
-__all__ = ["ENVIRONMENTS", "Environment", "check_name", "find_environment", "make_task", "register_environment"]
+__all__ = [
+    "ENVIRONMENTS",
+    "Environment",
+    "EnvironmentMaker",
+    "check_external_name",
+    "check_name",
+    "find_description",
+    "find_environment",
+    "make_task",
+    "register_environment",
+    "register_external_environment",
+]
+
+_HOW_TO_REGISTER = "`shes envs` lists them. Register your own first: shes.register_environment, or --import MODULE."
+
+
+class EnvironmentMaker(Protocol):
+    """What makes episodes of an environment, ours or another's. Worker processes are sent this, not a name."""
+
+    @property
+    def heeds(self) -> frozenset[str]:
+        """Options that it heeds beside those that every environment of ours does."""
+        ...
+
+    def make(self, num_episodes: int, options: TaskOptions | None = None) -> EpisodeBatch:
+        """Return `num_episodes` episodes."""
+        ...
 
 
 class Environment(NamedTuple):
@@ -25,6 +59,11 @@ class Environment(NamedTuple):
 
     body: type[Body]
     task: type[Task]
+
+    @property
+    def heeds(self) -> frozenset[str]:
+        """Options that it heeds beside those that every environment of ours does."""
+        return self.task.heeds
 
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
@@ -69,21 +108,103 @@ def register_environment(name: str, body: type[Body], task: type[Task]) -> None:
     check_class("body", body, Body)
     check_class("task", task, Task, num_arguments=4)
     check_name_is_free("environment", name, environment, ENVIRONMENTS)
+    _check_is_not_external(name)
     ENVIRONMENTS[name] = environment
     from shes.envs.registration import register_all
 
     register_all()
 
 
+def register_external_environment(
+    name: str,
+    id: str,  # noqa: A002 - Gymnasium's own word
+    *,
+    position: Selection,
+    heading: Selection = (),
+    proprioception: Selection = (),
+    primitive_view: Selection = (),
+    score: str = "return",
+    kwargs: Mapping[str, Any] | None = None,
+) -> None:
+    """Make an environment of Gymnasium known as environment `name`, in this process; a run's folder keeps all of it.
+
+    ```python
+    shes.register_external_environment(
+        "wide-maze", "AntMaze_Open-v5", position="achieved_goal", heading="observation[1:5]", score="success"
+    )
+    shes.train("wide-maze")
+    ```
+
+    Where something is: indices in the flat observation (`[0, 1]`, `"0:27"`), a key of a dict observation or of `info`
+    (`"achieved_goal"`), or some of a key's values (`"observation[1:5]"`); or a list of these. The environment shows
+    only in training whether it is so.
+
+    Args:
+        name: Lower-case words joined by `-`.
+        id: Its id in Gymnasium. Import what registers it first; Gymnasium-Robotics is imported by itself.
+        position: Where x and y of the robot are, in metres.
+        heading: Where its yaw is in radians, or its quaternion w x y z; 0 if nothing is given.
+        proprioception: The robot's own dimensions of the observation; what the primitive sees if nothing is given.
+        primitive_view: What of the observation the primitive sees; all of it if nothing is given.
+        score: `return`, or `success` by what `info` reports at the end.
+        kwargs: Arguments of `gymnasium.make`, as JSON holds them.
+
+    Raises:
+        ConfigError: A value is not allowed, or the name is malformed or taken.
+        UnknownNameError: `score` is not known.
+    """
+    check_external_name(name)
+    if name in READY:
+        raise ConfigError(f"environment {name!r} comes with SHES: it is {READY[name].id}. Choose another name.")
+    EXTERNAL_ENVIRONMENTS[name] = ExternalDescription.from_dict(
+        {
+            "id": id,
+            "position": position,
+            "heading": heading,
+            "proprioception": proprioception,
+            "primitive_view": primitive_view,
+            "score": score,
+            "kwargs": {} if kwargs is None else kwargs,
+        }
+    )
+
+
+def check_external_name(name: str) -> None:
+    """Refuse a name that an external environment cannot have.
+
+    Raises:
+        ConfigError: It is malformed, or that of an environment of our own.
+    """
+    check_name_form("environment", name)
+    if name in ENVIRONMENTS:
+        raise ConfigError(f"environment {name!r} is one of our own already. Choose another name.")
+
+
+def _check_is_not_external(name: str) -> None:
+    if name in EXTERNAL_ENVIRONMENTS:
+        external = EXTERNAL_ENVIRONMENTS[name].id
+        raise ConfigError(f"environment {name!r} is Gymnasium's {external} already. Choose another name.")
+
+
+def find_description(name: str) -> ExternalDescription | None:
+    """Return the description of environment `name`; None if it is one of our own.
+
+    Raises:
+        UnknownNameError: It is neither.
+    """
+    if name not in ENVIRONMENTS and name not in EXTERNAL_ENVIRONMENTS:
+        raise UnknownNameError("environment", name, [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS], _HOW_TO_REGISTER)
+    return EXTERNAL_ENVIRONMENTS.get(name)
+
+
 def check_name(name: str) -> None:
-    """Refuse an unknown environment.
+    """Refuse what is no environment of our own.
 
     Raises:
         UnknownNameError: `name` is not in `ENVIRONMENTS`.
     """
     if name not in ENVIRONMENTS:
-        fix = "`shes envs` lists them. Register your own first: shes.register_environment, or --import MODULE."
-        raise UnknownNameError("environment", name, ENVIRONMENTS, fix)
+        raise UnknownNameError("environment", name, ENVIRONMENTS, _HOW_TO_REGISTER)
 
 
 def find_environment(name: str) -> Environment:

@@ -1,4 +1,4 @@
-"""The Task contract: an environment over a batch of N episodes, written once for training, evaluation and Gymnasium.
+"""The Task contract: an environment of our own, batched over N episodes, for training, evaluation and Gymnasium.
 
 Source: environment specification, Common and Tasks. A task owns its simulator; nothing here loops over episodes
 except a reset, where every episode draws from its own seed.
@@ -6,16 +6,19 @@ except a reset, where every episode draws from its own seed.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 
-from shes.drawing.markers import Marker
+from shes.drawing.drawer import Drawer, Window
 from shes.envs.body import Body
+from shes.envs.body_reader import BodyReader
+from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.layout import ObservationElement, elements
 from shes.envs.worlds import INTEGRATORS, TIMESTEP_S
 from shes.errors import ConfigError, UnknownNameError
@@ -118,15 +121,14 @@ class TaskDescription:
     """When an episode counts as solved."""
 
 
-class Task(ABC):
-    """N episodes of one task. Arrays are live and belong to the task: copy what must outlast the next step."""
+class Task(EpisodeBatch):
+    """N episodes of one task in a MuJoCo world. Arrays are live: copy what must outlast the next step."""
 
     name: ClassVar[str]
     """Name without the body: `gather`."""
     description: ClassVar[TaskDescription]
     """Reward, ending and score in words."""
-    ground_m: ClassVar[float] = 0.0
-    """Height of the ground that the robot starts on."""
+    step_s = CONTROL_STEP_S
     specs: ClassVar[tuple[str, ...]] = ("shes",)
     """Specifications that there are of this task."""
     heeds: ClassVar[frozenset[str]] = frozenset()
@@ -263,9 +265,34 @@ class Task(ABC):
         """What the task counts in an episode, by name [N]: for `info`."""
         return {}
 
-    def markers(self, episode: int) -> list[Marker]:
-        """Return what to draw of episode `episode` beside its physics."""
-        return []
+    @property
+    def reader(self) -> BodyReader:
+        """How an agent reads what it shows."""
+        return BodyReader(self.body, self.observation_size, self.proprioception)
+
+    def make_drawer(self, width: int, height: int) -> Drawer:
+        """Return what makes pictures of poses.
+
+        Raises:
+            ConfigError: The size is not allowed, or MUJOCO_GL asks for what does not work here.
+        """
+        from shes.drawing.renderer import make_renderer
+
+        return make_renderer(partial(self.build_spec, self.body, self.options), width, height)
+
+    def open_window(self) -> Window:
+        """Return a window that shows poses.
+
+        Raises:
+            ConfigError: There is no screen.
+        """
+        from shes.drawing.viewer import Viewer
+
+        return Viewer(self.build_spec(self.body, self.options), self.step_s)
+
+    def pose(self, episode: int) -> F64Array:
+        """Return a copy of the qpos [nq] of episode `episode`."""
+        return self.sim.qpos[episode].copy()
 
     def _robot_layout(self) -> tuple[ObservationElement, ...]:
         """Return the elements of the robot's qpos and qvel."""

@@ -16,7 +16,9 @@ import mujoco
 import numpy as np
 
 from shes.algorithm import evolve, population_tasks, sample_noise
+from shes.envs.registry import make_task
 from shes.envs.task import FRAME_SKIP, Task
+from shes.errors import ConfigError
 from shes.es.gradient import group_weights, weighted_noise_sum
 from shes.es.level import LevelParameters, LevelState, draw_noise_index, update_level
 from shes.es.mirror import check_population, sign_matrix
@@ -52,7 +54,15 @@ def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
     The bare loop replays episodes of the same generation, start state and controls, with no policy, task or Python
     beyond the call: the limit of one core. Each generation lies between two replays, `repeats` times; speeds are
     medians, `ratio` is the median of the pairs' ratios, over the number of workers.
+
+    Raises:
+        ConfigError: The environment is an external one, which has no bare loop.
     """
+    if config.external is not None:
+        raise ConfigError(
+            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.env}, which Gymnasium "
+            "makes. Name one of `shes envs` with a world of our own, e.g. ant-gather."
+        )
     design = build_design(config)
     table = open_noise_table(config, design)
     plan = build_plan(config, design, table)
@@ -108,14 +118,9 @@ class _Recorder:
 def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjModel, list[Episode]]:
     """Return the model and the first episodes of the first generation."""
     members = max(1, _REPLAYED // config.episodes_per_policy)
-    rollout = Rollout(
-        plan.design,
-        partial(plan.env.make, options=plan.training),
-        members,
-        config.episodes_per_policy,
-        config.horizon,
-    )
-    recorder = _Recorder(rollout.task)
+    task = make_task(config.env, members * config.episodes_per_policy, plan.training)
+    rollout = Rollout(plan.design, lambda _: task, members, config.episodes_per_policy, config.horizon)
+    recorder = _Recorder(task)
     state, settings = build_state(config, plan.design), build_settings(config)
     table = open_noise_table(config, plan.design)
     tasks = population_tasks(state, settings, sample_noise(state, settings, table))[:members]

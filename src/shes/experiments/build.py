@@ -10,8 +10,10 @@ from shes.algorithm import Settings
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
-from shes.envs.registry import find_environment, make_task
-from shes.envs.task import Task, TaskOptions
+from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.registry import EnvironmentMaker, find_environment
+from shes.envs.task import TaskOptions
 from shes.errors import ShapeError
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable
@@ -27,6 +29,7 @@ from shes.worker import RolloutWorker, WorkerPlan
 __all__ = [
     "build_backend",
     "build_design",
+    "build_environment",
     "build_plan",
     "build_settings",
     "build_state",
@@ -35,9 +38,20 @@ __all__ = [
 ]
 
 
-def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
+def build_environment(config: TrainConfig) -> EnvironmentMaker:
+    """Return what makes episodes of the environment of `config`.
+
+    Raises:
+        UnknownNameError: There is none of its name, or Gymnasium knows none of its id.
+        MissingExtraError: It comes with a package that is not installed.
+        ConfigError: It is not as it is described.
+    """
+    return find_environment(config.env) if config.external is None else ExternalEnvironment.find(config.external)
+
+
+def build_options(config: TrainConfig, env: EnvironmentMaker, *, is_evaluation: bool) -> TaskOptions:
     """Return the options of the environment in training or in evaluation."""
-    has_intervals = "goal_interval" in find_environment(config.env).task.heeds
+    has_intervals = "goal_interval" in env.heeds
     return TaskOptions(
         spec=config.spec,
         integrator=config.integrator,
@@ -52,9 +66,10 @@ def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
     )
 
 
-def build_task(config: TrainConfig, num_episodes: int, *, is_evaluation: bool) -> Task:
+def build_task(config: TrainConfig, num_episodes: int, *, is_evaluation: bool) -> EpisodeBatch:
     """Return the environment of `config` for `num_episodes` episodes."""
-    return make_task(config.env, num_episodes, build_options(config, is_evaluation=is_evaluation))
+    env = build_environment(config)
+    return env.make(num_episodes, build_options(config, env, is_evaluation=is_evaluation))
 
 
 def build_design(config: TrainConfig) -> AgentDesign:
@@ -71,6 +86,7 @@ def build_design(config: TrainConfig) -> AgentDesign:
             f"environment {config.env!r} must observe [N, {task.observation_size}], as many values as its layout "
             f"names; for 1 episode it observed {shape}. Change its layout or its observe()."
         )
+    task.close()
     encoding = make_goal_encoding(config.goal_encoding)
     return AgentDesign(
         controller=MLP(task.observation_size, config.hidden, 2),
@@ -125,10 +141,11 @@ def open_noise_table(config: TrainConfig, design: AgentDesign) -> NoiseTable:
 def build_plan(config: TrainConfig, design: AgentDesign, table: NoiseTable) -> WorkerPlan:
     """Return what every worker needs to know."""
     assert table.path is not None
+    env = build_environment(config)
     return WorkerPlan(
-        env=find_environment(config.env),
-        training=build_options(config, is_evaluation=False),
-        evaluation=build_options(config, is_evaluation=True),
+        env=env,
+        training=build_options(config, env, is_evaluation=False),
+        evaluation=build_options(config, env, is_evaluation=True),
         design=design,
         noise_table=table.path,
         episodes_per_policy=config.episodes_per_policy,

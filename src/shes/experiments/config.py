@@ -5,12 +5,13 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from shes.envs.registry import ENVIRONMENTS, check_name
+from shes.envs.external.description import ExternalDescription
+from shes.envs.registry import check_external_name, find_description
 from shes.envs.task import SPECS, TARGET_SAMPLINGS
 from shes.envs.worlds import INTEGRATORS
 from shes.errors import ConfigError, UnknownNameError
@@ -20,7 +21,7 @@ from shes.hierarchy.goals import GOAL_ENCODINGS, check_goal_encoding
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS, check_primitive_reward
 from shes.policies.mlp import BIAS_INITIALISATIONS
 
-__all__ = ["BACKENDS", "EXECUTION_FIELDS", "HEADINGS", "TrainConfig", "check_fields", "choices", "flag"]
+__all__ = ["BACKENDS", "EXECUTION_FIELDS", "HEADINGS", "WITHOUT_FLAG", "TrainConfig", "check_fields", "choices", "flag"]
 
 BACKENDS = ("processes", "serial")
 
@@ -28,6 +29,9 @@ EXECUTION_FIELDS = frozenset(
     {"preset", "backend", "num_workers", "chunk_size", "generations", "minutes", "keep_checkpoints"}
 )
 """Settings that say how, where and how long, and never change a number of a generation."""
+
+WITHOUT_FLAG = frozenset({"env", "external"})
+"""Settings that `shes train` takes as its first word: a name, or a file that describes an external environment."""
 
 HEADINGS: dict[str, str] = {
     "env": "run",
@@ -50,13 +54,11 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "target_sampling": TARGET_SAMPLINGS,
 }
 _REGISTERED: dict[str, Callable[[str], None]] = {
-    "env": check_name,
     "goal_encoding": check_goal_encoding,
     "primitive_reward": check_primitive_reward,
 }
 """Names that users may add to, and what refuses an unknown one."""
 _REGISTRIES: dict[str, Mapping[str, Any]] = {
-    "env": ENVIRONMENTS,
     "goal_encoding": GOAL_ENCODINGS,
     "primitive_reward": PRIMITIVE_REWARDS,
 }
@@ -93,6 +95,8 @@ class TrainConfig:
     """Environment; `shes envs` lists them."""
     preset: str = "laptop"
     """What the other settings start from: paper, laptop or smoke."""
+    external: ExternalDescription | None = None
+    """What describes the environment if Gymnasium makes it; that of its name if none."""
     seed: int = 1
     """Seed of every random draw."""
     generations: int = 1000
@@ -181,9 +185,10 @@ class TrainConfig:
         """
         for field in fields(self):
             object.__setattr__(self, field.name, _plain(getattr(self, field.name)))
-        for name in (*_REGISTERED, "preset", *_CHOICES):
+        for name in ("env", *_REGISTERED, "preset", *_CHOICES):
             if not isinstance(getattr(self, name), str):
                 raise _out_of_range(name, getattr(self, name), "a name")
+        self._find_description()
         for name, check in _REGISTERED.items():
             check(getattr(self, name))
         for name, choices in _CHOICES.items():
@@ -197,6 +202,15 @@ class TrainConfig:
         if self.seed >= 2**63:
             raise _out_of_range("seed", self.seed, "less than 2**63")
         check_population(self.population_size, self.mirrored, 2)
+
+    def _find_description(self) -> None:
+        """Take in what describes an external environment, so that nobody has to say it again."""
+        if self.external is None:
+            object.__setattr__(self, "external", find_description(self.env))
+        elif not isinstance(self.external, ExternalDescription):
+            raise ConfigError(f"external must be an ExternalDescription, got {self.external!r}.")
+        else:
+            check_external_name(self.env)
 
     @staticmethod
     def _check_number(name: str, value: Any) -> None:
@@ -228,7 +242,9 @@ class TrainConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON holds them."""
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values["external"] = None if self.external is None else self.external.to_dict()
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a generation."""
@@ -247,6 +263,8 @@ class TrainConfig:
         settings: dict[str, Any] = {
             n: tuple(value) if isinstance(value, list) else value for n, value in values.items()
         }
+        if settings.get("external") is not None:
+            settings["external"] = ExternalDescription.from_dict(settings["external"])
         return cls(**settings)
 
 

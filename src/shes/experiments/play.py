@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.es.level import LevelParameters, LevelState
@@ -13,7 +14,7 @@ from shes.experiments.build import build_design, build_task
 from shes.experiments.config import TrainConfig
 from shes.experiments.run_folder import RunFolder
 from shes.hierarchy.agent import HierarchicalAgent
-from shes.types import F64Array
+from shes.types import F64Array, FloatArray
 
 __all__ = ["Agent", "load"]
 
@@ -31,9 +32,9 @@ class Agent:
         self.config = config
         self.num_envs = num_envs
         task = build_task(config, 1, is_evaluation=True)
-        self._body = task.body
-        self._robot = task.proprioception[: task.body.num_qpos]
+        self._reader = task.reader
         self.observation_size = task.observation_size
+        task.close()
         # One policy per environment, so that each has its own clock and can be reset alone.
         self._agent = HierarchicalAgent(build_design(config), num_envs, 1)
         parameters = tuple(LevelParameters.of(level.theta, level.statistics) for level in levels)
@@ -54,11 +55,13 @@ class Agent:
         for number in range(self.num_envs) if env is None else (env,):
             self._agent.start(number)
 
-    def act(self, observation: ArrayLike) -> F64Array:
-        """Return the action for one step, scaled to [-1, 1] as Gymnasium's action spaces are.
+    def act(self, observation: Any, info: Mapping[str, Any] | None = None) -> FloatArray:
+        """Return the action for one step: in [-1, 1], or within the action space's bounds of an external environment.
 
         Args:
-            observation: What the environment shows: [O], or [num_envs, O] for several.
+            observation: What the environment shows: [O], or [num_envs, O] for several; of an external environment
+                also its own observation, a dictionary for example, or that of a vector environment.
+            info: What the environment says beside it; needed where an external environment's position is in it.
 
         Returns:
             [A], or [num_envs, A] if several observations were given.
@@ -66,23 +69,30 @@ class Agent:
         Raises:
             ShapeError: `observation` has another shape.
             PolicyError: `observation` holds NaN or infinity.
+            ConfigError: `info` is needed.
         """
-        seen = np.asarray(observation, dtype=np.float64)
-        rows = seen[None] if seen.ndim == 1 else seen
-        if rows.shape != (self.num_envs, self.observation_size):
+        try:
+            rows, is_single = self._reader.rows(observation, self.num_envs)
+        except ShapeError as error:
             raise ShapeError(
-                f"observation must have shape ({self.observation_size},) or "
-                f"({self.num_envs}, {self.observation_size}), got {seen.shape}. "
-                f"This agent was trained on {self.config.env}; load it with num_envs=... for several."
-            )
+                f"{error} This agent was trained on {self.config.env}; load it with num_envs=... for several."
+            ) from error
         if not np.isfinite(rows).all():
             raise PolicyError(
                 "the observation holds NaN or infinity: the simulation has blown up. Reset the environment."
             )
-        qpos = rows[:, self._robot]
-        control = self._agent.act(rows, self._body.position(qpos), self._body.heading(qpos))
-        action = np.clip(control.astype(np.float64) / self._body.control_limit, -1, 1)
-        return action[0] if seen.ndim == 1 else action
+        action = self._reader.to_action(self.control(rows, *self._reader.locate(rows, info)))
+        return action[0] if is_single else action
+
+    def control(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array:
+        """Return the controls [num_envs, A] for one step of robots that observe `rows` [num_envs, O].
+
+        Args:
+            rows: What is observed, flat.
+            position: Where the robots are [num_envs, 2], in metres.
+            heading: Their yaw [num_envs], in radians.
+        """
+        return self._agent.act(rows, position, heading).astype(np.float64)
 
 
 def load(run: Path | str, *, checkpoint: str = "best", num_envs: int = 1) -> Agent:

@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-import mujoco
 import numpy as np
 
+from shes.drawing.drawer import Drawer, Window
 from shes.drawing.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
-from shes.envs.task import CONTROL_STEP_S, Task
+from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
 from shes.es.level import TrainState
 from shes.es.streams import Purpose
@@ -34,8 +35,8 @@ _LINE_RADIUS_M = 0.05
 class Moment:
     """One control step."""
 
-    qpos: F64Array
-    """Pose of everything [nq]."""
+    pose: Any
+    """What there is to draw: the pose [nq] of everything, or a picture."""
     markers: list[Marker]
     """What the task shows, the controller's goal, the robot's trail."""
     caption: str
@@ -72,9 +73,30 @@ class Playback:
         self._task = build_task(config, 1, is_evaluation=True)
         self._draws = state if seed is None else TrainState(seed=seed, generation=0, env_steps=0, levels=state.levels)
 
-    def make_spec(self) -> mujoco.MjSpec:
-        """Return the world."""
-        return self._task.build_spec(self._task.body, self._task.options)
+    @property
+    def step_s(self) -> float:
+        """Time of a control step, in seconds."""
+        return self._task.step_s
+
+    def make_drawer(self, width: int, height: int) -> Drawer:
+        """Return what makes pictures of the moments, of this size; ask before `play`.
+
+        Raises:
+            ConfigError: There are no pictures of this environment, or not of this size.
+        """
+        return self._task.make_drawer(width, height)
+
+    def open_window(self) -> Window:
+        """Return a window that shows the moments; ask before `play`.
+
+        Raises:
+            ConfigError: There is no screen, or no window of this environment.
+        """
+        return self._task.open_window()
+
+    def close(self) -> None:
+        """Give back what the environment holds."""
+        self._task.close()
 
     def seed_of(self, episode: int) -> int:
         """Return the seed of the `episode`-th of the episodes that `evaluate` runs.
@@ -93,9 +115,9 @@ class Playback:
         self._agent.reset()
         trail = deque([task.position[0].copy()], maxlen=_TRAIL_STEPS)
         for step in range(self.steps):
-            action = self._agent.act(task.observe()[0])
+            control = self._agent.control(task.observe(), task.position, task.heading)
             yield self._moment(step, trail, "")
-            task.step(one, action[None] * task.control_limit)
+            task.step(one, control)
             trail.append(task.position[0].copy())
             ending = _ending(task, step + 1 == self.steps)
             if ending:
@@ -104,15 +126,15 @@ class Playback:
 
     def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
         task = self._task
-        parts = [self.name, f"{step * CONTROL_STEP_S:.1f} s", f"score {task.score[0]:.1f}", ending]
+        parts = [self.name, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending]
         return Moment(
-            qpos=task.sim.qpos[0].copy(),
+            pose=task.pose(0),
             markers=[*task.markers(0), *_goal_and_trail(self._agent.goal[0], trail, task.ground_m)],
             caption=" · ".join(part for part in parts if part),
         )
 
 
-def _ending(task: Task, is_last: bool) -> str:
+def _ending(task: EpisodeBatch, is_last: bool) -> str:
     """Return why the episode has ended, in a word or two; nothing while it goes on."""
     if task.diverged[0]:
         return "diverged"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+from shes.envs.external.description import is_description_file, read_description
 from shes.errors import UnknownNameError
 from shes.experiments.config import TrainConfig, check_fields
 
@@ -49,6 +51,14 @@ _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
         "horizon": 500,
         "generations": 80,
     },
+    # Gymnasium's own time limits; cells of the point's maze are 1 m wide, those of the ant's 4 m.
+    ("laptop", "robotics-ant-maze"): {"horizon": 700, "evaluation_horizon": 700},
+    ("laptop", "robotics-point-maze"): {
+        "goal_distance": 1.0,
+        "minimum_goal_distance": False,
+        "horizon": 300,
+        "evaluation_horizon": 300,
+    },
 }
 """What a preset sets otherwise for an environment: (preset, environment) -> settings."""
 
@@ -56,14 +66,19 @@ _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
     """Return the settings of `preset` for `env`, with `overrides` by name.
 
+    `env` may be the path of a file (.toml, .json) that describes an external environment; its stem is the name then.
+
     Raises:
         UnknownNameError: `preset` or `env` is not known.
-        ConfigError: A setting is unknown or out of range.
+        ConfigError: A setting is unknown or out of range, or a file holds no description.
     """
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError("preset", str(preset), PRESETS, "Set --preset.")
-    overrides = overrides or {}
+    overrides = dict(overrides or {})
     check_fields(overrides)
+    if is_description_file(env):
+        path = Path(env)
+        env, overrides["external"] = path.stem, read_description(path)
     values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **overrides}
     if "hidden" in values:
         hidden = values["hidden"]

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from shes.drawing.renderer import CAMERAS, Picture, Renderer, between, make_renderer
-from shes.envs.task import CONTROL_STEP_S
+from shes.drawing.drawer import Drawer, Picture
+from shes.drawing.renderer import CAMERAS
 from shes.errors import ConfigError, UnknownNameError
 from shes.experiments.playback import Moment, Playback
 from shes.experiments.video import FRAMES_PER_SECOND, check_video_path, write_video
@@ -40,7 +40,8 @@ def render(
 ) -> Path:
     """Write a video of an episode and return its path.
 
-    The episode is one of those that `evaluate` runs. Between control steps the pose is interpolated.
+    The episode is one of those that `evaluate` runs. Between control steps the pose is interpolated. An external
+    environment draws itself, through its own camera and without the goals.
 
     Args:
         run: The run folder.
@@ -57,7 +58,7 @@ def render(
         RunFolderError: `run` is not a run folder.
         CheckpointError: A checkpoint is missing or damaged.
         UnknownNameError: `camera` is not one of `VIEWS`.
-        ConfigError: Another argument is out of range.
+        ConfigError: Another argument is out of range, or the environment draws no pictures.
         StorageError: The video cannot be written.
     """
     target = Path(out)
@@ -72,21 +73,23 @@ def render(
         raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
     playbacks = [Playback(Path(run), str(name), seed, steps) for name in checkpoints]
     episode_seed = playbacks[0].seed_of(episode)
-    frames_per_step = round(FRAMES_PER_SECOND * CONTROL_STEP_S)
-    cameras = CAMERAS if camera == "both" else (camera,)
-    renderer = make_renderer(playbacks[0].make_spec, size, size)
+    drawers: list[Drawer] = []
     try:
+        drawers.extend(each.make_drawer(size, size) for each in playbacks)
+        cameras = _cameras(drawers[0], camera)
         episodes = [each.play(episode_seed) for each in playbacks]
         if on_step is not None:
             episodes[0] = _counted(episodes[0], playbacks[0].steps, on_step)
-        columns = [_frames(moments, renderer, cameras, frames_per_step) for moments in episodes]
+        rate = FRAMES_PER_SECOND * playbacks[0].step_s
+        columns = [_frames(moments, drawer, cameras, rate) for moments, drawer in zip(episodes, drawers, strict=True)]
         if len(columns) == 1:
             frames = (np.hstack(views) for views in columns[0])
         else:
             frames = _side_by_side([(np.vstack(views) for views in column) for column in columns])
         write_video(target, _held(frames, round(_HELD_S * FRAMES_PER_SECOND)))
     finally:
-        renderer.close()
+        for each in (*drawers, *playbacks):
+            each.close()
     return target
 
 
@@ -97,16 +100,33 @@ def _counted(moments: Iterator[Moment], steps: int, on_step: Callable[[int, int]
         on_step(number, steps)
 
 
+def _cameras(drawer: Drawer, asked: str) -> Sequence[str]:
+    """Return the cameras to look through.
+
+    Raises:
+        ConfigError: The environment draws itself, and has not the camera that was asked for.
+    """
+    if asked == "both":
+        return drawer.cameras
+    if asked not in drawer.cameras:
+        raise ConfigError(f"this environment draws itself, and has no camera {asked!r}. Leave --camera away.")
+    return (asked,)
+
+
 def _frames(
-    moments: Iterator[Moment], renderer: Renderer, cameras: Sequence[str], frames_per_step: int
+    moments: Iterator[Moment], drawer: Drawer, cameras: Sequence[str], frames_per_step: float
 ) -> Iterator[list[Picture]]:
-    """Yield the views of an episode, frame by frame; the first bears the caption."""
+    """Yield the views of an episode, frame by frame; the first bears the caption.
+
+    Where the frames of a step are no whole number, some steps have one more than others, or none.
+    """
     before: Moment | None = None
-    for moment in moments:
+    for step, moment in enumerate(moments):
         start = moment if before is None else before
-        for frame in range(1, frames_per_step + 1):
-            qpos = between(renderer.model, start.qpos, moment.qpos, frame / frames_per_step)
-            views = [renderer.draw(qpos, moment.markers, camera) for camera in cameras]
+        frames = round((step + 1) * frames_per_step) - round(step * frames_per_step)
+        for frame in range(1, frames + 1):
+            pose = drawer.between(start.pose, moment.pose, frame / frames)
+            views = [drawer.draw(pose, moment.markers, camera) for camera in cameras]
             yield [_captioned(views[0], moment.caption), *views[1:]]
         before = moment
 

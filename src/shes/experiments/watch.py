@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from shes.drawing.viewer import Viewer
-from shes.envs.task import CONTROL_STEP_S
 from shes.experiments.playback import Playback
 
 __all__ = ["watch"]
@@ -22,17 +20,18 @@ def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None)
     Raises:
         RunFolderError: `run` is not a run folder.
         CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: There is no screen, or `seed` is negative.
+        ConfigError: There is no screen, the environment has no window, or `seed` is negative.
     """
     playback = Playback(Path(run), checkpoint, seed)
-    viewer = Viewer(playback.make_spec(), CONTROL_STEP_S)
+    window = playback.open_window()
     try:
         episode = 0
-        while viewer.is_open:
+        while window.is_open:
             for number, moment in enumerate(playback.play(playback.seed_of(episode))):
-                if not viewer.is_open:
+                if not window.is_open:
                     return
-                viewer.show(moment.qpos, moment.markers, is_new_episode=number == 0)
+                window.show(moment.pose, moment.markers, is_new_episode=number == 0)
             episode += 1
     finally:
-        viewer.close()
+        window.close()
+        playback.close()

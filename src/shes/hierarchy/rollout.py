@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shes.envs.task import Task
+from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import PolicyError
 from shes.es.level import perturb
 from shes.es.noise import NoiseTable
@@ -44,7 +44,12 @@ class Rollout:
     """Runs episodes of one environment for one agent design on one thread."""
 
     def __init__(
-        self, design: AgentDesign, make_task: Callable[[int], Task], num_lanes: int, num_episodes: int, horizon: int
+        self,
+        design: AgentDesign,
+        make_task: Callable[[int], EpisodeBatch],
+        num_lanes: int,
+        num_episodes: int,
+        horizon: int,
     ) -> None:
         """Make room for `num_lanes` members of `num_episodes` episodes of at most `horizon` steps.
 

@@ -11,7 +11,7 @@ from mujoco.batch import Batch
 from shes.sim.simulator import Simulator
 from shes.types import IntArray
 
-__all__ = ["CpuSimulator", "log_physics_warnings"]
+__all__ = ["CpuSimulator", "count_divergences", "forget_divergences", "log_physics_warnings"]
 
 logger = logging.getLogger("shes.mujoco")
 logger.addHandler(logging.NullHandler())  # else Python prints to stderr where a program configured no logging
@@ -34,6 +34,16 @@ def log_physics_warnings() -> None:
     """
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(logger.warning)
+
+
+def count_divergences(data: mujoco.MjData) -> int:
+    """Return how often a simulation that somebody else steps has blown up, as far as its counters remember."""
+    return int(data.warning.number[_DIVERGENCE].sum())
+
+
+def forget_divergences(data: mujoco.MjData) -> None:
+    """Let `count_divergences` begin anew; `mj_resetData` does so by itself."""
+    data.warning.number[_DIVERGENCE] = 0
 
 
 class CpuSimulator(Simulator):

@@ -26,9 +26,10 @@ class Arguments:
 
 def _groups(words: Sequence[str]) -> tuple[Group, ...]:
     from shes.cli.settings import asked_config, environment_group, setting_groups
+    from shes.experiments.config import WITHOUT_FLAG
 
     config = asked_config(words)
-    settings = setting_groups(config, {field.name for field in fields(config)} - {"env"})
+    settings = setting_groups(config, {field.name for field in fields(config)} - WITHOUT_FLAG)
     name, json = options_of(Arguments)
     where = environment_group(is_required=False).options
     return (Group(heading="what to measure", options=(name, *where, json)), *settings)

@@ -9,6 +9,8 @@ from typing import Any
 from shes.cli.command import Command
 from shes.cli.options import Group, options_of
 from shes.cli.output import print_table
+from shes.envs.external.description import ExternalDescription
+from shes.errors import ShesError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +25,7 @@ _GROUPS = (Group(heading="flags", options=options_of(Arguments)),)
 
 
 def _run(values: dict[str, Any]) -> int:
+    from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
     from shes.envs.registration import gymnasium_id
     from shes.envs.registry import ENVIRONMENTS, make_task
     from shes.envs.task import SPECS, TaskOptions
@@ -44,8 +47,9 @@ def _run(values: dict[str, Any]) -> int:
                 "about": " ".join((environment.task.__doc__ or "").split("\n\n", maxsplit=1)[0].split()),
             }
         )
+    others = [_external_row(name, description) for name, description in EXTERNAL_ENVIRONMENTS.items()]
     if Arguments(**values).json:
-        print(json.dumps(rows, indent=2))
+        print(json.dumps([*rows, *others], indent=2))
         return 0
     print_table(
         ("environment", "task", "observation", "hiro", "action"),
@@ -57,8 +61,41 @@ def _run(values: dict[str, Any]) -> int:
     words = {environment.task.name: environment.task.description for environment in ENVIRONMENTS.values()}
     texts = [(name, each.reward, each.ends, each.score) for name, each in words.items()]
     print_table(("task", "reward of a step", "ends early", "score of an episode"), texts)
+    print_table(
+        ("of others", "in Gymnasium", "observation", "action"),
+        [(row["name"], row["gymnasium"][0], *_shown_sizes(row)) for row in others],
+    )
     print("In Gymnasium: shes/AntGather-v0, and shes/AntGatherHiro-v0 for --spec hiro. More: --json, and `make docs`.")
     return 0
+
+
+def _external_row(name: str, description: ExternalDescription) -> dict[str, Any]:
+    """Return what there is to say of an environment of others; no numbers where it cannot be made."""
+    from shes.envs.external.environment import ExternalEnvironment
+
+    row: dict[str, Any] = {
+        "name": name,
+        "task": "external",
+        "gymnasium": [description.id],
+        "observation": {},
+        "action": None,
+        "reward": "its own",
+        "ends": "by its own rule",
+        "score": description.score,
+        "about": f"Gymnasium's {description.id}",
+    }
+    try:
+        task = ExternalEnvironment.find(description).make(1)
+    except ShesError as error:
+        return {**row, "about": str(error)}
+    return {**row, "observation": {"external": task.observation_size}, "action": task.action_size}
+
+
+def _shown_sizes(row: dict[str, Any]) -> tuple[str, str]:
+    """Return the sizes of observation and action; of what cannot be made, why."""
+    if row["action"] is None:
+        return row["about"], ""
+    return str(row["observation"]["external"]), str(row["action"])
 
 
 COMMAND = Command(

@@ -21,9 +21,10 @@ class Arguments:
 
 def _groups(words: Sequence[str]) -> tuple[Group, ...]:
     from shes.cli.settings import asked_config, environment_group, setting_groups
+    from shes.experiments.config import WITHOUT_FLAG
 
     config = asked_config(words)
-    run, *others = setting_groups(config, {field.name for field in fields(config)} - {"env"})
+    run, *others = setting_groups(config, {field.name for field in fields(config)} - WITHOUT_FLAG)
     run = Group(heading=run.heading, options=(*run.options, *options_of(Arguments)))
     return (environment_group(is_required=True), run, *others)
 

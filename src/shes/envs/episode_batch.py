@@ -1,0 +1,163 @@
+"""What the rooms above need of an environment, whoever built it: N episodes, stepped together.
+
+Two kinds fulfil it: `Task`, a world of our own on MuJoCo, and `ExternalTask`, N environments of Gymnasium. Nobody asks
+which one it has.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from shes.drawing.drawer import Drawer, Window
+from shes.drawing.markers import Marker
+from shes.types import BoolArray, F64Array, FloatArray, IntArray
+
+__all__ = ["EpisodeBatch", "Reader"]
+
+
+class Reader(ABC):
+    """What an agent must know of an environment to act in it: no simulation, nothing that is live."""
+
+    observation_size: int
+    """Number of observed values, O."""
+
+    @abstractmethod
+    def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
+        """Return `observation` as rows [num_envs, O], and whether it is that of one environment alone.
+
+        Raises:
+            ShapeError: It is not an observation of `num_envs` environments.
+        """
+
+    @abstractmethod
+    def locate(self, rows: F64Array, info: Mapping[str, Any] | None) -> tuple[F64Array, F64Array]:
+        """Return position [N, 2] in metres and heading [N] in radians of robots that observe `rows` [N, O].
+
+        Raises:
+            ConfigError: They are in `info`, which was not given.
+        """
+
+    @abstractmethod
+    def to_action(self, control: F64Array) -> FloatArray:
+        """Return `control` [N, A], cut to its limits, as actions of the environment's own action space."""
+
+
+class EpisodeBatch(ABC):
+    """N episodes of one environment. Arrays are live and belong to it: copy what must outlast the next step."""
+
+    num_episodes: int
+    """Number of episodes, N."""
+    time: IntArray
+    """Control steps since the reset [N]."""
+    reward: F64Array
+    """Reward of the last step [N]; 0 where the simulation diverged."""
+    running_return: F64Array
+    """Sum of the rewards since the reset [N]."""
+    step_s: float
+    """Simulated time of a control step, in seconds."""
+    ground_m: ClassVar[float] = 0.0
+    """Height of the ground that the robot starts on."""
+
+    @property
+    @abstractmethod
+    def observation_size(self) -> int:
+        """Number of observed values, O."""
+
+    @property
+    @abstractmethod
+    def action_size(self) -> int:
+        """Number of controls, A."""
+
+    @property
+    @abstractmethod
+    def control_limit(self) -> float:
+        """Controls lie in [-control_limit, control_limit]."""
+
+    @property
+    @abstractmethod
+    def proprioception(self) -> IntArray:
+        """Indices in the observation of the robot's own pose and velocity."""
+
+    @property
+    @abstractmethod
+    def primitive_view(self) -> IntArray:
+        """Indices in the observation of what the primitive may see; the rest is for the controller alone."""
+
+    @property
+    @abstractmethod
+    def position(self) -> F64Array:
+        """Place of the robot [N, 2] in metres."""
+
+    @property
+    @abstractmethod
+    def heading(self) -> F64Array:
+        """Yaw of the robot [N] in radians."""
+
+    @property
+    @abstractmethod
+    def terminated(self) -> BoolArray:
+        """Whether the episode has ended by the environment's own rule [N]; never by the time limit."""
+
+    @property
+    @abstractmethod
+    def diverged(self) -> BoolArray:
+        """Whether the physics blew up since the reset [N]: the episode ends there and does not score."""
+
+    @property
+    @abstractmethod
+    def score(self) -> F64Array:
+        """The test score so far [N]; 0 where the simulation diverged."""
+
+    @property
+    @abstractmethod
+    def success(self) -> BoolArray:
+        """Whether the episode counts as solved so far [N]."""
+
+    @property
+    @abstractmethod
+    def reader(self) -> Reader:
+        """How an agent reads what it shows."""
+
+    @abstractmethod
+    def observe(self) -> F64Array:
+        """Return what is observed now [N, O]: a live array, rewritten by the next call."""
+
+    @abstractmethod
+    def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
+        """Start episodes `ids` anew, each from its own seed (a non-negative integer)."""
+
+    @abstractmethod
+    def step(self, ids: IntArray, action: FloatArray) -> None:
+        """Apply `action` [N, A] in control units for one control step of episodes `ids` (sorted, unique).
+
+        Rows that are not in `ids` do not move; what is computed for them means nothing.
+        """
+
+    @abstractmethod
+    def make_drawer(self, width: int, height: int) -> Drawer:
+        """Return what makes pictures of poses; ask for it before the first reset.
+
+        Raises:
+            ConfigError: There are no pictures of this environment, or not of this size.
+        """
+
+    @abstractmethod
+    def open_window(self) -> Window:
+        """Return a window that shows poses; ask for it before the first reset.
+
+        Raises:
+            ConfigError: There is no screen, or no window of this environment.
+        """
+
+    @abstractmethod
+    def pose(self, episode: int) -> Any:
+        """Return a copy of what drawer and window need to show episode `episode` as it is now."""
+
+    def markers(self, episode: int) -> list[Marker]:
+        """Return what to draw of episode `episode` beside its pose."""
+        return []
+
+    def close(self) -> None:  # noqa: B027 - most hold nothing
+        """Give back what it holds."""

@@ -1,0 +1,1 @@
+"""Environments of others: any Gymnasium environment, by a description of where robot and heading are."""
