@@ -131,7 +131,8 @@ def test_plot_says_where_the_picture_is(shes, tiny_run, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"curves.png", "b.pdf"}
 
 
-def test_bench_prints_a_table_or_json(shes):
+def test_bench_prints_a_table_or_json(shes, monkeypatch):
+    monkeypatch.setattr("shes.experiments.bench._REPLAY_S", 0.02)  # how exact it is does not matter here
     small = ["point-gather", *TINY, "--population-size", 4, "--horizon", 5]
     found = json.loads(shes("bench", "update", *small, "--json"))
     assert found["total_ms"] > 0

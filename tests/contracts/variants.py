@@ -42,8 +42,8 @@ VARIANTS = [Variant(name, spec) for name, environment in ENVIRONMENTS.items() fo
 
 
 def _mark(variant):
-    """Return the parameter of a test: the ant's hiro variants share all but numbers with what runs anyway."""
-    is_slow = variant.name.startswith("ant-") and variant.spec == "hiro"
+    """Return the parameter of a test: most hiro variants share all but numbers with what runs anyway."""
+    is_slow = variant.spec == "hiro" and variant.name not in ("point-gather", "point-push")
     return pytest.param(variant, id="-".join(variant), marks=[pytest.mark.slow] if is_slow else [])
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
-from shes.experiments.build import build_options
+from shes.experiments.build import build_environment, build_options
 from shes.experiments.presets import PRESETS, make_config
 
 PAPER = {
@@ -43,7 +43,8 @@ def test_the_paper_preset_has_the_numbers_of_table_one(env, name):
 
 @pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_the_paper_preset_steps_by_euler(env):
-    assert build_options(make_config(env, "paper"), is_evaluation=False).integrator == "euler"
+    config = make_config(env, "paper")
+    assert build_options(config, build_environment(config), is_evaluation=False).integrator == "euler"
 
 
 def test_the_paper_preset_evaluates_over_the_horizon_of_table_one():
