@@ -236,7 +236,7 @@ def test_our_own_names_cannot_be_described(run, tmp_path):
 @pytest.fixture
 def robotics(monkeypatch):
     pytest.importorskip("gymnasium_robotics", reason="needs the extra: pip install 'shes[robotics]'")
-    monkeypatch.setenv("MUJOCO_GL", os.environ.get("MUJOCO_GL", ""))  # drawing sets it
+    monkeypatch.setenv("MUJOCO_GL", os.environ.get("MUJOCO_GL", ""))  # drawing sets it where it is empty
 
 
 @pytest.mark.extras

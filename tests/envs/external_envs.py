@@ -93,7 +93,14 @@ class Broken(Car):
         raise ZeroDivisionError("no road")
 
 
-CLASSES = (Car, Silent, Stepper, Unbounded, Growing, Broken)
+class Dark(Car):
+    """Cannot be drawn."""
+
+    def render(self):
+        raise RuntimeError("no lamp")
+
+
+CLASSES = (Car, Dark, Silent, Stepper, Unbounded, Growing, Broken)
 
 CAR = {
     "id": "tests/Car-v0",

@@ -354,6 +354,14 @@ def test_without_pictures_there_is_a_clear_error():
         task.open_window()
 
 
+def test_a_picture_that_fails_is_a_clear_error():
+    task = start(1, id="tests/Dark-v0")
+    task.make_drawer(64, 64)
+    task.reset(np.array([0]), [1])
+    with pytest.raises(ConfigError, match=r"tests/Dark-v0 cannot be drawn: RuntimeError: no lamp"):
+        task.pose(0)
+
+
 @pytest.mark.parametrize("name", READY)
 def test_without_the_extra_the_error_names_it(name, monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)

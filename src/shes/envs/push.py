@@ -11,7 +11,11 @@ __all__ = ["Push"]
 
 
 class Push(TargetTask):
-    """A block stands in the way. Pushed straight ahead it closes the passage; pushed aside it opens it."""
+    """A block stands in the way. Pushed straight ahead it closes the passage; pushed aside it opens it.
+
+    The block weighs 0.2 g, as published, which makes its contacts soft: a point that rams it against a wall sinks in by
+    up to 0.35 m (its centre), and is pushed out again.
+    """
 
     name: ClassVar[str] = "push"
     heeds: ClassVar[frozenset[str]] = frozenset({"target", "evaluation_target", "observe_block"})

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from shes.envs.external.task import ExternalTask
 
-__all__ = ["SUCCESS_KEYS", "ExternalEnvironment"]
+__all__ = ["SUCCESS_KEYS", "ExternalEnvironment", "explained"]
 
 SUCCESS_KEYS = ("success", "is_success")
 """What `info` calls the success of an episode; the first that there is counts."""
@@ -75,7 +75,7 @@ class ExternalEnvironment:
         spec = _find_spec(description.id)
         env = _make(spec, description, None)
         try:
-            with _explained(description.id, "reset or step"):
+            with explained(description.id, "reset or step"):
                 _check_spaces(env, description.id)
                 _, info = env.reset(seed=0)
                 places = _places(env.observation_space, info)
@@ -192,12 +192,12 @@ def _make(spec: EnvSpec, description: ExternalDescription, render_mode: str | No
     settings: dict[str, Any] = {**description.kwargs, "max_episode_steps": -1, "disable_env_checker": True}
     if render_mode is not None:
         settings["render_mode"] = render_mode
-    with _explained(spec.id, "be made"):
+    with explained(spec.id, "be made"):
         return gymnasium.make(spec, **settings)
 
 
 @contextmanager
-def _explained(env_id: str, what: str) -> Iterator[None]:
+def explained(env_id: str, what: str) -> Iterator[None]:
     """Make every error of an environment one of ours: its own code may raise anything.
 
     Raises:

@@ -11,7 +11,7 @@ import numpy as np
 
 from shes.drawing.drawer import Drawer, Picture, Window
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.environment import SUCCESS_KEYS, ExternalEnvironment
+from shes.envs.external.environment import SUCCESS_KEYS, ExternalEnvironment, explained
 from shes.envs.external.reader import ExternalReader
 from shes.errors import ConfigError
 from shes.sim.cpu import count_divergences, forget_divergences, log_physics_warnings
@@ -167,8 +167,8 @@ class ExternalTask(EpisodeBatch):
 
         self._draw_by("rgb_array", "picture")
         found = find_opengl()
-        if found is not None:
-            os.environ.setdefault("MUJOCO_GL", found)  # Gymnasium's MuJoCo environments ask for it
+        if found is not None and not os.environ.get("MUJOCO_GL"):
+            os.environ["MUJOCO_GL"] = found  # Gymnasium's MuJoCo environments ask for it
         return FrameDrawer(width, height)
 
     def open_window(self) -> Window:
@@ -192,8 +192,15 @@ class ExternalTask(EpisodeBatch):
         self._render_mode = mode
 
     def pose(self, episode: int) -> Picture | None:
-        """Return the environment's own picture [H, W, 3]; None in its window, which needs none."""
-        return self._env(episode).render() if self._render_mode == "rgb_array" else None  # type: ignore[return-value]
+        """Return the environment's own picture [H, W, 3]; None in its window, which needs none.
+
+        Raises:
+            ConfigError: It cannot be drawn, for example without OpenGL.
+        """
+        if self._render_mode != "rgb_array":
+            return None
+        with explained(self.environment.spec.id, "be drawn"):
+            return np.array(self._env(episode).render(), dtype=np.uint8)
 
     def close(self) -> None:
         """Close the environments."""
