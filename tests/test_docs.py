@@ -17,6 +17,7 @@ import shes
 from shes.cli.commands import SUMMARIES
 from shes.envs.registration import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.task import TaskOptions
 from shes.experiments.config import TrainConfig
 
 ROOT = Path(__file__).parents[1]
@@ -161,14 +162,15 @@ def test_an_environments_page_lists_what_it_observes_and_how_it_is_moved(site, p
     task = make_task(name, 1)
     page = pages[f"environments/{name}.html"]
     tables = {tuple(cell["text"] for cell in table[0][:2]): table[1:] for table in page.tables}
-    observed = tables["index", "name"]
-    assert len(observed) == task.observation_size
-    assert [row[1]["text"] for row in observed] == [element.name for element in task.layout]
-    assert [row[0]["text"] for row in observed] == [str(i) for i in range(task.observation_size)]
+    observed = [table[1:] for table in page.tables if table[0][1]["text"] == "name"]
+    for spec, rows in zip(task.specs, observed, strict=True):
+        layout = make_task(name, 1, TaskOptions(spec=spec)).layout
+        assert [row[1]["text"] for row in rows] == [element.name for element in layout]
+        assert [row[0]["text"] for row in rows] == [str(i) for i in range(len(layout))]
     assert [row[1]["text"] for row in tables["index", "control"]] == list(task.body.controls)
     facts = {row[0]["text"]: row[1]["text"] for row in tables["Gymnasium", gymnasium_id(name)]}
     assert facts["Score"] == type(task).description.score
-    assert {row[0]["text"] for row in tables["argument", "default"]} == {each.name for each in fields(task.options)}
+    assert {row[0]["text"] for row in tables["argument", "default"]} == task.option_names()
     assert (site / "environments" / f"{name}.png").stat().st_size > 1000
     assert f"{name}.html" in pages["environments/index.html"].links
 
