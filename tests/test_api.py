@@ -1,5 +1,6 @@
 """`import shes`: light, and the whole way from training to acting."""
 
+import os
 import subprocess
 import sys
 import threading
@@ -186,3 +187,15 @@ def test_every_error_is_a_shes_error_and_what_python_calls_it(run):
     assert isinstance(refused.value, RunFolderError)
     assert issubclass(ConfigError, ValueError)
     assert issubclass(UnknownNameError, LookupError)
+
+
+def test_an_unknown_mujoco_gl_is_named_with_what_to_do():
+    done = subprocess.run(
+        [sys.executable, "-c", "import shes"],
+        env={**os.environ, "MUJOCO_GL": "nonsense"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "MUJOCO_GL: nonsense. Unset MUJOCO_GL to let SHES choose, or set it to egl, osmesa or off" in done.stderr

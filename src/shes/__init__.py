@@ -56,7 +56,14 @@ _HOMES = {
 
 # Gymnasium knows the environments as soon as SHES is imported; worker processes do without.
 if "shes.backends.process_worker" not in sys.orig_argv:
-    from shes.envs.registration import register_all
+    try:
+        from shes.envs.registration import register_all
+    except RuntimeError as error:  # MuJoCo refuses to be imported with a MUJOCO_GL that it does not know
+        if "MUJOCO_GL" not in str(error):
+            raise
+        from shes.errors import ConfigError
+
+        raise ConfigError(f"{error}. Unset MUJOCO_GL to let SHES choose, or set it to egl, osmesa or off.") from error
 
     register_all()
     del register_all

@@ -187,22 +187,8 @@ class Task(EpisodeBatch):
 
     @property
     @abstractmethod
-    def score(self) -> F64Array:
-        """The task's test score so far [N]; 0 where the simulation diverged."""
-
-    @property
-    @abstractmethod
-    def success(self) -> BoolArray:
-        """Whether the episode counts as solved so far [N]."""
-
-    @property
-    @abstractmethod
     def distance(self) -> F64Array:
         """Distance to what the task wants reached next [N], in metres; infinity where nothing is left to reach."""
-
-    @abstractmethod
-    def observe(self) -> F64Array:
-        """Return what is observed now [N, O]: a live array, rewritten by the next call."""
 
     @abstractmethod
     def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:

@@ -28,7 +28,10 @@ def centred_ranks(fitness: F64Array, ties: str = "average") -> F64Array:
     """
     if not np.isfinite(fitness).all():
         member = int(np.flatnonzero(~np.isfinite(fitness))[0])
-        raise PolicyError(f"the fitness of member {member} is {fitness[member]}; every fitness must be finite.")
+        raise PolicyError(
+            f"the fitness of member {member} is {fitness[member]}; every fitness must be finite. "
+            "Look at the reward that it comes from."
+        )
     if ties not in TIES:
         raise UnknownNameError("way to rank ties", ties, TIES, "Set --rank-ties.")
     count = len(fitness)

@@ -68,7 +68,9 @@ def render(
     if isinstance(checkpoints, str):
         checkpoints = (checkpoints,)
     if not checkpoints:
-        raise ConfigError("render needs at least one checkpoint: best, last or the number of a generation.")
+        raise ConfigError(
+            "render needs at least one checkpoint: best, last or the number of a generation. Set --checkpoint."
+        )
     if size % 2 or not 64 <= size <= 1080:
         raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
     playbacks = [Playback(Path(run), str(name), seed, steps) for name in checkpoints]

@@ -176,7 +176,10 @@ class RunFolder:
         except (OSError, ValueError) as error:
             raise RunFolderError(f"{self.config} cannot be read: {error}. Restore it from a copy.") from error
         if not isinstance(record, dict) or record.get("format") != _FORMAT:
-            raise RunFolderError(f"{self.config} is not the record of a SHES run of format {_FORMAT}.")
+            raise RunFolderError(
+                f"{self.config} is not the record of a SHES run of format {_FORMAT}. Give the folder that `shes train` "
+                "printed; a run of another version of SHES needs that version."
+            )
         return record
 
     def _write_record(self, record: dict[str, Any]) -> None:
