@@ -282,6 +282,7 @@ def test_a_diverged_episode_earns_nothing_and_does_not_score(variant):
         assert_array_equal(spoiled.diverged, [False, True, False])
         assert spoiled.reward[1] == 0
         assert spoiled.score[1] == 0
+        assert not np.signbit([spoiled.reward[1], spoiled.score[1]]).any()  # "-0.0" looks like a cost
         assert not spoiled.success[1]
         assert np.isfinite(spoiled.observe()).all()
         assert_same_view(view(spoiled, [0, 2]), view(calm, [0, 2]))

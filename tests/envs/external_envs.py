@@ -93,6 +93,59 @@ class Broken(Car):
         raise ZeroDivisionError("no road")
 
 
+class Faulty(Car):
+    """Does as it said in its first step, and from the second on, or in episodes of other seeds than 0, no longer."""
+
+    def __init__(self, render_mode=None, fault="none"):
+        super().__init__(render_mode)
+        self.fault = fault
+
+    def reset(self, *, seed=None, options=None):
+        if self.fault == "reset" and seed != 0:
+            raise RuntimeError("no\n  fuel")
+        return super().reset(seed=seed)
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        if self.age < 2:
+            return observation, reward, terminated, truncated, info
+        if self.fault == "step":
+            raise RuntimeError("no\n  fuel")
+        if self.fault == "shape":
+            observation["pose"] = np.zeros(5)
+        if self.fault == "scalar":
+            observation = np.float64(1)
+        changes = {
+            "info": {"where": np.zeros(3)},
+            "one": {"where": 1.0},
+            "text": {"where": "here"},
+            "success": {"is_success": np.array([True, False])},
+        }
+        return (
+            observation,
+            None if self.fault == "pay" else reward,
+            terminated,
+            truncated,
+            info | changes.get(self.fault, {}),
+        )
+
+
+class Late(Car):
+    """Reports success where an episode ends, and there alone."""
+
+    key = "is_success"
+
+    def _info(self):
+        near = bool(self.place[0] > self.target[0])
+        return {self.key: near} if 0 < self.ends[0] <= self.age else {}
+
+
+class Mute(Late):
+    """Calls it otherwise."""
+
+    key = "won"
+
+
 class Dark(Car):
     """Cannot be drawn."""
 
@@ -100,7 +153,7 @@ class Dark(Car):
         raise RuntimeError("no lamp")
 
 
-CLASSES = (Car, Dark, Silent, Stepper, Unbounded, Growing, Broken)
+CLASSES = (Car, Dark, Silent, Stepper, Unbounded, Growing, Broken, Faulty, Late, Mute)
 
 CAR = {
     "id": "tests/Car-v0",

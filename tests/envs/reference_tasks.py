@@ -6,17 +6,19 @@ for `shes`, Nachum et al. 2018's efficient-hrl and rllab's GatherEnv for `hiro`.
 What the specification leaves open about tasks, and how it is read here (worlds: see reference_worlds.py):
  1. hiro Maze, Push, Fall: "target raw to the high level only". The observation returned is the 30 numbers and then the
     raw target (32, 32, 33); `low_level_observation()` is the first 30. qvel is unclipped in every hiro task.
- 2. hiro Gather's "t" is read as t * 0.001 like everywhere else; option `time_scale=1` reads it as steps. It stands
-    before the readings, in shes Gather behind them.
+ 2. hiro Gather's "t" is read as it stands: control steps, where the others have t * 0.001; option `time_scale`. It
+    stands before the readings, in shes Gather behind them.
  3. Maze's score is against the episode's own target, which is (0, 16) in evaluation (JR: always against (0, 16)).
  4. "Final distance": score, success and distance are those of the last step played; after a reset, of the start.
  5. Free cells for `free_cells`: all cells without a wall, the robot's own included. The whole pair is redrawn.
  6. Flagrun's new goal comes at the end of every c-th step, after its reward was paid for the old goal, so the returned
-    observation shows the goal that the next action is for. `distance` is then that to the new goal. d_c is
+    observation shows the goal that the next action is for. `distance` is then that to the new goal, success is of the
+    old one, like the reward. d_c is
     |goal - position|, computed from the sum `goal = position + offset`, not from the offset.
- 7. Flagrun ends on a fall and pays the progress reward on that step too. Its success (not specified) is being nearer
-    than 1 to the current goal. It has one specification, `shes`.
- 8. Flagrun for the point: sin, cos, distance / 1000, qpos 2, clipped qvel 2; yaw 0.
+ 7. Flagrun ends on a fall and pays the progress reward on that step too. Its success (not specified) is that the last
+    step ended nearer than 1 to the goal that it was for; False after a reset. Its `hiro` (not specified, Nachum et al.
+    have none) is the same with RK4 and unclipped qvel.
+ 8. Flagrun for the point: sin, cos, distance / 1000, qpos 2, qvel 2 (clipped in shes); yaw 0.
  9. hiro Gather: sensors span 2 pi around the yaw (as JR and SNN4HRL; rllab's own default is pi); the free radius of 2
     takes only (0, 0) from the lattice; the fall is looked at before pickups, so the objects stay and the episode ends.
     With `fall_penalty=False` the step of a fall pays its pickups. Its success (not specified) is a score above 0.
@@ -321,9 +323,9 @@ class ReferenceFall(ReferenceNavigation):
 class ReferenceFlagrun(ReferenceEpisode):
     """Follow goals that move every `interval` steps.
 
-    Observation: sin and cos of (bearing of the goal - yaw), distance / 1000, robot's qpos, robot's clipped qvel;
-    32 numbers for the ant, 7 for the point. Reward: 1 - distance / d_c, and 1 more when nearer than 1. Ends on a fall.
-    Score: the return.
+    Observation: sin and cos of (bearing of the goal - yaw), distance / 1000, robot's qpos, robot's qvel, clipped in
+    shes; 32 numbers for the ant, 7 for the point. Reward: 1 - distance / d_c, and 1 more when nearer than 1. Ends on a
+    fall. Score: the return.
 
     Draws of a reset, behind the robot's: `uniform(-4, 4, 2)`, again until its length is at least 1; the goal is that
     far from the robot. Draws of a step whose number (from 1) is a multiple of `interval`: the same, after the reward,
@@ -339,12 +341,11 @@ class ReferenceFlagrun(ReferenceEpisode):
         interval: int = 25,
         **options: Any,
     ) -> None:
-        if spec != "shes":
-            raise ValueError("Flagrun has one specification, shes")
         super().__init__(body, spec, model, **options)
         self.interval = interval
         self.goal = np.zeros(2)
         self.start_distance = 1.0
+        self.was_near = False
 
     def xml(self, **options: Any) -> str:
         """The arena of Gather."""
@@ -352,12 +353,13 @@ class ReferenceFlagrun(ReferenceEpisode):
 
     def start_task(self) -> None:
         """Draw the first goal."""
+        self.was_near = False
         self._draw_goal()
 
     def play_task(self) -> float:
         """Progress toward the goal that was seen before the step."""
-        near = 1.0 if self.distance < REWARDED_RADIUS else 0.0
-        return 1.0 - self.distance / self.start_distance + near
+        self.was_near = self.distance < REWARDED_RADIUS
+        return 1.0 - self.distance / self.start_distance + (1.0 if self.was_near else 0.0)
 
     def finish_step(self) -> None:
         """Draw the goal for the next `interval` steps, when these are over."""
@@ -393,12 +395,12 @@ class ReferenceFlagrun(ReferenceEpisode):
 
     @property
     def success(self) -> bool:
-        """Whether the goal is nearer than 1."""
-        return not self.diverged and self.distance < REWARDED_RADIUS
+        """Whether the goal of the last step was nearer than 1 after it."""
+        return not self.diverged and self.was_near
 
 
 class ReferenceHiroGather(ReferenceEpisode):
-    """rllab's Gather: robot's qpos, unclipped qvel, t * 0.001, 10 food readings, 10 poison readings; 50 or 25 numbers.
+    """rllab's Gather: robot's qpos, unclipped qvel, t, 10 food readings, 10 poison readings; 50 or 25 numbers.
 
     +1 food, -1 poison nearer than 1; the step of an ant's fall pays -10 in place of its pickups (`fall_penalty`). Ends
     on a fall and when nothing is left. Score: the highest running return, at least 0.
@@ -420,7 +422,7 @@ class ReferenceHiroGather(ReferenceEpisode):
         model: mujoco.MjModel | None = None,
         *,
         fall_penalty: bool = True,
-        time_scale: float = 0.001,
+        time_scale: float = 1.0,
         **options: Any,
     ) -> None:
         if spec != "hiro":

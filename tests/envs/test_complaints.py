@@ -19,7 +19,10 @@ from shes.envs.gather import Gather
 from shes.envs.maze import Maze
 from shes.envs.point import FallingPoint, Point
 from shes.envs.push import Push
+from shes.envs.registration import register_all
+from shes.envs.registry import ENVIRONMENTS, Environment
 from tests.contracts.variants import VARIANTS
+from tests.e2e.own_classes import Corner
 from tests.envs.test_physics import assert_nothing_passes, crash
 from tests.golden import trajectories
 from tests.golden.test_trajectories import test_an_environment_moves_as_its_golden_trajectory_says as check_golden
@@ -37,6 +40,10 @@ def over(choose=None, slow=None):
             if choose is None or choose(each.name)
         ],
     )
+
+
+def is_ant_by_rk4(name, spec):
+    return name.startswith("ant-") and spec == "hiro"
 
 
 def has_target(name):
@@ -163,7 +170,7 @@ def test_a_target_that_is_drawn_near_the_start_scores_at_the_end_alone(variant):
     assert not info["success"]
 
 
-@over(lambda name: name.endswith("-flagrun"))
+@over(lambda name: name.endswith("-flagrun"), slow=is_ant_by_rk4)
 def test_no_goal_of_flagrun_is_drawn_within_a_metre(variant):
     env = variant.make_vector(NUM_ENVS, goal_interval=1)
     distances = [env.reset(seed=0)[1]["distance"]]
@@ -209,7 +216,7 @@ def test_after_a_reset_the_new_target_is_observed_and_paid_for(variant, mode):
     assert changes >= 3
 
 
-@over(lambda name: name.endswith("-flagrun"))
+@over(lambda name: name.endswith("-flagrun"), slow=is_ant_by_rk4)
 def test_a_goal_of_flagrun_is_observed_as_soon_as_it_moves(variant):
     env = variant.make_vector(NUM_ENVS, goal_interval=4)
     task = task_of(env)
@@ -225,6 +232,27 @@ def test_a_goal_of_flagrun_is_observed_as_soon_as_it_moves(variant):
         np.testing.assert_allclose(info["distance"], np.linalg.norm(task.goal - task.position, axis=1))
         assert (task.goal != before).any(axis=1).all() == (step % 4 == 0)
         before = task.goal.copy()
+
+
+@over(lambda name: name.endswith("-flagrun"))
+def test_success_of_flagrun_is_of_the_goal_that_the_step_was_for_even_where_a_new_one_is_drawn(variant):
+    env, task = start(variant, reset_noise=0.0, goal_interval=5, max_episode_steps=5)
+    assert not env.reset()[1]["success"]
+    for step in range(1, 6):
+        put(task, task.goal[0])
+        _, reward, _, truncated, info = env.step(still(env))
+        assert (info["success"], truncated) == (True, step == 5)
+        assert reward > 1.5
+    assert info["distance"] > 1 - 1e-9  # of the new goal, which the observation shows
+    assert not env.reset()[1]["success"]
+
+
+@over(lambda name: name.endswith("-flagrun"))
+def test_away_from_its_goal_flagrun_is_no_success_even_if_the_new_one_were_near(variant):
+    env, task = start(variant, reset_noise=0.0)
+    assert not env.step(still(env))[4]["success"]
+    task.goal[0] = task.position[0]
+    assert not task.success[0]
 
 
 # Locomotion reward returned instead of the task's.
@@ -272,7 +300,7 @@ def test_running_alone_pays_nothing_in_flagrun(variant):
 # `done` never set at the time limit.
 
 
-@over(slow=lambda name, spec: name.startswith("ant-") and spec == "hiro")
+@over(slow=is_ant_by_rk4)
 def test_an_episode_ends_at_the_time_limit(variant):
     env, _ = start(variant, reset_noise=0.0)
     for step in range(1, 501):
@@ -332,6 +360,7 @@ IDS = {
     "shes/AntFall-v0": (Ant, Fall, "shes", 37),
     "shes/AntFallHiro-v0": (Ant, Fall, "hiro", 33),
     "shes/AntFlagrun-v0": (Ant, Flagrun, "shes", 32),
+    "shes/AntFlagrunHiro-v0": (Ant, Flagrun, "hiro", 32),
     "shes/PointGather-v0": (Point, Gather, "shes", 25),
     "shes/PointGatherHiro-v0": (Point, Gather, "hiro", 25),
     "shes/PointMaze-v0": (Point, Maze, "shes", 7),
@@ -341,6 +370,7 @@ IDS = {
     "shes/PointFall-v0": (FallingPoint, Fall, "shes", 14),
     "shes/PointFallHiro-v0": (FallingPoint, Fall, "hiro", 10),
     "shes/PointFlagrun-v0": (Point, Flagrun, "shes", 7),
+    "shes/PointFlagrunHiro-v0": (Point, Flagrun, "hiro", 7),
 }
 """Id, body, task, specification, and observed values as the specification counts them."""
 
@@ -355,13 +385,19 @@ def test_an_id_makes_the_environment_of_its_name(env_id):
     assert gymnasium.spec(env_id).max_episode_steps == 500
 
 
-def test_every_environment_has_its_id_and_no_id_is_missing():
+def test_every_environment_has_its_id_in_both_specifications_and_no_id_is_missing():
     assert {each.id for each in VARIANTS} == set(IDS)
     assert set(IDS) <= set(gymnasium.registry)
+    assert len(IDS) == 2 * len(ENVIRONMENTS)
 
 
-def test_there_is_no_hiro_id_of_a_task_without_that_specification():
-    assert "shes/AntFlagrunHiro-v0" not in gymnasium.registry
+def test_there_is_no_hiro_id_of_a_task_without_that_specification(monkeypatch):
+    monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
+    monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
+    monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Corner))
+    register_all()
+    assert "shes/PointCorner-v0" in gymnasium.registry
+    assert "shes/PointCornerHiro-v0" not in gymnasium.registry
 
 
 # A MuJoCo upgrade silently changing a task's outcome.

@@ -225,6 +225,82 @@ def test_success_and_score():
     assert_array_equal(by_success.score, near)
 
 
+def test_success_may_be_reported_at_the_end_of_an_episode_alone():
+    task, calm = start(30, id="tests/Late-v0", score="success", kwargs={"terminates_after": 3}), start(30)
+    actions = draw_actions(task, 3)
+    assert not play(task, actions[:2])["success"].any()
+    play(task, actions[2:])
+    play(calm, actions)
+    right_of_it = calm.observe()[:, 3] > calm.observe()[:, 6]
+    assert 0 < right_of_it.sum() < 30
+    assert_array_equal(task.score, right_of_it)
+
+
+def test_who_is_cut_off_before_a_word_of_success_has_not_succeeded():
+    task = start(3, id="tests/Late-v0", score="success", kwargs={"terminates_after": 9})
+    seen = play(task, draw_actions(task, 8))
+    assert not seen["terminated"].any()
+    assert not seen["score"].any()
+
+
+@pytest.mark.parametrize("kind", ["terminates_after", "truncates_after"])
+def test_an_episode_that_ends_without_a_word_of_success_is_refused_if_it_is_the_score(kind):
+    changes = {"id": "tests/Mute-v0" if kind == "terminates_after" else "tests/Silent-v0", "kwargs": {kind: 3}}
+    play(start(2, **changes), np.zeros((3, 3)))
+    task = start(2, **changes, score="success")
+    play(task, np.zeros((2, 3)))
+    shown = "'won'" if kind == "terminates_after" else "nothing"
+    message = (
+        rf"^{changes['id']}: its score cannot be \"success\": info at the end of an episode has neither 'success' nor "
+        rf"'is_success', only {shown}\. Take score = \"return\"\.$"
+    )
+    with pytest.raises(ConfigError, match=message):
+        play(task, np.zeros((1, 3)))
+    with pytest.raises(ConfigError, match=message):
+        find(**{**changes, "kwargs": {kind: 1}}, score="success")
+
+
+def test_an_episode_that_diverges_need_not_say_how_it_ended():
+    task = start(2, id="tests/Silent-v0", score="success", kwargs={"truncates_after": 3, "nan_after": 3})
+    seen = play(task, np.zeros((3, 3)))
+    assert seen["terminated"].all()
+    assert seen["diverged"].all()
+
+
+@pytest.mark.parametrize("score", ["return", "success"])
+def test_the_score_of_a_divergence_is_a_plain_zero(score):
+    task = start(2, kwargs={"nan_after": 3}, score=score)
+    play(task, np.zeros((3, 3)))
+    assert (task.running_return < 0).all()
+    assert [str(each) for each in task.score] == ["0.0", "0.0"]
+
+
+# What fails later.
+
+
+FAULTS = {
+    "reset": r"cannot reset: RuntimeError: no fuel",
+    "step": r"cannot step: RuntimeError: no fuel",
+    "shape": r": the observation must have 12 values, as its space has, and has 14\.",
+    "scalar": r"cannot step: \w+: .*",
+    "pay": r"cannot step: TypeError: .*NoneType.*",
+    "info": r": info\['where'\] must have 2 values, as at first, and has 3\.",
+    "one": r": info\['where'\] must have 2 values, as at first, and has 1\.",
+    "text": r": info\['where'\] must have 2 values, as at first, and has 1\.",
+    "success": r": info\['is_success'\] must be one truth value, and is array\(\[ True, False\]\)\.",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_an_environment_that_fails_later_is_one_line_that_names_it(fault):
+    task = find(id="tests/Faulty-v0", position="where", kwargs={"fault": fault}).make(2)
+    task.reset(np.arange(2), [0, 0])
+    play(task, np.zeros((1, 3)))
+    with pytest.raises(ConfigError, match=rf"^tests/Faulty-v0 ?{FAULTS[fault]}$") as caught:
+        task.reset(np.array([1]), [3]) if fault == "reset" else play(task, np.zeros((1, 3)))
+    assert "\n" not in str(caught.value)
+
+
 def test_closing_closes_and_a_later_reset_begins_anew():
     task = start(2)
     task.close()
@@ -279,7 +355,11 @@ def test_what_is_no_observation_is_refused(wrong):
         ({"id": "os:Car-v0"}, ConfigError, r"id must be that .*without a module before it, got 'os:Car-v0'\. Import"),
         ({"id": "GymV21Environment-v0"}, ConfigError, r"id must be that of an environment in Gymnasium"),
         ({"id": 3}, ConfigError, r"id must be .* got 3\."),
-        ({"position": [3, 12]}, ConfigError, r"position: 12 is out of range: there are 12 values, with indices from 0"),
+        (
+            {"position": [3, 12]},
+            ConfigError,
+            r"tests/Car-v0: position: 12 is out of range: there are 12 values, with indices from 0",
+        ),
         ({"position": "10:13"}, ConfigError, r"position: '10:13' is out of range: there are 12 values"),
         ({"position": "pose[2:4]"}, ConfigError, r"position: 'pose\[2:4\]' is out of range: there are 3 values"),
         ({"heading": "pose[3]"}, ConfigError, r"heading: 'pose\[3\]' is out of range"),
@@ -318,10 +398,18 @@ def test_what_is_no_observation_is_refused(wrong):
         ({"id": "tests/Growing-v0"}, ConfigError, r"the observation space must have a fixed size, and is Sequence"),
         ({"id": "tests/Broken-v0"}, ConfigError, r"tests/Broken-v0 cannot reset or step: ZeroDivisionError: no road"),
         (
-            {"id": "tests/Silent-v0", "score": "success"},
+            {"position": [3, 3]},
             ConfigError,
-            r"neither of 'success', 'is_success', only nothing",
+            r"Car-v0: position must name every value once, got \[3, 3\], which are \[3, 3",
         ),
+        (
+            {"position": ["pose[0]", "3:4"]},
+            ConfigError,
+            r"position must name every value once, got \['pose\[0\]', '3:4'\], which are \[3, 3\]",
+        ),
+        ({"heading": ["turn[0:3]", "turn[2]"]}, ConfigError, r"heading must name every value once, got .*10, 10\]"),
+        ({"proprioception": ["pose", 4]}, ConfigError, r"proprioception must name every value once"),
+        ({"primitive_view": ["0:5", "pose"]}, ConfigError, r"primitive_view must name every value once"),
     ],
 )
 def test_what_does_not_fit_is_refused(changes, error, message):
@@ -421,10 +509,40 @@ def test_a_description_comes_back_from_json_and_from_a_file(tmp_path):
         ("car.json", '{"id": "x"}', r"car\.json: the description of an environment lacks 'position'"),
         ("car.json", '{"ID": "x"}', r"a description of an environment has no 'ID'\. It has id, position, heading, "),
         ("none.toml", None, r"none\.toml, which is to describe an environment, cannot be read: .*No such file"),
+        (
+            "car.toml",
+            'id = "x"\nposition = 0\nscore = "best"',
+            r"unknown score in .*car\.toml 'best'\. Known: return, suc",
+        ),
     ],
 )
 def test_a_file_that_describes_nothing_is_refused(tmp_path, name, text, message):
     if text is not None:
         (tmp_path / name).write_text(text)
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises((ConfigError, UnknownNameError), match=message):
         read_description(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("stem", "message"),
+    [
+        ("My car", r"environment name must be lower-case words .*, got 'My car'\. For example: 'my-own-2'\."),
+        ("Car", r"environment name must be lower-case words .*, got 'Car'\. For example: 'my-own-2'\."),
+        ("ant-maze", r"environment 'ant-maze' is one of our own already\. Choose another name\."),
+        (
+            "robotics-ant-maze",
+            r"environment 'robotics-ant-maze' is Gymnasium's AntMaze_UMaze-v5 already, not tests/Car-v0\.",
+        ),
+    ],
+)
+def test_a_files_stem_is_the_environments_name(tmp_path, stem, message):
+    file = tmp_path / f"{stem}.toml"
+    file.write_text('id = "tests/Car-v0"\nposition = "where"\n')
+    with pytest.raises(ConfigError, match=rf"{stem}\.toml: {message} The file's stem is the name: rename the file\."):
+        read_description(file)
+
+
+def test_a_file_may_describe_otherwise_what_its_name_stands_for(tmp_path):
+    register_external_environment("car", **CAR)
+    (tmp_path / "car.json").write_text('{"id": "tests/Car-v0", "position": "where"}')
+    assert read_description(tmp_path / "car.json").position == ("where",)

@@ -1,10 +1,13 @@
 """What the vector environment is given: limits, threads, seeds."""
 
+import re
+
 import gymnasium
 import numpy as np
 import pytest
 
 import shes  # registers
+from shes.envs.vector_env import TaskVectorEnv
 from shes.errors import ConfigError
 
 assert shes
@@ -28,10 +31,20 @@ def test_another_limit_is_a_whole_number_of_at_least_one(wrong):
         make(max_episode_steps=wrong)
 
 
-@pytest.mark.parametrize("wrong", [1.5, "a"])
+@pytest.mark.parametrize("wrong", [1.5, "a", True, [1.5, 2, 3], [1, "2", 3], [1, 2, True], {1, 2, 3}, np.array(3.0)])
 def test_a_seed_is_a_whole_number_or_a_list(wrong):
-    with pytest.raises(ConfigError, match=rf"seed must be a whole number or a list of them, got {wrong!r}"):
+    message = rf"seed must be a whole number or a list of them, got {re.escape(repr(wrong))}"
+    with pytest.raises(ConfigError, match=message):
         make().reset(seed=wrong)
+
+
+def test_seeds_may_be_numpys_and_some_may_be_left_open():
+    env = make()
+    by_number, by_list = env.reset(seed=np.int64(5))[0], env.reset(seed=[5, 6, 7])[0]
+    by_array, partly = env.reset(seed=np.array([5, 6, 7]))[0], env.reset(seed=(5, None, 7))[0]
+    for other in (by_list, by_array):
+        np.testing.assert_array_equal(other, by_number)
+    np.testing.assert_array_equal(partly[[0, 2]], by_number[[0, 2]])
 
 
 def test_threads_change_no_bit():
@@ -44,6 +57,17 @@ def test_threads_change_no_bit():
         np.testing.assert_array_equal(observations, played[0])
 
 
-def test_a_number_of_threads_is_not_negative():
-    with pytest.raises(ConfigError, match="num_threads must be a whole number of at least 0, got -1"):
-        make(num_threads=-1)
+@pytest.mark.parametrize("wrong", [-1, 1.5, "two", None, True])
+def test_a_number_of_threads_is_a_whole_number_that_is_not_negative(wrong):
+    with pytest.raises(ConfigError, match=rf"num_threads must be a whole number of at least 0, got {wrong!r}"):
+        make(num_threads=wrong)
+
+
+@pytest.mark.parametrize("wrong", [0, -2, 2.5, "two", None, True])
+def test_a_number_of_environments_is_a_whole_number_of_at_least_one(wrong):
+    with pytest.raises(ConfigError, match=rf"num_envs must be a whole number of at least 1, got {wrong!r}"):
+        TaskVectorEnv("point-gather", num_envs=wrong)
+
+
+def test_there_may_be_more_threads_than_environments():
+    assert make(num_envs=2, num_threads=64).reset(seed=0)[0].shape[0] == 2

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 
 from shes.drawing.drawer import Drawer, Picture, Window
 from shes.drawing.renderer import check_camera
+from shes.envs.kinds import is_whole
 from shes.envs.layout import bounds
 from shes.envs.registry import make_task
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
@@ -43,13 +44,14 @@ class TaskAdapter:
             UnknownNameError: `name`, `render_mode` or another name is not known.
             ConfigError: An option is unknown or out of range.
         """
-        if num_envs < 1:
-            raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs}.")
+        if not is_whole(num_envs) or num_envs < 1:
+            raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs!r}.")
         if render_mode is not None and render_mode not in render_modes:
             raise UnknownNameError("render_mode", str(render_mode), render_modes)
         self._render_mode = render_mode
         task_options, self._picture = _split_options(options)
-        self.task = make_task(name, num_envs, task_options, partial(CpuSimulator, num_threads=num_threads))
+        threads = min(num_threads, num_envs)
+        self.task = make_task(name, num_envs, task_options, partial(CpuSimulator, num_threads=threads))
         low, high = bounds(self.task.layout)
         self.observation_space = Box(low, high, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)
@@ -74,13 +76,13 @@ class TaskAdapter:
         self._show()
 
     def step(self, ids: IntArray, actions: ArrayLike) -> None:
-        """Move episodes `ids` by one control step with `actions` [N, A], in [-1, 1].
+        """Move episodes `ids` by one control step with `actions` [N, A], cut to [-1, 1].
 
         Raises:
             ShapeError: `actions` has another shape.
-            PolicyError: An action of `ids` holds NaN or infinity.
+            PolicyError: They are no numbers, or one of `ids` holds NaN or infinity.
         """
-        asked = np.asarray(actions, dtype=np.float64)
+        asked = _as_numbers(actions)
         expected = (self.task.num_episodes, self.task.action_size)
         if asked.shape != expected:
             each = f" in each of {expected[0]} environments" if expected[0] > 1 else ""
@@ -90,7 +92,7 @@ class TaskAdapter:
             )
         if not np.isfinite(asked[ids]).all():
             raise PolicyError("the action holds NaN or infinity; actions lie in [-1, 1]. Look at the policy's output.")
-        self.task.step(ids, asked * self.task.control_limit)
+        self.task.step(ids, np.clip(asked, -1.0, 1.0) * self.task.control_limit)
         self._show()
 
     def observation(self) -> F64Array:
@@ -148,6 +150,21 @@ class TaskAdapter:
             if holder is not None:
                 holder.close()
         self._drawer = self._window = None
+
+
+def _as_numbers(actions: ArrayLike) -> F64Array:
+    """Return `actions` as an array of float64.
+
+    Raises:
+        PolicyError: They are no numbers, or lists of several lengths.
+    """
+    try:
+        given = np.asarray(actions)
+    except ValueError:
+        given = np.array(None)
+    if given.dtype.kind not in "biuf":
+        raise PolicyError(f"an action must be an array of numbers in [-1, 1], got {actions!r}.")
+    return given.astype(np.float64)
 
 
 def _split_options(options: Mapping[str, Any]) -> tuple[TaskOptions, dict[str, Any]]:

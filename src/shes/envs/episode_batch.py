@@ -39,6 +39,17 @@ class Reader(ABC):
             ConfigError: They are in `info`, which was not given.
         """
 
+    def goal(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array | None:
+        """Return where the environment itself tells robots to go [N, 2], in metres; none where it does not.
+
+        Args:
+            rows: What they observe [N, O].
+            position: Where they are [N, 2], in metres.
+            heading: Their yaw [N], in radians.
+        """
+        del rows, position, heading
+        return None
+
     @abstractmethod
     def to_action(self, control: F64Array) -> FloatArray:
         """Return `control` [N, A], cut to its limits, as actions of the environment's own action space."""
@@ -57,6 +68,8 @@ class EpisodeBatch(ABC):
     """Sum of the rewards since the reset [N]."""
     step_s: float
     """Simulated time of a control step, in seconds."""
+    physics_s: float = 0.0
+    """Seconds of wall clock spent in the simulation so far."""
     ground_m: ClassVar[float] = 0.0
     """Height of the ground that the robot starts on."""
 
@@ -74,6 +87,21 @@ class EpisodeBatch(ABC):
     @abstractmethod
     def control_limit(self) -> float:
         """Controls lie in [-control_limit, control_limit]."""
+
+    @property
+    @abstractmethod
+    def observation_names(self) -> tuple[str, ...]:
+        """What each value of the observation is called."""
+
+    @property
+    @abstractmethod
+    def position_columns(self) -> IntArray:
+        """Indices in the observation of the robot's absolute x and y; none where it does not show them."""
+
+    @property
+    def goal(self) -> F64Array | None:
+        """Where the environment itself tells the robot to go [N, 2], in metres; none where a controller decides."""
+        return None
 
     @property
     @abstractmethod

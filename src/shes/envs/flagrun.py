@@ -10,36 +10,52 @@ import numpy as np
 
 from shes.drawing.markers import TARGET, Marker, ball
 from shes.envs.body import Body
+from shes.envs.body_reader import BodyReader
 from shes.envs.layout import ObservationElement, elements
-from shes.envs.task import SimulatorFactory, Task, TaskDescription, TaskOptions
+from shes.envs.task import SimulatorFactory, Task, TaskDescription
+from shes.envs.task_options import TaskOptions
 from shes.envs.worlds import GATHER, add_grid, empty_world
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["Flagrun"]
 
-GOAL_RANGE_M = 4.0
-"""Each component of a goal is uniform in plus and minus this, relative to the robot."""
 NEAR_M = 1.0
 """Goals are drawn at least this far away; nearer to one is worth 1 more in each step."""
 DISTANCE_SCALE = 0.001
 
 
+class FlagrunReader(BodyReader):
+    """Reads where the flag is from the sine and cosine of its bearing and its distance."""
+
+    def goal(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array:
+        """Return the goal [N, 2] in the world, in metres."""
+        bearing = np.arctan2(rows[:, 0], rows[:, 1]) + heading
+        distance = rows[:, 2] / DISTANCE_SCALE
+        return position + np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
+
+
 class Flagrun(Task):
     """A goal within 4 m along x and y that moves every 25 control steps, between walls at 12 m.
 
-    Trains a primitive alone, under a random controller. A goal moves after the reward was paid for the old one, so that
-    an observation always shows the goal that the next action is for.
+    Trains a primitive alone, under a random controller. A goal moves after a step was paid for the old one, so that an
+    observation always shows the goal that the next action is for. Where it has just moved, `distance`, also in `info`,
+    is that to the new goal; the step's reward and success are of the old one.
+
+    `hiro` is `shes` with that specification's conventions, RK4 and velocities that are not clipped, so that a primitive
+    can be trained for the hiro tasks: Nachum et al. have no such task.
     """
 
     name: ClassVar[str] = "flagrun"
-    heeds: ClassVar[frozenset[str]] = frozenset({"goal_interval"})
+    specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
+    sets_goals: ClassVar[bool] = True
+    heeds: ClassVar[frozenset[str]] = frozenset({"goal_interval", "goal_range"})
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="1 - d/d_c, where d is the distance to the goal and d_c what it was when the goal was drawn; "
         "1 more where d is below 1 m",
         ends="when the robot falls over (the ant: its torso leaves heights of 0.2 to 1.0 m; the point cannot)",
         score="the return",
-        success="the goal is nearer than 1 m",
+        success="the goal that the step was for is nearer than 1 m",
     )
 
     def __init__(
@@ -47,9 +63,9 @@ class Flagrun(Task):
     ) -> None:
         """Build the arena for `body` and `num_episodes` simulations of it."""
         super().__init__(body, num_episodes, options, simulator)
-        self.goal: F64Array = np.ones((num_episodes, 2))
-        """Goals in the world [N, 2] in metres."""
+        self._goal: F64Array = np.ones((num_episodes, 2))
         self._start_distance: F64Array = np.ones(num_episodes)
+        self._is_near: BoolArray = np.zeros(num_episodes, dtype=np.bool_)
         self._rngs: list[np.random.Generator | None] = [None] * num_episodes
         self._observation: F64Array = np.zeros((num_episodes, self.observation_size))
 
@@ -63,7 +79,7 @@ class Flagrun(Task):
 
     @property
     def layout(self) -> tuple[ObservationElement, ...]:
-        """Three features of the goal, the robot's qpos and clipped qvel."""
+        """Three features of the goal, the robot's qpos and qvel, which shes clips."""
         angle = "of the goal's bearing from the heading"
         return (
             ObservationElement(name="goal_sin", meaning=f"sine {angle}", low=-1.0, high=1.0),
@@ -73,13 +89,23 @@ class Flagrun(Task):
         )
 
     @property
+    def goal(self) -> F64Array:
+        """Goals in the world [N, 2] in metres."""
+        return self._goal
+
+    @property
+    def reader(self) -> FlagrunReader:
+        """How an agent reads what it shows."""
+        return FlagrunReader(self.body, self.observation_size, self.proprioception)
+
+    @property
     def terminated(self) -> BoolArray:
         """Whether the robot has fallen [N]."""
         return self.body.fallen(self.sim.qpos)
 
     @property
     def distance(self) -> F64Array:
-        """Distance to the goal [N]."""
+        """Distance to the goal that the next step is for [N], in metres."""
         offset = self.goal - self.position
         offset *= offset
         return np.sqrt(offset[:, 0] + offset[:, 1])
@@ -87,39 +113,45 @@ class Flagrun(Task):
     @property
     def score(self) -> F64Array:
         """The return [N]; 0 after a divergence."""
-        return self.running_return * ~self.sim.diverged
+        return np.where(self.sim.diverged, 0.0, self.running_return)
 
     @property
     def success(self) -> BoolArray:
-        """Whether the goal is nearer than 1 m [N]."""
-        return (self.distance < NEAR_M) & ~self.sim.diverged
+        """Whether the last step ended nearer than 1 m to the goal that it was for [N], even if that has moved since."""
+        return self._is_near & ~self.sim.diverged
 
     def markers(self, episode: int) -> list[Marker]:
         """Return the goal."""
         return [ball((*self.goal[episode], 0.5), 0.4, TARGET)]
 
     def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        self._is_near[ids] = False
         for i, rng in zip(ids.tolist(), rngs, strict=True):
             self._rngs[i] = rng
-            self._draw_goal(i, rng)
+        self._draw_goals(ids)
 
-    def _draw_goal(self, i: int, rng: np.random.Generator) -> None:
-        """Move the goal of episode `i`."""
-        while True:
-            offset = rng.uniform(-GOAL_RANGE_M, GOAL_RANGE_M, 2)
-            if offset[0] * offset[0] + offset[1] * offset[1] >= NEAR_M**2:
-                break
-        self.goal[i] = self.position[i] + offset
-        # Not the length of `offset`: rounding must not make the goal's distance differ from its start distance.
-        self._start_distance[i] = self.distance[i]
+    def _draw_goals(self, ids: IntArray) -> None:
+        """Move the goals of episodes `ids`."""
+        position, half_width = self.position, self.options.goal_range
+        for i in ids.tolist():
+            rng = self._rngs[i]
+            if rng is None:  # an episode that has never begun
+                continue
+            while True:
+                offset = rng.uniform(-half_width, half_width, 2)
+                if offset[0] * offset[0] + offset[1] * offset[1] >= NEAR_M**2:
+                    break
+            self._goal[i] = position[i] + offset
+        # Not the lengths of the offsets: rounding must not make the distance differ from the start distance.
+        self._start_distance[ids] = self.distance[ids]
 
     def _update_features(self) -> F64Array:
         distance = self.distance
-        reward = 1 - distance / self._start_distance + (distance < NEAR_M)
-        for i in np.flatnonzero(self.time % self.options.goal_interval == 0).tolist():
-            rng = self._rngs[i]
-            if rng is not None:  # an episode that has never begun has none
-                self._draw_goal(i, rng)
+        np.less(distance, NEAR_M, out=self._is_near)
+        reward = 1 - distance / self._start_distance + self._is_near
+        due = np.flatnonzero(self.time % self.options.goal_interval == 0)
+        if len(due):
+            self._draw_goals(due)
         return reward
 
     def observe(self) -> F64Array:

@@ -14,7 +14,8 @@ import numpy as np
 from shes.drawing.markers import FOOD, POISON, Marker, ball
 from shes.envs.body import Body
 from shes.envs.layout import ObservationElement, elements
-from shes.envs.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription, TaskOptions
+from shes.envs.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
+from shes.envs.task_options import TaskOptions
 from shes.envs.worlds import GATHER, add_grid, add_square_walls, empty_world
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
@@ -32,6 +33,8 @@ SENSOR_RANGE_M = {"shes": 8.0, "hiro": 6.0}
 HIRO_WALLS_M = 10.5
 """Half width of the arena in hiro; in shes the walls are those of the grid."""
 HIRO_FALL_REWARD = -10.0
+OBSERVED_TIME_SCALE = {"shes": TIME_SCALE, "hiro": 1.0}
+"""Control steps are observed times this: in the hiro Gather alone as they are."""
 NUM_BINS = 10
 """Sensor bins of each kind over the full circle; bin 0 starts behind the robot."""
 MARKER_RADIUS_M = 0.4
@@ -46,6 +49,7 @@ class Gather(Task):
     A robot notices an object in one of ten sectors around its heading, and collects it within 1 m. In `shes` objects
     lie anywhere, the sensors reach 8 m and the walls are at 12 m; in `hiro` objects lie on even coordinates, the
     sensors reach 6 m and the walls are at 10.5 m.
+    The time is observed in thousands of control steps, in `hiro` in control steps.
     """
 
     name: ClassVar[str] = "gather"
@@ -94,9 +98,10 @@ class Gather(Task):
             for number in range(NUM_BINS)
             for element in elements([f"{kind}_{number}"], _sector(kind, number, self.options.spec), low=0.0, high=1.0)
         )
+        time = self._time_layout(OBSERVED_TIME_SCALE[self.options.spec])
         if self.options.spec == "hiro":
-            return self._robot_layout() + self._time_layout() + readings
-        return self._robot_layout() + readings + self._time_layout()
+            return self._robot_layout() + time + readings
+        return self._robot_layout() + readings + time
 
     @property
     def terminated(self) -> BoolArray:
@@ -180,7 +185,8 @@ class Gather(Task):
         self._write_velocity(self.sim.qvel, out[:, nq : nq + nv])
         readings = slice(nq + nv + 1, None) if is_hiro else slice(nq + nv, -1)
         out[:, readings] = self._readings()
-        np.multiply(self.time, TIME_SCALE, out=out[:, nq + nv if is_hiro else -1])
+        time_scale = OBSERVED_TIME_SCALE[self.options.spec]
+        np.multiply(self.time, time_scale, out=out[:, nq + nv if is_hiro else -1])
         return out
 
     def _readings(self) -> F64Array:
@@ -189,19 +195,21 @@ class Gather(Task):
         `1 - d^2 / range^2` in shes, `1 - d / range` in hiro.
         """
         sensor_range = SENSOR_RANGE_M[self.options.spec]
+        seen = np.flatnonzero(self.present & (self._squared_distance < sensor_range**2))
+        squared = self._squared_distance.ravel()[seen]
         if self.options.spec == "hiro":
-            intensity = 1 - np.sqrt(self._squared_distance) / sensor_range
+            intensity = 1 - np.sqrt(squared) / sensor_range
         else:
-            intensity = 1 - self._squared_distance / sensor_range**2
-        intensity *= self.present
-        bearing = np.arctan2(self._offset[..., 1], self._offset[..., 0])
-        bearing -= self.heading[:, None, None]
+            intensity = 1 - squared / sensor_range**2
+        offset = self._offset.reshape(-1, 2)[seen]
+        row = seen // NUM_OBJECTS  # an episode's food, then its poison
+        bearing = np.arctan2(offset[:, 1], offset[:, 0]) - self.heading[row // 2]
         turn = bearing / (2 * np.pi) + 0.5
         turn -= np.floor(turn)
         bins = np.minimum((turn * NUM_BINS).astype(np.intp), NUM_BINS - 1)
-        bins += NUM_BINS * np.arange(2 * self.num_episodes).reshape(-1, 2, 1)
+        bins += NUM_BINS * row
         readings = np.zeros(2 * self.num_episodes * NUM_BINS)
-        np.maximum.at(readings, bins.ravel(), intensity.ravel())
+        np.maximum.at(readings, bins, intensity)
         return readings.reshape(self.num_episodes, 2 * NUM_BINS)
 
 

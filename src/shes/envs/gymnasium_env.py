@@ -52,10 +52,10 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
 
         Raises:
             ShapeError: `action` has another shape than [A].
-            PolicyError: `action` holds NaN or infinity.
+            PolicyError: `action` holds NaN or infinity, or no numbers.
         """
         adapter = self._adapter
-        adapter.step(np.array([0]), np.asarray(action)[None])
+        adapter.step(np.array([0]), [action])
         reward = float(adapter.task.reward[0])
         return adapter.observation()[0], reward, bool(adapter.ended[0]), False, adapter.info_of(0)
 

@@ -20,7 +20,8 @@ class Maze(TargetTask):
     """A corridor in the shape of a U. In training the target is anywhere, in evaluation behind the wall.
 
     Training's targets are uniform in a square that covers walls too; `target_sampling="free_cells"` draws again until
-    the cell is free.
+    the cell is free. By either, some episodes of training begin where they
+    are to end: 12 % of those in the square within 5 m of their target.
     """
 
     name: ClassVar[str] = "maze"

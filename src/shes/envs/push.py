@@ -14,7 +14,7 @@ class Push(TargetTask):
     """A block stands in the way. Pushed straight ahead it closes the passage; pushed aside it opens it.
 
     The block weighs 0.2 g, as published, which makes its contacts soft: a point that rams it against a wall sinks in by
-    up to 0.35 m (its centre), and is pushed out again.
+    up to 0.35 m (its centre), an ant's foot by up to 0.54 m, and is pushed out again.
     """
 
     name: ClassVar[str] = "push"

@@ -21,7 +21,8 @@ from shes.envs.gather import Gather
 from shes.envs.maze import Maze
 from shes.envs.point import FallingPoint, Point
 from shes.envs.push import Push
-from shes.envs.task import SimulatorFactory, Task, TaskOptions
+from shes.envs.task import SimulatorFactory, Task
+from shes.envs.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
 
@@ -29,6 +30,7 @@ __all__ = [
     "ENVIRONMENTS",
     "Environment",
     "EnvironmentMaker",
+    "check_description_name",
     "check_external_name",
     "check_name",
     "find_description",
@@ -49,6 +51,11 @@ class EnvironmentMaker(Protocol):
         """Options that it heeds beside those that every environment of ours does."""
         ...
 
+    @property
+    def sets_goals(self) -> bool:
+        """Whether it tells the robot where to go, so that a primitive learns in it without a controller."""
+        ...
+
     def make(self, num_episodes: int, options: TaskOptions | None = None) -> EpisodeBatch:
         """Return `num_episodes` episodes."""
         ...
@@ -64,6 +71,11 @@ class Environment(NamedTuple):
     def heeds(self) -> frozenset[str]:
         """Options that it heeds beside those that every environment of ours does."""
         return self.task.heeds
+
+    @property
+    def sets_goals(self) -> bool:
+        """Whether it tells the robot where to go, so that a primitive learns in it without a controller."""
+        return self.task.sets_goals
 
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
@@ -136,17 +148,19 @@ def register_external_environment(
     ```
 
     Where something is: indices in the flat observation (`[0, 1]`, `"0:27"`), a key of a dict observation or of `info`
-    (`"achieved_goal"`), or some of a key's values (`"observation[1:5]"`); or a list of these. The environment shows
-    only in training whether it is so.
+    (`"achieved_goal"`), or some of a key's values (`"observation[1:5]"`); or a list of these. Whether the environment
+    has them there is looked at when it is first made: when training begins.
 
     Args:
         name: Lower-case words joined by `-`.
         id: Its id in Gymnasium. Import what registers it first; Gymnasium-Robotics is imported by itself.
         position: Where x and y of the robot are, in metres.
         heading: Where its yaw is in radians, or its quaternion w x y z; 0 if nothing is given.
-        proprioception: The robot's own dimensions of the observation; what the primitive sees if nothing is given.
-        primitive_view: What of the observation the primitive sees; all of it if nothing is given.
-        score: `return`, or `success` by what `info` reports at the end.
+        proprioception: The robot's own part of the observation: what the primitive sees with
+            `--primitive-view proprioception`, and one that `--primitive` brings if it was trained so. The same as
+            `primitive_view` if nothing is given.
+        primitive_view: What of the observation the primitive sees otherwise; all of it if nothing is given.
+        score: `return`, or `success` by what `info` reports at the end, under `success` or `is_success`.
         kwargs: Arguments of `gymnasium.make`, as JSON holds them.
 
     Raises:
@@ -178,6 +192,18 @@ def check_external_name(name: str) -> None:
     check_name_form("environment", name)
     if name in ENVIRONMENTS:
         raise ConfigError(f"environment {name!r} is one of our own already. Choose another name.")
+
+
+def check_description_name(name: str, description: ExternalDescription) -> None:
+    """Refuse a name that a file's `description` cannot have.
+
+    Raises:
+        ConfigError: It is malformed, or that of another environment.
+    """
+    check_external_name(name)
+    known = EXTERNAL_ENVIRONMENTS.get(name, description)
+    if known.id != description.id:
+        raise ConfigError(f"environment {name!r} is Gymnasium's {known.id} already, not {description.id}.")
 
 
 def _check_is_not_external(name: str) -> None:

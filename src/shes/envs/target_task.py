@@ -11,7 +11,8 @@ import numpy as np
 from shes.drawing.markers import TARGET, Marker, ball, disc
 from shes.envs.body import Body
 from shes.envs.layout import ObservationElement, elements
-from shes.envs.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription, TaskOptions
+from shes.envs.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
+from shes.envs.task_options import TaskOptions
 from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
 from shes.sim.cpu import CpuSimulator
@@ -55,7 +56,7 @@ class TargetTask(Task):
         super()._check(options)
         for name in ("target", "evaluation_target"):
             place = getattr(options, name)
-            if place is not None and (len(place) != len(cls.own_target) or not np.isfinite(place).all()):
+            if place is not None and len(place) != len(cls.own_target):
                 raise ConfigError(
                     f"{name} of {cls.name} must be {len(cls.own_target)} coordinates in metres, got {place}. "
                     f"Set --{name.replace('_', '-')}."

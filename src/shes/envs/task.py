@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from time import perf_counter
 from typing import ClassVar
 
 import mujoco
@@ -20,7 +21,8 @@ from shes.envs.body import Body
 from shes.envs.body_reader import BodyReader
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.layout import ObservationElement, elements
-from shes.envs.worlds import INTEGRATORS, TIMESTEP_S
+from shes.envs.task_options import SPECS, TARGET_SAMPLINGS, TaskOptions
+from shes.envs.worlds import TIMESTEP_S
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
@@ -44,67 +46,12 @@ FRAME_SKIP = 5
 CONTROL_STEP_S = FRAME_SKIP * TIMESTEP_S
 VELOCITY_CLIP = 10.0
 """Generalised velocities are observed clipped to this, in m/s and rad/s."""
-SPECS = {"shes": "euler", "hiro": "rk4"}
-"""Specifications and their integrators."""
-TARGET_SAMPLINGS = ("square", "free_cells")
 TIME_SCALE = 0.001
-"""Control steps are observed times this."""
+"""Control steps are observed times this, but for the hiro Gather."""
 
 _COMMON_OPTIONS = frozenset({"spec", "integrator", "reset_noise", "evaluation"})
 
 SimulatorFactory = Callable[[mujoco.MjModel, int], Simulator]
-
-
-@dataclass(frozen=True, kw_only=True)
-class TaskOptions:
-    """What may differ between two uses of one task."""
-
-    spec: str = "shes"
-    """Which published specification: `shes` (the SHES authors' environments) or `hiro` (Nachum et al. 2018, rllab)."""
-    integrator: str = "default"
-    """`euler`, `rk4`, `implicitfast`, or `default`: that of the specification, `euler` for shes and `rk4` for hiro."""
-    reset_noise: float = 0.1
-    """Half width of the uniform noise on qpos, standard deviation of the normal noise on qvel, at a reset.
-
-    Deviation: 0.1 (the authors' environments: 0), so that ten evaluation episodes are not ten equal ones.
-    """
-    evaluation: bool = False
-    """Whether evaluation's targets are used in place of training's, where the task has targets."""
-    target_sampling: str = "square"
-    """Maze, training: the target is uniform in the `square` [-4, 20] x [-4, 20] m, or there in `free_cells` only."""
-    target: tuple[float, ...] | None = None
-    """Maze, Push, Fall, training: a fixed target in metres in place of the task's own."""
-    evaluation_target: tuple[float, ...] | None = None
-    """Maze, Push, Fall: the target of evaluation in metres in place of the task's own."""
-    observe_block: bool | None = None
-    """Push, Fall: whether the block is observed; in shes it is, in hiro it is not, unless this says so."""
-    fall_penalty: bool = True
-    """Gather, hiro: whether the step of a fall pays -10 in place of its pickups."""
-    goal_interval: int = 25
-    """Flagrun: control steps that a goal is held."""
-
-    def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            ConfigError: A number is out of range.
-            UnknownNameError: `spec`, `integrator` or `target_sampling` is not known.
-        """
-        if self.spec not in SPECS:
-            raise UnknownNameError("spec", self.spec, SPECS, "Change spec (--spec).")
-        if self.integrator == "default":
-            object.__setattr__(self, "integrator", SPECS[self.spec])
-        if self.integrator not in INTEGRATORS:
-            raise UnknownNameError(
-                "integrator", self.integrator, ("default", *INTEGRATORS), "Set integrator (--integrator)."
-            )
-        if self.target_sampling not in TARGET_SAMPLINGS:
-            raise UnknownNameError("target sampling", self.target_sampling, TARGET_SAMPLINGS, "Set --target-sampling.")
-        if self.goal_interval < 1:
-            raise ConfigError(f"goal_interval must be at least 1, got {self.goal_interval}. Set --controller-interval.")
-        is_number = isinstance(self.reset_noise, int | float | np.number)
-        if not (is_number and 0 <= self.reset_noise < 1):
-            raise ConfigError(f"reset_noise must be in [0, 1), got {self.reset_noise!r}. Set it (--reset-noise).")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +78,8 @@ class Task(EpisodeBatch):
     step_s = CONTROL_STEP_S
     specs: ClassVar[tuple[str, ...]] = ("shes",)
     """Specifications that there are of this task."""
+    sets_goals: ClassVar[bool] = False
+    """Whether it tells the robot where to go, so that a primitive learns in it without a controller."""
     heeds: ClassVar[frozenset[str]] = frozenset()
     """Names of the options that this task heeds, beside those that every task does."""
 
@@ -204,6 +153,16 @@ class Task(EpisodeBatch):
         return len(self.layout)
 
     @property
+    def observation_names(self) -> tuple[str, ...]:
+        """What each value of the observation is called."""
+        return tuple(element.name for element in self.layout)
+
+    @property
+    def position_columns(self) -> IntArray:
+        """Indices in the observation of the robot's absolute x and y."""
+        return self.proprioception[:2]
+
+    @property
     def action_size(self) -> int:
         """Number of controls, A."""
         return self.body.num_controls
@@ -216,7 +175,7 @@ class Task(EpisodeBatch):
     @property
     def proprioception(self) -> IntArray:
         """Indices in the observation of the robot's own qpos and qvel, in that order."""
-        places = {element.name: index for index, element in enumerate(self.layout)}
+        places = {name: index for index, name in enumerate(self.observation_names)}
         return np.array([places[element.name] for element in (*self.body.pose, *self.body.velocity)])
 
     @property
@@ -298,9 +257,10 @@ class Task(EpisodeBatch):
             np.clip(velocity, -VELOCITY_CLIP, VELOCITY_CLIP, out=out)
 
     @staticmethod
-    def _time_layout() -> tuple[ObservationElement, ...]:
+    def _time_layout(scale: float = TIME_SCALE) -> tuple[ObservationElement, ...]:
         """Return the element of the time."""
-        return elements(["time"], f"control steps since the reset, times {TIME_SCALE}", low=0.0)
+        scaled = "" if scale == 1 else f", times {scale}"
+        return elements(["time"], f"control steps since the reset{scaled}", low=0.0)
 
     def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
         """Start episodes `ids` anew, each from its own seed (a non-negative integer)."""
@@ -322,10 +282,12 @@ class Task(EpisodeBatch):
         Rows that are not in `ids` do not move; what is computed for them means nothing.
         """
         self.sim.ctrl[:] = action
+        start = perf_counter()
         self.sim.step(ids, FRAME_SKIP)
+        self.physics_s += perf_counter() - start
         self._heading = None
         self.time += 1
-        np.multiply(self._update_features(), ~self.sim.diverged, out=self.reward)
+        self.reward[:] = np.where(self.sim.diverged, 0.0, self._update_features())
         self.running_return += self.reward
 
     def _place_robot(self, i: int, rng: np.random.Generator) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from shes.drawing.renderer import Picture
 from shes.envs.adapter import TaskAdapter
+from shes.envs.kinds import is_whole
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, IntArray
 
@@ -41,12 +42,11 @@ def _step_limit(max_episode_steps: int | None) -> float:
     """
     if max_episode_steps is None or max_episode_steps == -1:
         return np.inf
-    is_whole = isinstance(max_episode_steps, int | np.integer) and not isinstance(max_episode_steps, bool)
-    if not is_whole or max_episode_steps < 1:
+    if not is_whole(max_episode_steps) or max_episode_steps < 1:
         raise ConfigError(
             f"max_episode_steps must be a whole number of at least 1, or -1 for no limit; got {max_episode_steps!r}."
         )
-    return max_episode_steps
+    return int(max_episode_steps)
 
 
 class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
@@ -77,9 +77,9 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             UnknownNameError: `name`, `render_mode` or another name is not known.
             ConfigError: An option is unknown or out of range.
         """
-        if num_threads < 0:
-            raise ConfigError(f"num_threads must be a whole number of at least 0, got {num_threads}.")
-        threads = min(num_threads or _num_cores(), num_envs)
+        if not is_whole(num_threads) or num_threads < 0:
+            raise ConfigError(f"num_threads must be a whole number of at least 0, got {num_threads!r}.")
+        threads = num_threads or _num_cores()
         self._adapter = TaskAdapter(name, num_envs, render_mode, _RENDER_MODES, options, threads)
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -112,18 +112,28 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             options: `reset_mask`, a Boolean array [N] with at least one True.
 
         Raises:
-            ConfigError: There are not N seeds, or the mask is none.
+            ConfigError: There are not N seeds, one of them is none, or the mask is none.
         """
         ids = np.flatnonzero(self._mask(options))
-        if isinstance(seed, float | str):
-            raise ConfigError(f"seed must be a whole number or a list of them, got {seed!r}.")
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
-        if seeds is not None and len(seeds) != self.num_envs:
-            raise ConfigError(f"a list of seeds must have one for each of {self.num_envs} environments; got {seeds!r}.")
-        self._begin(ids, [None] * self.num_envs if seeds is None else seeds)
+        self._begin(ids, self._seeds(seed))
         self._has_ended[ids] = False
         self._is_ready[ids] = True
         return self._adapter.observation(), self._info(ids)
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """Return the seed of each environment [N]; None where it goes on with those before."""
+        if seed is None:
+            return [None] * self.num_envs
+        if is_whole(seed):
+            return [int(seed) + i for i in range(self.num_envs)]
+        given: Any = seed
+        is_list = isinstance(given, Sequence) or (isinstance(given, np.ndarray) and given.ndim == 1)
+        seeds: list[Any] = list(given) if is_list else [given]
+        if not all(each is None or is_whole(each) for each in seeds):
+            raise ConfigError(f"seed must be a whole number or a list of them, got {seed!r}.")
+        if len(seeds) != self.num_envs:
+            raise ConfigError(f"a list of seeds must have one for each of {self.num_envs} environments; got {seed!r}.")
+        return seeds
 
     def _mask(self, options: dict[str, Any] | None) -> BoolArray:
         """Return which environments a reset is for."""
@@ -153,7 +163,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
 
         Raises:
             ShapeError: `actions` has another shape than [N, A].
-            PolicyError: `actions` holds NaN or infinity.
+            PolicyError: `actions` holds NaN or infinity, or no numbers.
             ResetNeeded: An episode has not begun, or has ended in mode `Disabled`.
         """
         mode = self.autoreset_mode

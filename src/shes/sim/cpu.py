@@ -75,6 +75,7 @@ class CpuSimulator(Simulator):
 
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""
-        self._batch.step(ids, nstep=nstep)
+        everybody = len(ids) == self.num_sims  # named none, MuJoCo need not check them
+        self._batch.step(None if everybody else ids, nstep=nstep)
         if self._counters.any():
             np.any(self._counters, axis=1, out=self.diverged)

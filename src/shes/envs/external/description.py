@@ -34,11 +34,16 @@ class ExternalDescription:
     heading: tuple[int | str, ...] = ()
     """Where its yaw in radians is, or its quaternion w x y z; none is 0."""
     proprioception: tuple[int | str, ...] = ()
-    """The robot's own dimensions of the observation; those that the primitive sees if none."""
+    """The robot's own part of the observation, which a primitive sees with `--primitive-view proprioception`, and one
+    that `--primitive` brings if it was trained so; that of `primitive_view` if none."""
     primitive_view: tuple[int | str, ...] = ()
     """What of the observation the primitive sees; all of it if none."""
     score: str = "return"
-    """Test score of an episode: its return, or 1 for the success that `info` reports at its end."""
+    """Test score of an episode: its return, or 1 for the `success` (or `is_success`) that `info` reports at its end.
+
+    An environment may report it at every step or only where it ends an episode itself; an episode that `--horizon` cuts
+    off without a word of it has not succeeded.
+    """
     kwargs: dict[str, Any] = field(default_factory=dict)
     """Arguments of `gymnasium.make`, as JSON holds them."""
 
@@ -107,18 +112,28 @@ def is_description_file(env: str) -> bool:
 
 
 def read_description(path: Path) -> ExternalDescription:
-    """Return the description in a file.
+    """Return the description in a file, whose stem is the environment's name.
 
     Raises:
-        ConfigError: It cannot be read, or holds no description.
+        ConfigError: It cannot be read, or holds no description, or its stem is no name, or that of another environment.
         UnknownNameError: A name in it is not known.
     """
+    from shes.envs.registry import check_description_name
+
     try:
         text = path.read_text(encoding="utf-8")
         values = tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}, which is to describe an environment, cannot be read: {error}.") from error
     try:
-        return ExternalDescription.from_dict(values)
+        description = ExternalDescription.from_dict(values)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
+    except UnknownNameError as error:
+        kind, name, known, fix = error.arguments
+        raise UnknownNameError(f"{kind} in {path}", name, known, fix) from error
+    try:
+        check_description_name(path.stem, description)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error} The file's stem is the name: rename the file.") from error
+    return description

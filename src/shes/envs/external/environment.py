@@ -15,7 +15,8 @@ import numpy as np
 from shes.envs.external.description import ExternalDescription
 from shes.envs.external.reader import ExternalReader
 from shes.envs.external.selection import Places
-from shes.envs.task import TaskOptions
+from shes.envs.external.success import check_last_info
+from shes.envs.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
 from shes.types import IntArray
 
@@ -25,10 +26,7 @@ if TYPE_CHECKING:
 
     from shes.envs.external.task import ExternalTask
 
-__all__ = ["SUCCESS_KEYS", "ExternalEnvironment", "explained"]
-
-SUCCESS_KEYS = ("success", "is_success")
-"""What `info` calls the success of an episode; the first that there is counts."""
+__all__ = ["ExternalEnvironment", "explained"]
 
 _PACKAGES = {
     "gymnasium_robotics": (
@@ -61,6 +59,11 @@ class ExternalEnvironment:
         """Return no option: they are of our own environments."""
         return frozenset()
 
+    @property
+    def sets_goals(self) -> bool:
+        """Return False: no primitive learns in it alone."""
+        return False
+
     @classmethod
     def find(cls, description: ExternalDescription) -> ExternalEnvironment:
         """Return the environment of `description`.
@@ -81,7 +84,9 @@ class ExternalEnvironment:
                 places = _places(env.observation_space, info)
                 found = cls._read(description, spec, env, places)
                 action = found.reader.to_action(np.zeros((1, int(np.prod(env.action_space.shape or ())))))
-                _check_success(description, env.step(action[0])[4])
+                _, _, terminated, truncated, info = env.step(action[0])
+                if terminated or truncated:
+                    check_last_info(description, info)
         finally:
             env.close()
         return found
@@ -198,17 +203,22 @@ def _make(spec: EnvSpec, description: ExternalDescription, render_mode: str | No
 
 @contextmanager
 def explained(env_id: str, what: str) -> Iterator[None]:
-    """Make every error of an environment one of ours: its own code may raise anything.
+    """Make every error of an environment one of ours, of one line: its own code may raise anything.
 
     Raises:
         ConfigError: There was one.
     """
     try:
         yield
+    except ConfigError as error:
+        if str(error).startswith(env_id):
+            raise
+        raise ConfigError(f"{env_id}: {error}") from error
     except ShesError:
         raise
     except Exception as error:
-        raise ConfigError(f"{env_id} cannot {what}: {type(error).__name__}: {error}") from error
+        told = " ".join(str(error).split())
+        raise ConfigError(f"{env_id} cannot {what}: {type(error).__name__}: {told}") from error
 
 
 def _check_spaces(env: gymnasium.Env[Any, Any], env_id: str) -> None:
@@ -235,12 +245,3 @@ def _places(space: gymnasium.Space[Any], info: dict[str, Any]) -> Places:
             keys[str(key)] = (start, start + flatdim(part))
             start += flatdim(part)
     return Places(flatdim(space), keys, info)
-
-
-def _check_success(description: ExternalDescription, info: dict[str, Any]) -> None:
-    if description.score == "success" and not any(key in info for key in SUCCESS_KEYS):
-        keys = ", ".join(map(repr, info)) or "nothing"
-        raise ConfigError(
-            f'{description.id}: its score cannot be "success": info of a step has neither of '
-            f'{", ".join(map(repr, SUCCESS_KEYS))}, only {keys}. Take score = "return".'
-        )

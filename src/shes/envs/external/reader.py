@@ -42,9 +42,14 @@ class ExternalReader(Reader):
         """Write one environment's observation and values of `info` into the row `out`.
 
         Raises:
-            ConfigError: `info` lacks a key.
+            ConfigError: They are not as large as at first, or `info` lacks a key.
         """
-        out[: self.observation_size] = self._flattened(observation)
+        flat = self._flattened(observation)
+        if flat.shape != (self.observation_size,):
+            raise ConfigError(
+                f"the observation must have {self.observation_size} values, as its space has, and has {flat.size}."
+            )
+        out[: self.observation_size] = flat
         self._write_info(info, out)
 
     def _write_info(self, info: Mapping[str, Any], out: F64Array) -> None:
@@ -52,7 +57,10 @@ class ExternalReader(Reader):
         for key, size in self.info_keys.items():
             if key not in info:
                 raise ConfigError(f"info has no {key!r} at this step, from which position or heading are read.")
-            out[start : start + size] = np.ravel(info[key])
+            values = np.ravel(info[key])
+            if values.size != size:
+                raise ConfigError(f"info[{key!r}] must have {size} values, as at first, and has {values.size}.")
+            out[start : start + size] = values
             start += size
 
     def whereabouts(self, rows: F64Array) -> tuple[F64Array, F64Array]:

@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from shes.envs.kinds import is_whole
 from shes.errors import ConfigError
 from shes.types import IntArray
 
@@ -37,7 +38,7 @@ def check_selection(name: str, selection: Any) -> tuple[int | str, ...]:
     is_one = isinstance(selection, int | np.integer | str)
     items: list[Any] = [selection] if is_one else list(selection) if _is_sequence(selection) else [None]
     for item in items:
-        is_index = isinstance(item, int | np.integer) and not isinstance(item, bool) and item >= 0
+        is_index = is_whole(item) and item >= 0
         if not is_index and not (isinstance(item, str) and _KEYED.fullmatch(item)):
             raise ConfigError(f"{name} must be indices or keys, {_EXAMPLES}; got {selection!r}.")
     return tuple(item if isinstance(item, str) else int(item) for item in items)
@@ -67,7 +68,8 @@ class Places:
             info_keys: Keys of `info` so far, in the order of their columns; None where only the observation may serve.
 
         Raises:
-            ConfigError: A key is missing, its values are no numbers, or an index is out of range.
+            ConfigError: A key is missing, its values are no numbers, an index is out of range, or a value is named
+                twice.
         """
         found: list[int] = []
         for item in selection:
@@ -78,6 +80,8 @@ class Places:
                 found += self._cut(name, item, 0, self.observation_size, (int(numbers[1]), int(numbers[2])))
             else:
                 found += self._keyed(name, item, info_keys)
+        if len(set(found)) < len(found):
+            raise ConfigError(f"{name} must name every value once, got {list(selection)}, which are {found}.")
         return np.array(found, dtype=np.int64)
 
     def _keyed(self, name: str, item: str, info_keys: dict[str, int] | None) -> range:

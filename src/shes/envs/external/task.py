@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -11,8 +12,9 @@ import numpy as np
 
 from shes.drawing.drawer import Drawer, Picture, Window
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.environment import SUCCESS_KEYS, ExternalEnvironment, explained
+from shes.envs.external.environment import ExternalEnvironment, explained
 from shes.envs.external.reader import ExternalReader
+from shes.envs.external.success import check_last_info, read_success
 from shes.errors import ConfigError
 from shes.sim.cpu import count_divergences, forget_divergences, log_physics_warnings
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
@@ -60,6 +62,16 @@ class ExternalTask(EpisodeBatch):
         return self.reader.observation_size
 
     @property
+    def observation_names(self) -> tuple[str, ...]:
+        """The places in the flat observation: Gymnasium knows no names."""
+        return tuple(f"{self.environment.description.id}[{i}]" for i in range(self.observation_size))
+
+    @property
+    def position_columns(self) -> IntArray:
+        """Indices in the observation of the robot's x and y; none where they are in `info`."""
+        return self.reader.position[self.reader.position < self.observation_size]
+
+    @property
     def action_size(self) -> int:
         """Number of controls, A."""
         return int(np.prod(self.reader.action_space.shape))
@@ -101,7 +113,7 @@ class ExternalTask(EpisodeBatch):
 
     @property
     def success(self) -> BoolArray:
-        """Whether `info` reported success at the last step [N]."""
+        """Whether `info` reported success at the last step [N]; False where it said nothing."""
         return self._success & ~self._diverged
 
     @property
@@ -109,31 +121,45 @@ class ExternalTask(EpisodeBatch):
         """The return, or 1 for success, as the description says [N]."""
         if self.environment.description.score == "success":
             return self.success.astype(np.float64)
-        return self.running_return * ~self._diverged
+        return np.where(self._diverged, 0.0, self.running_return)
 
     def observe(self) -> F64Array:
         """Return what is observed now [N, O]; zeros where the simulation diverged."""
         return self._rows[:, : self.observation_size]
 
     def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
-        """Start episodes `ids` anew, each from its own seed."""
+        """Start episodes `ids` anew, each from its own seed.
+
+        Raises:
+            ConfigError: The environment failed, or shows something else than it said.
+        """
         for values in (self.time, self.reward, self.running_return, self._terminated, self._diverged):
             values[ids] = 0
-        for i, seed in zip(ids.tolist(), seeds, strict=True):
-            env = self._env(i)
-            observation, info = env.reset(seed=int(seed) % _SEEDS)
-            physics = self._physics[i] = _physics(env)
-            if physics is not None:
-                forget_divergences(physics)
-            self._take(i, observation, 0.0, info)
+        with explained(self.environment.spec.id, "reset"):
+            for i, seed in zip(ids.tolist(), seeds, strict=True):
+                env = self._env(i)
+                observation, info = env.reset(seed=int(seed) % _SEEDS)
+                physics = self._physics[i] = _physics(env)
+                if physics is not None:
+                    forget_divergences(physics)
+                self._take(i, observation, 0.0, info)
 
     def step(self, ids: IntArray, action: FloatArray) -> None:
-        """Apply `action` [N, A] in [-1, 1] for one step of episodes `ids`."""
+        """Apply `action` [N, A] in [-1, 1] for one step of episodes `ids`.
+
+        Raises:
+            ConfigError: The environment failed, shows something else than it said, or does not say how it ended.
+        """
         actions = self.reader.to_action(np.asarray(action, dtype=np.float64))
-        for i in ids.tolist():
-            observation, reward, terminated, truncated, info = self._env(i).step(actions[i])
-            self._terminated[i] = terminated or truncated
-            self._take(i, observation, float(reward), info)
+        with explained(self.environment.spec.id, "step"):
+            for i in ids.tolist():
+                start = perf_counter()
+                observation, reward, terminated, truncated, info = self._env(i).step(actions[i])
+                self.physics_s += perf_counter() - start
+                self._terminated[i] = terminated or truncated
+                self._take(i, observation, float(reward), info)
+                if self._terminated[i] and not self._diverged[i]:
+                    check_last_info(self.environment.description, info)
         self.time[ids] += 1
         self.running_return[ids] += self.reward[ids]
 
@@ -143,7 +169,7 @@ class ExternalTask(EpisodeBatch):
         self.reader.write(observation, info, row)
         is_finite = bool(np.isfinite(row).all()) and np.isfinite(reward)
         has_blown_up = bool(info.get("diverged", False)) or (physics is not None and count_divergences(physics) > 0)
-        self._success[i] = next((bool(info[key]) for key in SUCCESS_KEYS if key in info), False)
+        self._success[i] = read_success(info)
         self.reward[i] = reward
         if has_blown_up or not is_finite:
             self._diverged[i] = True
