@@ -1,0 +1,185 @@
+"""MuJoCo on mujoco-warp: N simulations in lockstep, on a CUDA card or, for tests, on the CPU.
+
+The arrays are float32 views of Warp's memory, by NumPy or CuPy. The substeps of a control step, with the checks beside
+them (`warp_kernels`), are captured in a graph once and replayed: on a card this saves the launches, on the CPU the
+Python between the kernels, which is nearly everything where few simulations run.
+
+Differences from MuJoCo in C: float32; the solver stops at a tolerance of 1e-6; a contact that is on the edge of its
+margin to float32's last digit is there or not, and boxes touch boxes in a corner more (a block at rest against walls);
+`diverged` is set at the end of the substep in which the state became bad, C notices it at the start of the next.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from shes.errors import ConfigError
+from shes.sim.simulator import Simulator
+from shes.sim.warp_buffers import BufferPeaks, BufferSizes, default_sizes
+from shes.sim.warp_device import WarpDevice, load_warp
+from shes.types import IntArray
+
+__all__ = ["WarpSimulator"]
+
+
+class WarpSimulator(Simulator):
+    """N simulations on one device. A simulation's numbers do not depend on what the others do."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_sims: int,
+        device: str = "cuda",
+        nconmax: int | None = None,
+        njmax: int | None = None,
+    ) -> None:
+        """Make `num_sims` simulations of `model` on `device`, all in its default state.
+
+        Args:
+            model: Any model whose state is positions and velocities.
+            num_sims: Number of simulations.
+            device: `warp-cpu` or `cuda`.
+            nconmax: Contacts to make room for, per simulation on average; by default from the model's geoms.
+            njmax: Constraint rows to make room for in each simulation; by default from the model's geoms and limits.
+
+        Raises:
+            ConfigError: mujoco-warp does not run this model, or there is no card.
+            MissingExtraError: mujoco-warp or CuPy is not installed.
+        """
+        self._device = WarpDevice(device)
+        self._warp, self._mujoco_warp = load_warp()
+        from shes.sim import warp_kernels
+
+        self._kernels = warp_kernels
+        _check_state(model)
+        default = default_sizes(model)
+        self.buffers = BufferSizes(nconmax or default.nconmax, njmax or default.njmax)
+        self.model = model
+        self.num_sims = num_sims
+        self.xp = self._device.xp
+        with self._warp.ScopedDevice(self._device.warp_device):
+            self._allocate()
+        self._graphs: dict[int, Any] = {}
+        self.reset(np.arange(num_sims))
+
+    def _allocate(self) -> None:
+        """Put model and state on the device."""
+        wp, view = self._warp, self._device.view
+        try:
+            self._model: Any = self._mujoco_warp.put_model(self.model)
+        except (NotImplementedError, ValueError) as error:
+            raise ConfigError(f"mujoco-warp does not run this model: {error} Use --device cpu.") from error
+        self._model.opt.warn_overflow = 0  # else it prints from the kernels; `check_buffers` is what tells
+        self._model.callback.control = self._watch
+        self._model.callback.contactfilter = self._align
+        self._data: Any = self._mujoco_warp.make_data(
+            self.model, self.num_sims, nconmax=self.buffers.nconmax, njmax=self.buffers.njmax
+        )
+        size = self.model.nq + 2 * self.model.nv + 1
+        self._kept = wp.zeros((self.num_sims, size), dtype=wp.float32)
+        self._wanted_ctrl = wp.zeros((self.num_sims, self.model.nu), dtype=wp.float32)
+        self._default_qpos = wp.array(self.model.qpos0, dtype=wp.float32)
+        self._is_active, self._has_diverged = (wp.zeros(self.num_sims, dtype=wp.bool) for _ in range(2))
+        self._peak_constraints = wp.zeros(self.num_sims, dtype=wp.int32)
+        self._peak_contacts = wp.zeros(1, dtype=wp.int32)
+        self.qpos = view(self._data.qpos)
+        self.qvel = view(self._data.qvel)
+        self.ctrl = view(self._wanted_ctrl)
+        self.diverged = view(self._has_diverged)
+        self._time, self._warmstart = view(self._data.time), view(self._data.qacc_warmstart)
+        self._active = view(self._is_active)
+
+    def reset(self, ids: IntArray) -> None:
+        """Put simulations `ids` into the model's default state; time and the solver's warm start are part of it."""
+        ids = self.xp.asarray(ids)
+        self.qpos[ids] = self.xp.asarray(self.model.qpos0, dtype=self.xp.float32)
+        for array in (self.qvel, self.ctrl, self._warmstart, self._time, self.diverged):
+            array[ids] = 0
+
+    def step(self, ids: IntArray, nstep: int) -> None:
+        """Advance simulations `ids` (sorted, unique) by `nstep` physics steps.
+
+        All go through the physics; those that are not in `ids` are put aside before and back after.
+        """
+        if not len(ids):
+            return
+        self._active[:] = len(ids) == self.num_sims
+        if len(ids) < self.num_sims:
+            self._active[self.xp.asarray(ids)] = True
+        if nstep not in self._graphs:
+            self._graphs[nstep] = self._capture(nstep)
+        self._warp.capture_launch(self._graphs[nstep])
+
+    def peaks(self) -> BufferPeaks:
+        """Return what was needed of the buffers at most; waits for the device."""
+        contacts, constraints = (int(array.numpy().max()) for array in (self._peak_contacts, self._peak_constraints))
+        return BufferPeaks(contacts, constraints)
+
+    def check_buffers(self) -> None:
+        """Refuse a buffer that was too small at any time; waits for the device, so ask once in a while.
+
+        Raises:
+            ConfigError: One overflowed: contacts were left out of the physics.
+        """
+        self.peaks().check(self.buffers, self.num_sims)
+
+    def _capture(self, nstep: int) -> Any:
+        """Return the graph of `nstep` substeps. The first one compiles: up to a minute for a new kind of model."""
+        with self._warp.ScopedDevice(self._device.warp_device):
+            if not self._graphs:
+                self._load_kernels()
+            with self._warp.ScopedCapture() as capture:
+                self._launch(nstep)
+        return capture.graph
+
+    def _load_kernels(self) -> None:
+        """Run one substep, so that every kernel is compiled, and take back what it did."""
+        arrays = (self._data.qpos, self._data.qvel, self._data.qacc_warmstart, self._data.time, self._has_diverged)
+        copies = [self._warp.clone(array) for array in arrays]
+        self._launch(1)
+        for array, copy in zip(arrays, copies, strict=True):
+            self._warp.copy(array, copy)
+
+    def _launch(self, nstep: int) -> None:
+        """Launch, or record, a control step of `nstep` substeps."""
+        kernels, data = self._kernels, self._data
+        state = [data.qpos, data.qvel, data.qacc_warmstart, data.time]
+        results = [data.ctrl, self._has_diverged]
+        before = [self._is_active, self._wanted_ctrl, self._default_qpos, *state, self._kept, *results]
+        after = [self._is_active, self._default_qpos, data.qacc, data.qacc_smooth, *state, *results]
+        self._launch_kernel(kernels.begin_control_step, before)
+        for _ in range(nstep):
+            self._mujoco_warp.step(self._model, data)
+            self._launch_kernel(kernels.check_substep, after)
+        self._launch_kernel(kernels.end_control_step, [self._is_active, self._kept, *state])
+
+    def _watch(self, _model: Any, data: Any) -> None:
+        """Note what the buffers hold. mujoco-warp calls this in every evaluation of the dynamics, RK4's stages too."""
+        counts = [data.nefc, data.nacon, data.ncollision, self._peak_constraints, self._peak_contacts]
+        self._launch_kernel(self._kernels.watch_buffers, counts)
+
+    def _align(self, model: Any, data: Any) -> None:
+        """Make contacts of capsules those of MuJoCo in C. mujoco-warp calls this after every collision detection."""
+        contact = data.contact
+        arguments = [data.nacon, contact.geom, contact.worldid, model.geom_type, data.geom_xmat, contact.frame]
+        self._warp.launch(self._kernels.align_capsules, dim=data.naconmax, inputs=arguments)
+
+    def _launch_kernel(self, kernel: Any, arguments: list[Any]) -> None:
+        self._warp.launch(kernel, dim=self.num_sims, inputs=arguments)
+
+
+def _check_state(model: mujoco.MjModel) -> None:
+    """Refuse a model that carries more from step to step than positions and velocities.
+
+    Raises:
+        ConfigError: It has activations, delays, or other state that a reset here would forget.
+    """
+    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_PHYSICS)
+    if size != model.nq + model.nv:
+        raise ConfigError(
+            f"the Warp simulator runs models whose state is qpos and qvel ({model.nq + model.nv} numbers), got one of "
+            f"{size}: activations, delays or plasticity. Use --device cpu."
+        )

@@ -1,0 +1,191 @@
+"""What this package runs beside mujoco-warp's own kernels: checks and state that MuJoCo keeps by itself, per substep.
+
+mujoco-warp has no warning counters: a simulation that blows up goes on with NaN. These kernels do what `mj_step` does
+about it. One thread is one simulation. They are launched inside the captured graph, so they cost no trip to the host.
+"""
+
+# pyright: reportMissingModuleSource=false
+
+from __future__ import annotations
+
+import mujoco
+import warp as wp
+
+__all__ = ["align_capsules", "begin_control_step", "check_substep", "end_control_step", "watch_buffers"]
+
+_MAX_VALUE = wp.constant(wp.float32(mujoco.mjMAXVAL))
+_PLANE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_PLANE)))
+_CAPSULE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_CAPSULE)))
+_MIN_LENGTH = wp.constant(wp.float32(1e-6))
+"""A capsule that stands on a plane more upright than this, in radians, keeps the tangent that it has."""
+
+
+@wp.func
+def _is_bad(values: wp.array2d[wp.float32], sim: wp.int32) -> wp.bool:
+    """Tell whether a row has a value that MuJoCo calls bad: NaN, infinite, or beyond mjMAXVAL."""
+    found = wp.bool(False)
+    for i in range(values.shape[1]):
+        value = values[sim, i]
+        if wp.isnan(value) or wp.abs(value) > _MAX_VALUE:
+            found = True
+    return found
+
+
+@wp.func
+def _set_default(
+    sim: wp.int32,
+    default_qpos: wp.array[wp.float32],
+    qpos: wp.array2d[wp.float32],
+    qvel: wp.array2d[wp.float32],
+    warmstart: wp.array2d[wp.float32],
+    time: wp.array[wp.float32],
+) -> None:
+    """Put a simulation into the model's default state."""
+    for i in range(qpos.shape[1]):
+        qpos[sim, i] = default_qpos[i]
+    for i in range(qvel.shape[1]):
+        qvel[sim, i] = 0.0
+        warmstart[sim, i] = 0.0
+    time[sim] = 0.0
+
+
+@wp.kernel(enable_backward=False)
+def begin_control_step(  # noqa: PLR0917 - a kernel is launched with a list of arrays
+    active: wp.array[wp.bool],
+    ctrl: wp.array2d[wp.float32],
+    default_qpos: wp.array[wp.float32],
+    qpos: wp.array2d[wp.float32],
+    qvel: wp.array2d[wp.float32],
+    warmstart: wp.array2d[wp.float32],
+    time: wp.array[wp.float32],
+    kept: wp.array2d[wp.float32],
+    applied: wp.array2d[wp.float32],
+    diverged: wp.array[wp.bool],
+) -> None:
+    """Hand on the controls, look for bad values, and put simulations that are not asked for aside.
+
+    Those spend the step in the default pose, where little touches, and get their state back at the end of it.
+    """
+    sim = wp.tid()
+    nq = qpos.shape[1]
+    nv = qvel.shape[1]
+    if not active[sim]:
+        for i in range(nq):
+            kept[sim, i] = qpos[sim, i]
+        for i in range(nv):
+            kept[sim, nq + i] = qvel[sim, i]
+            kept[sim, nq + nv + i] = warmstart[sim, i]
+        kept[sim, nq + 2 * nv] = time[sim]
+    bad_state = _is_bad(qpos, sim) or _is_bad(qvel, sim)
+    bad_ctrl = _is_bad(ctrl, sim)
+    if bad_state or not active[sim]:
+        _set_default(sim, default_qpos, qpos, qvel, warmstart, time)
+    for i in range(ctrl.shape[1]):
+        if bad_state or bad_ctrl or not active[sim]:
+            applied[sim, i] = 0.0
+        else:
+            applied[sim, i] = ctrl[sim, i]
+    if active[sim] and (bad_state or bad_ctrl):
+        diverged[sim] = True
+
+
+@wp.kernel(enable_backward=False)
+def check_substep(  # noqa: PLR0917 - as above
+    active: wp.array[wp.bool],
+    default_qpos: wp.array[wp.float32],
+    qacc: wp.array2d[wp.float32],
+    qacc_smooth: wp.array2d[wp.float32],
+    qpos: wp.array2d[wp.float32],
+    qvel: wp.array2d[wp.float32],
+    warmstart: wp.array2d[wp.float32],
+    time: wp.array[wp.float32],
+    applied: wp.array2d[wp.float32],
+    diverged: wp.array[wp.bool],
+) -> None:
+    """Mark simulations that have blown up, and put them into the default state with no controls, as MuJoCo does.
+
+    The acceleration without constraints is looked at too: where it is beyond the range of float32's squares,
+    mujoco-warp's solver gives up and leaves an acceleration of 0, which looks well.
+    """
+    sim = wp.tid()
+    if _is_bad(qacc, sim) or _is_bad(qacc_smooth, sim) or _is_bad(qpos, sim) or _is_bad(qvel, sim):
+        _set_default(sim, default_qpos, qpos, qvel, warmstart, time)
+        for i in range(applied.shape[1]):
+            applied[sim, i] = 0.0
+        if active[sim]:
+            diverged[sim] = True
+
+
+@wp.kernel(enable_backward=False)
+def end_control_step(
+    active: wp.array[wp.bool],
+    kept: wp.array2d[wp.float32],
+    qpos: wp.array2d[wp.float32],
+    qvel: wp.array2d[wp.float32],
+    warmstart: wp.array2d[wp.float32],
+    time: wp.array[wp.float32],
+) -> None:
+    """Give simulations that were put aside their state back."""
+    sim = wp.tid()
+    if active[sim]:
+        return
+    nq = qpos.shape[1]
+    nv = qvel.shape[1]
+    for i in range(nq):
+        qpos[sim, i] = kept[sim, i]
+    for i in range(nv):
+        qvel[sim, i] = kept[sim, nq + i]
+        warmstart[sim, i] = kept[sim, nq + nv + i]
+    time[sim] = kept[sim, nq + 2 * nv]
+
+
+@wp.kernel(enable_backward=False)
+def watch_buffers(
+    num_constraints: wp.array[wp.int32],
+    num_contacts: wp.array[wp.int32],
+    num_pairs: wp.array[wp.int32],
+    peak_constraints: wp.array[wp.int32],
+    peak_contacts: wp.array[wp.int32],
+) -> None:
+    """Remember the most rows of each simulation, and the most contacts, or pairs to examine, of all together."""
+    sim = wp.tid()
+    peak_constraints[sim] = wp.max(peak_constraints[sim], num_constraints[sim])
+    if sim == 0:
+        peak_contacts[0] = wp.max(peak_contacts[0], wp.max(num_contacts[0], num_pairs[0]))
+
+
+@wp.kernel(enable_backward=False)
+def align_capsules(
+    num_contacts: wp.array[wp.int32],
+    geoms: wp.array[wp.vec2i],
+    sims: wp.array[wp.int32],
+    geom_type: wp.array[wp.int32],
+    geom_xmat: wp.array2d[wp.mat33],
+    frames: wp.array[wp.mat33],
+) -> None:
+    """Turn the tangents of contacts of capsules with a plane to the capsule's axis, as MuJoCo in C does.
+
+    mujoco-warp 4.0 does so only for capsules less steep than 60 degrees (it compares the length of the projected axis
+    with 0.5, where C compares the axis itself). Legs are steeper, and a pyramidal cone feels its tangents: up to
+    0.6 m/s in a substep. One thread is one contact.
+    """
+    contact = wp.tid()
+    if contact >= num_contacts[0]:
+        return
+    pair = geoms[contact]
+    if pair[0] < 0 or pair[1] < 0:
+        return
+    if geom_type[pair[0]] != _PLANE or geom_type[pair[1]] != _CAPSULE:
+        return
+    rotation = geom_xmat[sims[contact], pair[1]]
+    axis = wp.vec3(rotation[0, 2], rotation[1, 2], rotation[2, 2])
+    frame = frames[contact]
+    normal = wp.vec3(frame[0, 0], frame[0, 1], frame[0, 2])
+    tangent = axis - normal * wp.dot(normal, axis)
+    if wp.length(tangent) < _MIN_LENGTH:
+        return
+    tangent = wp.normalize(tangent)
+    other = wp.cross(normal, tangent)
+    frames[contact] = wp.mat33(
+        normal[0], normal[1], normal[2], tangent[0], tangent[1], tangent[2], other[0], other[1], other[2]
+    )

@@ -1,0 +1,431 @@
+"""The Warp simulator on the CPU: the simulator contract, C MuJoCo beside it, and what only it can get wrong."""
+
+import importlib.util
+import subprocess
+import sys
+from functools import partial
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import shes.sim.warp_device
+from shes.envs.registry import ENVIRONMENTS
+from shes.envs.task import TaskOptions
+from shes.errors import ConfigError, MissingExtraError, UnknownNameError
+from shes.sim.cpu import CpuSimulator
+from shes.sim.warp import WarpSimulator
+from shes.sim.warp_buffers import default_sizes
+from tests.contracts import test_simulator_contract as contract
+from tests.envs.reference_gather import ant_gather_xml
+
+pytestmark = [
+    pytest.mark.extras,
+    pytest.mark.timeout(600),  # kernels are compiled the first time: up to a minute for a kind of model
+    pytest.mark.skipif(
+        importlib.util.find_spec("mujoco_warp") is None, reason="mujoco-warp is not installed: pip install 'shes[warp]'"
+    ),
+]
+
+# The contract's tests, run here with the fixture `make` below.
+globals().update({name: test for name, test in vars(contract).items() if name.startswith("test_")})
+
+MODELS = [(name, spec) for name, environment in ENVIRONMENTS.items() for spec in environment.task.specs]
+WarpCpu = partial(WarpSimulator, device="warp-cpu")
+INTEGRATORS = {
+    "euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "rk4": mujoco.mjtIntegrator.mjINT_RK4,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+}
+FIELDS = ("qpos", "qvel", "ctrl")
+
+
+def ant_model(integrator="euler"):
+    model = mujoco.MjModel.from_xml_string(ant_gather_xml())
+    model.opt.integrator = INTEGRATORS[integrator]
+    return model
+
+
+@pytest.fixture
+def make():
+    """What the contract's tests ask for: a new simulator of the ant."""
+    model = ant_model()
+
+    def build(num_sims=contract.NUM_SIMS):
+        return WarpCpu(model, num_sims)
+
+    return build
+
+
+def task_model(name, spec, **options):
+    environment = ENVIRONMENTS[name]
+    return environment.task.build_spec(environment.body(), TaskOptions(spec=spec, **options)).compile()
+
+
+def in_the_air(model, rng):
+    """Return positions and velocities with nothing near anything else, limits of joints kept."""
+    data = mujoco.MjData(model)
+    for _ in range(200):
+        mujoco.mj_resetData(model, data)
+        for joint in range(model.njnt):
+            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-1, 1)
+            middle, half = (low + high) / 2, (high - low) / 2
+            address = model.jnt_qposadr[joint]
+            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+                data.qpos[address : address + 3] += [*rng.uniform(-1, 1, 2), rng.uniform(5, 10)]
+                data.qpos[address + 3 : address + 7] = (q := rng.normal(size=4)) / np.linalg.norm(q)
+            else:
+                data.qpos[address] = middle + 0.5 * half * rng.uniform(-1, 1)
+        data.qvel[:] = rng.normal(0, 1, model.nv)
+        mujoco.mj_forward(model, data)
+        if not data.nefc:
+            return data.qpos.copy(), data.qvel.copy()
+    return None
+
+
+def without_contacts(model):
+    """Switch contacts off, for worlds where a block always touches the walls: the rest of the physics is compared."""
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize(("name", "spec"), MODELS)
+def test_a_substep_where_nothing_touches_is_that_of_mujoco_in_c(name, spec, integrator):
+    model, num_sims = task_model(name, spec, integrator=integrator), 8
+    without_contacts(model)
+    rng = np.random.default_rng(3)
+    warp, cpu = WarpCpu(model, num_sims), CpuSimulator(model, num_sims)
+    limit = model.actuator_ctrlrange[:, 1]
+    for i in range(num_sims):
+        state = in_the_air(model, rng)
+        assert state is not None, "no pose without constraints found"
+        cpu.qpos[i], cpu.qvel[i] = state
+        cpu.ctrl[i] = rng.uniform(-limit, limit)
+    for field in FIELDS:
+        getattr(warp, field)[:] = getattr(cpu, field)
+        getattr(cpu, field)[:] = getattr(warp, field)  # both start from the rounded state
+    start = warp.qpos.copy()
+    for simulator in (warp, cpu):
+        simulator.step(np.arange(num_sims), 1)
+    assert not (warp.qpos == start).all()
+    assert_allclose(warp.qpos, cpu.qpos, atol=1e-5, rtol=0)
+    assert_allclose(warp.qvel, cpu.qvel, atol=1e-5, rtol=1e-6)
+
+
+def stir(simulators, rng, speed=0.5):
+    """Write the same other start and other controls into every simulation of each of `simulators`."""
+    first = simulators[0]
+    place = rng.uniform(-0.1, 0.1, (first.num_sims, 3)).astype(np.float32)
+    velocity = rng.normal(0, speed, first.qvel.shape).astype(np.float32)
+    ctrl = rng.uniform(-30, 30, first.ctrl.shape).astype(np.float32)
+    for simulator in simulators:
+        simulator.qpos[:, :3] += place
+        simulator.qvel[:] = velocity
+        simulator.ctrl[:] = ctrl
+
+
+def test_the_arrays_are_float32_views_of_warps_own_memory():
+    simulator = WarpCpu(ant_model(), 3)
+    for name in ("qpos", "qvel"):
+        array = getattr(simulator, name)
+        assert array.dtype == np.float32
+        assert array.ctypes.data == getattr(simulator._data, name).ptr
+    assert simulator.ctrl.dtype == np.float32
+    assert simulator.xp is np
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_the_replayed_graph_gives_what_mujoco_warp_gives_step_by_step(integrator):
+    import mujoco_warp
+    import warp
+
+    model, num_sims = ant_model(integrator), 3
+    simulator = WarpCpu(model, num_sims)
+    with warp.ScopedDevice("cpu"):
+        plain_model = mujoco_warp.put_model(model)
+        plain_model.callback.contactfilter = simulator._align
+        plain = mujoco_warp.make_data(model, num_sims, nconmax=simulator.buffers.nconmax, njmax=simulator.buffers.njmax)
+        stir([simulator], np.random.default_rng(1))
+        plain.qpos.numpy()[:], plain.qvel.numpy()[:] = simulator.qpos, simulator.qvel
+        plain.ctrl.numpy()[:] = simulator.ctrl
+        for _ in range(12):
+            simulator.step(np.arange(num_sims), 5)
+            for _ in range(5):
+                mujoco_warp.step(plain_model, plain)
+            assert_array_equal(simulator.qpos, plain.qpos.numpy())
+            assert_array_equal(simulator.qvel, plain.qvel.numpy())
+    assert simulator.peaks().contacts > 0, "nothing touched"
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_reset_simulation_goes_on_like_a_new_one_amid_others_that_do_not(integrator):
+    model, rng = ant_model(integrator), np.random.default_rng(3)
+    used, new = WarpCpu(model, 3), WarpCpu(model, 1)
+    stir([used], rng, speed=3)
+    for _ in range(12):
+        used.step(np.arange(3), 5)
+    used.reset(np.array([1]))
+    stir([new], rng)
+    for field in FIELDS:
+        getattr(used, field)[1] = getattr(new, field)[0]
+    for _ in range(15):
+        used.step(np.arange(3), 5)
+        new.step(np.arange(1), 5)
+        assert_array_equal(used.qpos[1], new.qpos[0])
+        assert_array_equal(used.qvel[1], new.qvel[0])
+
+
+def test_a_simulation_goes_the_same_way_whatever_the_others_do_and_whenever_they_are_stepped():
+    model, rng = ant_model(), np.random.default_rng(5)
+    crowd, alone = WarpCpu(model, 6), WarpCpu(model, 1)
+    stir([crowd], rng)
+    alone.qpos[0], alone.qvel[0] = crowd.qpos[4], crowd.qvel[4]
+    for turn in range(60):
+        crowd.ctrl[:] = rng.uniform(-30, 30, crowd.ctrl.shape)
+        alone.ctrl[0] = crowd.ctrl[4]
+        ids = np.flatnonzero(rng.random(6) < 0.5)
+        if turn % 2:
+            ids = np.union1d(ids, [4])
+            alone.step(np.arange(1), 5)
+        else:
+            ids = np.setdiff1d(ids, [4])
+        crowd.step(ids, 5)
+        assert_array_equal(crowd.qpos[4], alone.qpos[0])
+        assert_array_equal(crowd.qvel[4], alone.qvel[0])
+    assert alone.peaks().contacts > 0, "nothing touched"
+
+
+def test_a_reset_clears_the_controls_of_that_simulation():
+    simulator = WarpCpu(ant_model(), 2)
+    simulator.ctrl[:] = 30
+    simulator.step(np.arange(2), 5)
+    simulator.reset(np.array([0]))
+    assert not simulator.ctrl[0].any()
+    assert simulator.ctrl[1].all()
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("bad", [1e12, np.nan, np.inf])
+def test_only_the_simulation_that_blew_up_is_marked_and_the_others_never_notice(field, bad):
+    rng = np.random.default_rng(5)
+    calm, spoiled = (WarpCpu(ant_model(), 4) for _ in range(2))
+    stir([calm, spoiled], rng)
+    getattr(spoiled, field)[2, 0] = bad
+    others = [0, 1, 3]
+    for _ in range(5):
+        calm.step(np.arange(4), 5)
+        spoiled.step(np.arange(4), 5)
+        spoiled.ctrl[2] = 0
+        assert_array_equal(spoiled.diverged, [False, False, True, False])
+        assert not calm.diverged.any()
+        assert np.isfinite(spoiled.qpos).all()
+        assert np.isfinite(spoiled.qvel).all()
+        assert_array_equal(spoiled.qpos[others], calm.qpos[others])
+        assert_array_equal(spoiled.qvel[others], calm.qvel[others])
+    spoiled.reset(np.array([2]))
+    spoiled.step(np.arange(4), 5)
+    assert not spoiled.diverged.any()
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_a_bad_value_where_no_step_is_asked_for_is_no_divergence_yet(field):
+    simulator = WarpCpu(ant_model(), 2)
+    getattr(simulator, field)[1, 0] = np.nan
+    simulator.step(np.array([0]), 5)
+    assert not simulator.diverged.any()
+    assert np.isnan(getattr(simulator, field)[1, 0])
+    simulator.step(np.array([1]), 5)
+    assert_array_equal(simulator.diverged, [False, True])
+
+
+@pytest.mark.parametrize("speed", [1e6, 1e8, 9e9])
+def test_physics_that_blow_up_within_a_step_are_noticed_and_left_finite(speed):
+    """The velocity alone is still allowed; what it does in the step is not."""
+    warp, cpu = (make(ant_model(), 3) for make in (WarpCpu, CpuSimulator))
+    for simulator in (warp, cpu):
+        simulator.qvel[1] = speed
+        simulator.step(np.arange(3), 1)
+        assert_array_equal(simulator.diverged, [False, True, False])
+    assert_array_equal(warp.qpos[1], warp.model.qpos0.astype(np.float32))
+    assert not warp.qvel[1].any()
+
+
+@pytest.mark.parametrize("setting", ["nconmax", "njmax"])
+@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+def test_a_buffer_that_is_too_small_is_an_error_with_a_size_that_does(setting, integrator):
+    model, num_sims = ant_model(integrator), 4
+    simulator = WarpCpu(model, num_sims, **{setting: 2})
+    simulator.check_buffers()
+    for _ in range(20):
+        simulator.step(np.arange(num_sims), 5)
+    with pytest.raises(ConfigError, match=rf"overflowed: .*\({setting}\).* Set {setting} to \d+\.") as error:
+        simulator.check_buffers()
+    size = int(str(error.value).rsplit(" ", 1)[1].rstrip("."))
+    simulator = WarpCpu(model, num_sims, **{setting: size})
+    for _ in range(20):
+        simulator.step(np.arange(num_sims), 5)
+    simulator.check_buffers()
+
+
+@pytest.mark.parametrize(("name", "spec"), MODELS)
+def test_a_task_needs_no_more_than_the_default_buffers(name, spec):
+    """C MuJoCo, robots thrown about at walls and blocks: its contacts are as many as mujoco-warp's, a few."""
+    model = task_model(name, spec)
+    sizes = default_sizes(model)
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    contacts = rows = 0
+    for _ in range(4):
+        mujoco.mj_resetData(model, data)
+        data.qvel[:2] = rng.normal(0, 8, 2)
+        for _ in range(100):
+            data.ctrl[:] = rng.uniform(-30, 30, model.nu)
+            mujoco.mj_step(model, data, 5)
+            contacts, rows = max(contacts, data.ncon), max(rows, data.nefc)
+    assert 2 * contacts <= sizes.nconmax
+    assert 1.2 * rows <= sizes.njmax
+
+
+@pytest.mark.parametrize("name", ["ant-gather", "point-push"])
+def test_a_task_runs_on_it(name):
+    num_episodes = 6
+    task = ENVIRONMENTS[name].make(num_episodes, TaskOptions(), WarpCpu)
+    ids, rng = np.arange(num_episodes), np.random.default_rng(0)
+    task.reset(ids, list(range(num_episodes)))
+    for step in range(30):
+        action = rng.uniform(-1, 1, (num_episodes, task.action_size)) * task.control_limit
+        task.step(ids[: 6 if step < 20 else 3], action)
+        assert np.isfinite(task.reward).all()
+        assert np.isfinite(task.observe()).all()
+        assert not task.diverged.any()
+    assert isinstance(task.sim, WarpSimulator)
+    task.sim.check_buffers()
+
+
+@pytest.mark.parametrize("name", ["point-push", "point-fall"])
+def test_a_block_between_walls_stands_where_it_stands_in_c(name):
+    """Contacts of boxes with boxes at a gap of zero: it moves by a margin and stays there."""
+    model = task_model(name, "shes")
+    warp, cpu = WarpCpu(model, 1), CpuSimulator(model, 1)
+    for _ in range(40):
+        for simulator in (warp, cpu):
+            simulator.step(np.arange(1), 5)
+    assert not warp.diverged.any()
+    assert_allclose(warp.qpos, cpu.qpos, atol=1e-4)
+    assert np.abs(warp.qpos[0, -2:]).max() < 0.03
+
+
+def test_a_block_can_be_pushed_and_holds_the_robot_off():
+    task = ENVIRONMENTS["point-push"].make(1, TaskOptions(reset_noise=0.0), WarpCpu)
+    task.reset(np.arange(1), [0])
+    push = np.array([[0.0, task.control_limit]])
+    for _ in range(60):
+        task.step(np.arange(1), push)
+    x, y = task.sim.qpos[0, 2:4]
+    assert not task.diverged.any()
+    assert y > 1
+    assert abs(x) < 0.05
+    assert task.sim.qpos[0, 1] < 8 + y - 4
+
+
+@pytest.mark.parametrize("cone", ["pyramid", "ellipse"])
+def test_a_substep_with_feet_on_the_ground_is_nearly_that_of_c(cone):
+    """Capsules have the tangents of C; without them a substep is off by up to 0.6 m/s with the pyramidal cone."""
+    model, num_sims, ids = ant_model(), 32, np.arange(32)
+    model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL if cone == "pyramid" else mujoco.mjtCone.mjCONE_ELLIPTIC
+    rng = np.random.default_rng(0)
+    warp, cpu = WarpCpu(model, num_sims), CpuSimulator(model, num_sims)
+    cpu.qvel[:] = rng.normal(0, 0.1, cpu.qvel.shape)
+    data, contacts = mujoco.MjData(model), 0
+    for _ in range(40):
+        cpu.ctrl[:] = rng.uniform(-30, 30, cpu.ctrl.shape)
+        cpu.step(ids, 4)
+        for field in FIELDS:
+            getattr(warp, field)[:] = getattr(cpu, field)
+            getattr(cpu, field)[:] = getattr(warp, field)
+        data.qpos[:], data.qvel[:] = cpu.qpos[0], cpu.qvel[0]
+        mujoco.mj_fwdPosition(model, data)
+        contacts += data.ncon
+        warp.step(ids, 1)
+        cpu.step(ids, 1)
+        assert_allclose(warp.qvel, cpu.qvel, atol=2e-3, rtol=0)
+        assert np.median(np.abs(warp.qvel - cpu.qvel)) < 1e-5
+    assert contacts > 20
+
+
+def test_walks_of_two_seconds_are_those_of_c():
+    """The median is 2e-6 m off; with the tangents that mujoco-warp gives capsules it would be 0.2 m."""
+    num_episodes, ids = 32, np.arange(32)
+    places = []
+    for simulator in (WarpCpu, CpuSimulator):
+        task = ENVIRONMENTS["ant-gather"].make(num_episodes, TaskOptions(), simulator)
+        task.reset(ids, ids.tolist())
+        rng = np.random.default_rng(0)
+        phase, speed = (
+            rng.uniform(0, 2 * np.pi, (num_episodes, task.action_size)),
+            rng.uniform(0.3, 1, (num_episodes, 1)),
+        )
+        for step in range(20):
+            task.step(ids, task.control_limit * np.sin(speed * step + phase))
+        places.append(task.position.copy())
+    assert np.hypot(*places[1].T).max() > 0.3, "nobody walked"
+    assert np.median(np.hypot(*(places[0] - places[1]).T)) < 1e-3
+
+
+def test_an_unknown_device_is_refused_by_name():
+    with pytest.raises(UnknownNameError, match=r"unknown device 'gpu'.*cuda, warp-cpu.*--device"):
+        WarpSimulator(ant_model(), 1, device="gpu")
+
+
+def test_cuda_without_a_card_is_a_clear_error(monkeypatch):
+    import warp
+
+    monkeypatch.setattr(warp, "get_cuda_device_count", lambda: 0)
+    with pytest.raises(ConfigError, match=r"device cuda needs an NVIDIA card.*--device cpu"):
+        WarpSimulator(ant_model(), 1, device="cuda")
+
+
+@pytest.mark.parametrize("module", ["warp", "mujoco_warp"])
+def test_a_missing_extra_is_named(monkeypatch, module):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'shes\[gpu\]'"):
+        shes.sim.warp_device.load_warp()
+
+
+def test_missing_cupy_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cupy", None)
+    with pytest.raises(MissingExtraError, match=r"needs CuPy.*pip install 'shes\[gpu\]'"):
+        shes.sim.warp_device._load_cupy()
+
+
+def test_a_model_that_mujoco_warp_does_not_run_is_refused():
+    model = ant_model()
+    model.opt.solver = mujoco.mjtSolver.mjSOL_PGS
+    with pytest.raises(ConfigError, match="mujoco-warp does not run this model: mjSOL_PGS is unsupported"):
+        WarpCpu(model, 1)
+
+
+def test_a_model_with_more_state_than_positions_and_velocities_is_refused():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint name='j'/><geom size='1'/></body></worldbody>"
+        "<actuator><general joint='j' dyntype='integrator'/></actuator></mujoco>"
+    )
+    with pytest.raises(ConfigError, match=r"state is qpos and qvel \(2 numbers\), got one of 3"):
+        WarpCpu(model, 1)
+
+
+def test_it_says_nothing_on_stdout(tmp_path):
+    """Warp announces itself and every kernel there, where the command line puts its results."""
+    program = """
+import mujoco, numpy as np
+from shes.sim.warp import WarpSimulator
+model = mujoco.MjModel.from_xml_string(
+    '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>'
+)
+simulator = WarpSimulator(model, 1, "warp-cpu", nconmax=1, njmax=1)
+simulator.step(np.arange(1), 5)
+assert simulator.qpos[0, 2] < 0
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+    assert list(tmp_path.iterdir()) == []
