@@ -74,7 +74,7 @@ def test_train_resume_evaluate_and_load_go_together(run, tmp_path):
     assert one.scores.shape == (3,)
 
 
-def test_a_loaded_agent_plays_as_evaluation_does(run):
+def check_that_a_loaded_agent_plays_as_evaluation_does(run):
     """Every step of an episode by hand: the same steps, score and return as `evaluate` found."""
     evaluation = shes.evaluate(run.path, episodes=2, num_workers=1, seed=11)
     agent = shes.load(run.path)
@@ -91,8 +91,28 @@ def test_a_loaded_agent_plays_as_evaluation_does(run):
             action = agent.act(task.observe()[0])
             assert action.shape == (2,)
             task.step(np.array([0]), (action * task.control_limit)[None])
-        assert task.score[0] == evaluation.scores[number]
+        assert task.score[0] == pytest.approx(evaluation.scores[number])
         assert task.running_return[0] == pytest.approx(evaluation.returns[number])
+
+
+def test_a_loaded_agent_plays_as_evaluation_does(run):
+    check_that_a_loaded_agent_plays_as_evaluation_does(run)
+
+
+@pytest.mark.parametrize(
+    ("env", "settings"),
+    [
+        ("point-gather", {"algorithm": "es", "clock_frequency": 1.0}),
+        ("point-flagrun", {"goal_encoding": "unit_vector", "clock_frequency": 2.0, "controller_interval": 7}),
+        ("point-gather", {"controller_output": "one_hot", "goal_encoding": "vector", "hide_position": True}),
+    ],
+    ids=["flat", "primitive alone", "one hot"],
+)
+def test_a_loaded_agent_of_every_kind_plays_as_evaluation_does(tmp_path, env, settings):
+    run = shes.train(env, out=tmp_path / "run", **{**runs.TINY, "generations": 1, **settings})
+    check_that_a_loaded_agent_plays_as_evaluation_does(run)
+    agent = shes.load(run.path, num_envs=2)
+    assert (agent.goal is None) == (settings.get("algorithm") == "es")
 
 
 class Listener:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from shes.experiments.play import Agent, load
     from shes.experiments.train import Run, resume, train
     from shes.hierarchy.goals import register_goal_encoding
+    from shes.hierarchy.outputs import register_controller_output
     from shes.hierarchy.rewards import register_primitive_reward
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "es",
     "evaluate",
     "load",
+    "register_controller_output",
     "register_environment",
     "register_external_environment",
     "register_goal_encoding",
@@ -45,6 +47,7 @@ _HOMES = {
     "Run": "shes.experiments.train",
     "evaluate": "shes.experiments.evaluate",
     "load": "shes.experiments.play",
+    "register_controller_output": "shes.hierarchy.outputs",
     "register_environment": "shes.envs.registry",
     "register_external_environment": "shes.envs.registry",
     "register_goal_encoding": "shes.hierarchy.goals",

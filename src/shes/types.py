@@ -11,7 +11,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CONTROLLER", "LEVEL_NAMES", "PRIMITIVE", "BoolArray", "F32Array", "F64Array", "FloatArray", "IntArray"]
+__all__ = ["CONTROLLER", "PRIMITIVE", "BoolArray", "F32Array", "F64Array", "FloatArray", "IntArray"]
 
 F32Array: TypeAlias = NDArray[np.float32]
 F64Array: TypeAlias = NDArray[np.float64]
@@ -23,4 +23,3 @@ CONTROLLER: Final = 0
 """Index of the controller's level in a hierarchical state."""
 PRIMITIVE: Final = 1
 """Index of the primitive's level in a hierarchical state."""
-LEVEL_NAMES: Final = ("controller", "primitive")

@@ -21,7 +21,7 @@ __all__ = ["RolloutWorker", "WorkerPlan", "lanes_that_fit"]
 _SIMULATOR_LOG = logging.getLogger("shes.mujoco")
 _MAX_LOG_LINES = 20  # of the simulator, kept with one task's results
 _CACHE_BYTES = 24 * 2**20  # weights of all lanes beyond this leave the shared cache between two steps
-_MIN_ROWS, _MAX_ROWS = 32, 96  # episodes in lockstep: enough to share Python's work, few enough for the caches
+_MIN_ROWS, _MAX_ROWS = 32, 256  # episodes in lockstep: enough to share Python's work, few enough for the caches
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +38,6 @@ class WorkerPlan:
     """What the agent is made of."""
     noise_table: Path
     """File of the noise table on this machine."""
-    episodes_per_policy: int
-    """Episodes of a member, E: the rows of every matmul."""
     horizon: int
     """Steps after which an episode of training is over."""
     evaluation_horizon: int
@@ -98,25 +96,25 @@ class RolloutWorker:
     def run(self, work: Iterator[Work], share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Run `work`, of which about `share` tasks are this worker's; yield numbered results as they come."""
         assert self._generation is not None, "receive() comes first"
-        rollout = self._rollout(self._generation.is_evaluation, share)
+        rollout = self._rollout(self._generation, share)
         with self._collector.listening():
             for number, results in rollout.run(work, self._generation, self.table):
                 lines, self._collector.lines = tuple(self._collector.lines), []
                 yield number, replace(results, log=lines) if lines else results
 
-    def _rollout(self, is_evaluation: bool, share: int) -> Rollout:
-        """Return the rollout for training or evaluation with lanes for `share` tasks, building it where needed."""
-        plan = self.plan
-        chunk = plan.chunk_size or lanes_that_fit(sum(plan.design.dims), plan.episodes_per_policy)
+    def _rollout(self, generation: Generation, share: int) -> Rollout:
+        """Return the rollout for this generation with lanes for `share` tasks, building it where needed."""
+        plan, episodes = self.plan, generation.episodes_per_policy
+        chunk = plan.chunk_size or lanes_that_fit(sum(plan.design.dims), episodes)
         waves = max(1, -(-share // chunk))
         lanes = max(1, -(-share // waves))  # even waves: no last one with a few lanes alone
-        rollout = self._rollouts.get(is_evaluation)
-        if rollout is None or rollout.num_lanes != lanes:
+        rollout = self._rollouts.get(generation.is_evaluation)
+        if rollout is None or (rollout.num_lanes, rollout.num_episodes) != (lanes, episodes):
             if rollout is not None:
                 rollout.task.close()
-            options = plan.evaluation if is_evaluation else plan.training
+            options = plan.evaluation if generation.is_evaluation else plan.training
             make = partial(plan.env.make, options=options)
-            horizon = plan.evaluation_horizon if is_evaluation else plan.horizon
-            rollout = Rollout(plan.design, make, lanes, plan.episodes_per_policy, horizon)
-            self._rollouts[is_evaluation] = rollout
+            horizon = plan.evaluation_horizon if generation.is_evaluation else plan.horizon
+            rollout = Rollout(plan.design, make, lanes, episodes, horizon)
+            self._rollouts[generation.is_evaluation] = rollout
         return rollout

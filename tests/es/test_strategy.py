@@ -23,18 +23,18 @@ def _quadratic(candidates):
     return -((candidates - OPTIMUM) ** 2).sum(axis=1)
 
 
-def _noise(es, generation, table):
-    index = draw_noise_index(es.state.seed, generation, es.num_groups, es.dims, table.size)
+def _noise(es, generation, table, members):
+    index = draw_noise_index(es.state.seed, generation, es.population_size // members, es.dims, table.size)
     return [[table.slice(int(i), dim) for i in row] for row, dim in zip(index, es.dims, strict=True)]
 
 
-@pytest.mark.parametrize("mirrored", ["quad", "none"])
-def test_one_level_gives_the_iterates_of_flat_es(mirrored):
+@pytest.mark.parametrize(("mirrored", "members"), [("quad", 2), ("none", 1)])
+def test_one_level_gives_the_iterates_of_flat_es(mirrored, members):
     es = _make(mirrored=mirrored, weight_decay=0.005, seed=3)
     book = TextbookES([np.zeros(5)], mirrored=mirrored, sigma=0.1, rate=0.05, weight_decay=0.005)
     table = NoiseTable.open(TABLE_SIZE)
     for generation in range(25):
-        noise = _noise(es, generation, table)
+        noise = _noise(es, generation, table, members)
         candidates = es.ask()
         assert candidates == pytest.approx(np.array(book.candidates(noise))[:, 0], abs=1e-4)
         # Both hear the same fitness: rounding may swap the ranks of two members that are all but equal.
@@ -45,9 +45,12 @@ def test_one_level_gives_the_iterates_of_flat_es(mirrored):
     assert np.abs(es.mean).max() > 0.5
 
 
-def test_two_levels_give_the_iterates_of_the_textbook():
-    es = _make((3, 5), mirrored="quad", seed=4)
-    book = TextbookES([np.zeros(3), np.zeros(5)], mirrored="quad", sigma=0.1, rate=0.05)
+@pytest.mark.parametrize(
+    ("perturbation", "members"), [("many_to_many", 4), ("one_to_many", 2), ("one_to_many_halves", 2)]
+)
+def test_two_levels_give_the_iterates_of_the_textbook(perturbation, members):
+    es = _make((3, 5), mirrored="quad", seed=4, perturbation=perturbation)
+    book = TextbookES([np.zeros(3), np.zeros(5)], mirrored="quad", sigma=0.1, rate=0.05, perturbation=perturbation)
     table = NoiseTable.open(TABLE_SIZE)
 
     def fitness(first, second):
@@ -55,15 +58,45 @@ def test_two_levels_give_the_iterates_of_the_textbook():
         return [-((first - second[:3]) ** 2).sum() - (first[0] - 1) ** 2, -((second - OPTIMUM) ** 2).sum() + first[1]]
 
     for generation in range(15):
-        noise = _noise(es, generation, table)
-        members = list(zip(*es.ask(), strict=True))
-        for mine, theirs in zip(members, book.candidates(noise), strict=True):
+        noise = _noise(es, generation, table, members)
+        population = list(zip(*es.ask(), strict=True))
+        for mine, theirs in zip(population, book.candidates(noise), strict=True):
             assert np.concatenate(mine) == pytest.approx(np.concatenate(theirs), abs=1e-4)
-        values = np.array([fitness(a.astype(float), b.astype(float)) for a, b in members]).T
+        values = np.array([fitness(a.astype(float), b.astype(float)) for a, b in population]).T
         es.tell(values)
         book.update(values.tolist(), noise)
         for mean, theta in zip(es.mean, book.thetas, strict=True):
             assert mean == pytest.approx(theta, abs=1e-4)
+    assert all(np.abs(mean).max() > 0.1 for mean in es.mean)
+
+
+def test_in_turns_the_level_that_is_not_perturbed_rests():
+    es = _make((2, 3), perturbation="one_to_many", weight_decay=0.01, initial=[np.ones(2), np.ones(3)])
+    for generation in range(4):
+        before, turn = es.state.levels, generation % 2
+        candidates = es.ask()
+        resting = candidates[1 - turn]
+        assert np.array_equal(resting, np.tile(before[1 - turn].theta, (40, 1)))
+        assert len(np.unique(candidates[turn], axis=0)) == 40
+        es.tell(np.random.default_rng(generation).normal(size=(2, 40)))
+        assert es.state.levels[1 - turn] is before[1 - turn]
+        assert es.state.levels[turn].optimizer.steps == before[turn].optimizer.steps + 1
+
+
+def test_in_halves_a_level_learns_from_its_own_half_alone():
+    means = []
+    for other_half in (0.0, 1e6):
+        es = _make((2, 3), perturbation="one_to_many_halves")
+        first, second = es.ask()
+        assert not first[20:].any()
+        assert not second[:20].any()
+        fitness = np.full((2, 40), other_half)
+        fitness[0, :20], fitness[1, 20:] = first[:20, 0], second[20:, 0]
+        es.tell(fitness)
+        means.append(es.mean)
+    for one, other in zip(*means, strict=True):
+        assert np.array_equal(one, other)
+        assert one[0] > 0
 
 
 @pytest.mark.parametrize("mirrored", ["quad", "pair", "none"])
@@ -74,9 +107,27 @@ def test_it_converges_to_the_optimum(mirrored):
     assert es.mean == pytest.approx(OPTIMUM, abs=0.1)
 
 
-def test_two_levels_converge_each_by_its_own_fitness():
-    es = _make((2, 3))
-    for _ in range(200):
+@pytest.mark.parametrize(
+    ("options", "tolerance"),
+    [
+        ({"fitness_shaping": "z_score"}, 0.1),
+        ({"fitness_shaping": "top_fraction", "top_fraction": 0.5}, 0.2),
+        ({"optimizer": "sgd", "learning_rate": 0.5}, 0.2),
+        ({"optimizer": "sgd", "momentum": 0.0, "learning_rate": 0.5}, 0.2),
+        ({"optimizer": "clipup", "momentum": 0.5}, 0.2),
+    ],
+)
+def test_it_converges_with_every_shaping_and_optimizer(options, tolerance):
+    es = _make(**options)
+    for _ in range(300):
+        es.tell(_quadratic(es.ask()))
+    assert es.mean == pytest.approx(OPTIMUM, abs=tolerance)
+
+
+@pytest.mark.parametrize("perturbation", ["many_to_many", "one_to_many", "one_to_many_halves"])
+def test_two_levels_converge_each_by_its_own_fitness(perturbation):
+    es = _make((2, 3), perturbation=perturbation)
+    for _ in range(400 if perturbation == "one_to_many" else 200):
         first, second = es.ask()
         es.tell([-((first - 1) ** 2).sum(axis=1), -((second + 2) ** 2).sum(axis=1)])
     assert es.mean[0] == pytest.approx([1, 1], abs=0.1)
@@ -159,14 +210,25 @@ def test_a_list_of_fitnesses_is_welcome():
     assert np.array_equal(first.mean, second.mean)
 
 
-def test_a_strategy_goes_on_from_its_state_as_if_it_had_never_stopped():
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"perturbation": "one_to_many"},
+        {"perturbation": "one_to_many", "fitness_shaping": "z_score"},
+        {"perturbation": "one_to_many", "fitness_shaping": "top_fraction"},
+        {"perturbation": "one_to_many_halves", "optimizer": "sgd"},
+        {"optimizer": "clipup", "fitness_shaping": "z_score"},
+    ],
+)
+def test_a_strategy_goes_on_from_its_state_as_if_it_had_never_stopped(options):
     def run(es, generations):
         for _ in range(generations):
             first, second = es.ask()
             es.tell([-np.abs(first).sum(axis=1), second.sum(axis=1)])
         return es
 
-    arguments = {"dim": (3, 4), "weight_decay": 0.01, "seed": 9}
+    arguments = {"dim": (3, 4), "weight_decay": 0.01, "seed": 9, **options}
     whole = run(_make(**arguments), 8)
     half = run(_make(**arguments), 5)
     resumed = run(_make(**{**arguments, "seed": 77}, state=half.state), 3)
@@ -217,12 +279,28 @@ def test_several_levels_start_where_they_are_told():
         ({"sigma": -0.1}, ConfigError, "sigma must be a positive number, got -0.1"),
         ({"sigma": 0}, ConfigError, "sigma must be a positive number, got 0"),
         ({"sigma": float("nan")}, ConfigError, "sigma must be a positive number, got nan"),
-        ({"learning_rate": -1}, ConfigError, "learning_rate must be positive, got -1"),
+        ({"learning_rate": -1}, ConfigError, "learning_rate must be a positive number, got -1"),
+        ({"learning_rate": 0}, ConfigError, "learning_rate must be a positive number, got 0"),
+        ({"weight_decay": -0.5}, ConfigError, "weight_decay must be zero or positive, got -0.5"),
+        ({"population_size": 4.5}, ConfigError, "population_size must be a positive whole number, got 4.5"),
+        ({"population_size": 0}, ConfigError, "population_size must be a positive whole number, got 0"),
+        ({"seed": -1}, ConfigError, "seed must be a whole number of at least 0, got -1"),
+        ({"momentum": 1, "optimizer": "sgd"}, ConfigError, "momentum must be at least 0 and below 1, got 1"),
+        ({"top_fraction": 1, "fitness_shaping": "top_fraction"}, ConfigError, "top_fraction must be above 0 .*got 1"),
         ({"population_size": 41}, ConfigError, r"multiple of 2 .*got 41\. Set --population-size 40 or 42"),
         ({"dim": (2, 2), "population_size": 42}, ConfigError, "multiple of 4 .*got 42"),
+        (
+            {"dim": (2, 2), "population_size": 42, "perturbation": "one_to_many_halves"},
+            ConfigError,
+            "a share of it for each of 2 .*got 42",
+        ),
         ({"noise_table_size": 9}, ConfigError, "noise_table_size is 9, but a level has 5 parameters .* at least 10"),
         ({"noise_table_size": 0}, ConfigError, "noise_table_size must be positive, got 0"),
         ({"mirrored": "quadd"}, UnknownNameError, r"mirroring 'quadd'. Did you mean 'quad'\?"),
+        ({"rank_ties": "indx"}, UnknownNameError, r"'indx'. Did you mean 'index'\?"),
+        ({"perturbation": "many"}, UnknownNameError, r"perturbation 'many'.*Known: .*--perturbation"),
+        ({"fitness_shaping": "zscore"}, UnknownNameError, r"'zscore'. Did you mean 'z_score'\?"),
+        ({"optimizer": "adm"}, UnknownNameError, r"optimizer 'adm'. Did you mean 'adam'\?"),
         ({"initial": np.zeros(4)}, ShapeError, r"initial must have the shape of dim \(5,\), got \[\(4,\)\]"),
         ({"initial": 1.0}, ShapeError, r"got \[\(\)\]"),
         ({"dim": (2, 2), "initial": [np.zeros(2)]}, ShapeError, r"dim \(2, 2\), got \[\(2,\)\]"),
@@ -231,11 +309,6 @@ def test_several_levels_start_where_they_are_told():
 def test_a_wrong_argument_is_refused(changes, error, message):
     with pytest.raises(error, match=message):
         _make(**changes)
-
-
-def test_an_unknown_way_to_rank_ties_is_refused():
-    with pytest.raises(UnknownNameError, match=r"'indx'. Did you mean 'index'\?"):
-        _make(rank_ties="indx").tell(np.zeros(40))
 
 
 def test_a_state_of_other_dimensions_is_refused():

@@ -1,7 +1,8 @@
 """Evolution strategies as the papers write them: loops, float64, one entry per member of the population.
 
-Written from Salimans et al. 2017 (Algorithm 2), the SHES paper (Algorithm 1, II-F) and Kingma and Ba 2014.
-Nothing is grouped: every member has its own noise vector and its own sign, and the sum runs over all n members.
+Written from Salimans et al. 2017 (Algorithm 2), the SHES paper (Algorithm 1, II-E, II-F) and Kingma and Ba 2014.
+Nothing is grouped: every member has its own noise vector and its own sign, and the sum runs over all members that
+perturb the level.
 """
 
 import math
@@ -14,6 +15,24 @@ SIGNS = {
     ("pair", 2): [(+1, +1), (-1, -1)],
     ("none", 2): [(+1, +1)],
 }
+
+
+def group_signs(mirrored, perturbation, learns, num_groups, generation):
+    """Return the signs of every member of every group at each level [G][M][L]; 0 for a level that is left alone."""
+    learning = [level for level, is_learning in enumerate(learns) if is_learning]
+    if perturbation == "many_to_many":
+        perturbed = [learning] * num_groups
+    elif perturbation == "one_to_many":
+        perturbed = [[learning[generation % len(learning)]]] * num_groups
+    else:
+        perturbed = [[learning[group // (num_groups // len(learning))]] for group in range(num_groups)]
+    return [
+        [
+            tuple(signs[levels.index(level)] if level in levels else 0 for level in range(len(learns)))
+            for signs in SIGNS[mirrored, len(levels)]
+        ]
+        for levels in perturbed
+    ]
 
 
 def centred_ranks(fitness, ties):
@@ -54,21 +73,27 @@ class Adam:
 
 
 class TextbookES:
-    """One or two levels, each with its own fitness, gradient and Adam."""
+    """One or two levels, each with its own fitness, gradient and Adam. A level that nobody perturbed rests."""
 
-    def __init__(self, thetas, *, mirrored, sigma, rate, weight_decay=0.0, ties="average"):
+    def __init__(
+        self, thetas, *, mirrored, sigma, rate, weight_decay=0.0, ties="average", perturbation="many_to_many",
+        learns=None,
+    ):  # fmt: skip
         self.thetas = [[float(x) for x in theta] for theta in thetas]
         self.adams = [Adam(len(theta)) for theta in thetas]
         self.gradients = []
+        self.generation = 0
         self.sigma, self.rate, self.weight_decay, self.ties = sigma, rate, weight_decay, ties
-        self.signs = SIGNS[mirrored, len(thetas)]
+        self.mirrored, self.perturbation = mirrored, perturbation
+        self.learns = [True] * len(thetas) if learns is None else learns
 
     def members(self, noise):
         """Return (sign, noise vector) of every member at every level: [n][L], from `noise` [L][G][D]."""
+        groups = group_signs(self.mirrored, self.perturbation, self.learns, len(noise[0]), self.generation)
         return [
             [(sign, noise[level][group]) for level, sign in enumerate(signs)]
-            for group in range(len(noise[0]))
-            for signs in self.signs
+            for group, members in enumerate(groups)
+            for signs in members
         ]
 
     def candidates(self, noise):
@@ -82,16 +107,32 @@ class TextbookES:
         ]
 
     def update(self, fitness, noise):
-        """Take one step from `fitness` [L][n] of the members that `noise` makes."""
+        """Take one step from `fitness` [L][n] of the members that `noise` makes, by their ranks."""
+        members = self.members(noise)
+        self.step(
+            [
+                centred_ranks(
+                    [f for f, member in zip(row, members, strict=True) if member[level][0] != 0], self.ties
+                )
+                for level, row in enumerate(fitness)
+            ],
+            noise,
+        )  # fmt: skip
+
+    def step(self, shaped, noise):
+        """Take one step from the `shaped` fitness [L][n'] of the members that perturb each level."""
         members = self.members(noise)
         self.gradients = []
         for level, theta in enumerate(self.thetas):
-            shaped = centred_ranks(fitness[level], self.ties)
+            mine = [member[level] for member in members if member[level][0] != 0]
+            if not mine:
+                self.gradients.append(None)
+                continue
             gradient = [-self.weight_decay * t for t in theta]
-            for rank, member in zip(shaped, members, strict=True):
-                sign, epsilon = member[level]
+            for worth, (sign, epsilon) in zip(shaped[level], mine, strict=True):
                 for d in range(len(theta)):
-                    gradient[d] += rank * sign * float(epsilon[d]) / len(members)
+                    gradient[d] += worth * sign * float(epsilon[d]) / len(mine)
             step = self.adams[level].step(gradient, self.rate)
             self.thetas[level] = [t + s for t, s in zip(theta, step, strict=True)]
             self.gradients.append(gradient)
+        self.generation += 1

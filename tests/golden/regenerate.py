@@ -19,13 +19,14 @@ from shes.envs.task import TaskOptions
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import Adam
+from shes.es.schedules import Constant
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.goals import make_goal_encoding
+from shes.hierarchy.hierarchical import HierarchicalDesign
+from shes.hierarchy.outputs import make_controller_output
 from shes.hierarchy.rewards import make_primitive_reward
 from shes.policies.mlp import MLP
-from shes.types import LEVEL_NAMES
 from shes.worker import RolloutWorker, WorkerPlan
 
 GOLDEN_FILE = Path(__file__).with_name("generations.json")
@@ -41,9 +42,10 @@ def golden_run(folder, change=0.0):
     """
     task = make_task("point-gather", 1)
     encoding = make_goal_encoding("angle")
-    design = AgentDesign(
+    design = HierarchicalDesign(
         controller=MLP(task.observation_size, (8,), 2),
         primitive=MLP(encoding.size + task.observation_size, (8,), task.action_size),
+        controller_output=make_controller_output("vector"),
         goal_encoding=encoding,
         primitive_reward=make_primitive_reward("progress"),
         goal_distance=4.0,
@@ -57,7 +59,12 @@ def golden_run(folder, change=0.0):
         theta = policy.initial(stream(SEED, Purpose.INITIAL_PARAMETERS, number))
         theta *= 1 + np.float32(change) * np.random.default_rng(number).standard_normal(len(theta), dtype=np.float32)
         levels.append(
-            LevelState(theta=theta, optimizer=Adam().start(len(theta)), statistics=ObservationStatistics.empty(size))
+            LevelState(
+                name=design.level_names[number],
+                theta=theta,
+                optimizer=Adam().start(len(theta)),
+                statistics=ObservationStatistics.empty(size),
+            )
         )
     plan = WorkerPlan(
         env=find_environment("point-gather"),
@@ -65,16 +72,17 @@ def golden_run(folder, change=0.0):
         evaluation=TaskOptions(evaluation=True),
         design=design,
         noise_table=table.path,
-        episodes_per_policy=2,
         horizon=40,
         evaluation_horizon=40,
         chunk_size=0,
     )
     settings = Settings(
         population_size=16,
-        episodes_per_policy=2,
-        sigma=0.07,
-        update=UpdateRule(learning_rate=0.02, weight_decay=0.005),
+        episodes_per_policy=_constant("episodes_per_policy", 2),
+        sigma=_constant("sigma", 0.07),
+        learning_rate=_constant("learning_rate", 0.02),
+        updates=(UpdateRule(weight_decay=0.005),) * 2,
+        learns=(True, True),
     )
     state = TrainState(seed=SEED, generation=0, env_steps=0, levels=tuple(levels))
     with SerialBackend(partial(RolloutWorker, plan)) as backend:
@@ -82,12 +90,16 @@ def golden_run(folder, change=0.0):
         return {"generations": [_numbers(report) for report in reports]}
 
 
+def _constant(quantity, value):
+    return Constant(quantity=quantity, start=value, end=value, generations=1)
+
+
 def _numbers(report):
     """Return what is compared of one generation."""
     results = report.results
     numbers = {"env_steps": report.state.env_steps, "score": float(results.score.mean())}
-    for name, level, fitness in zip(LEVEL_NAMES, report.state.levels, results.fitness, strict=True):
-        numbers[name] = {
+    for level, fitness in zip(report.state.levels, results.fitness, strict=True):
+        numbers[level.name] = {
             "fitness_mean": float(fitness.mean()),
             "fitness_std": float(fitness.std()),
             "theta_norm": float(np.linalg.norm(level.theta.astype(float))),

@@ -1,6 +1,7 @@
 """A task without physics that keeps the Task contract: deterministic, and exact in whatever batch it runs.
 
-How an episode goes is in its seed: `Script.of(seed)`. Only + - * / are used, so no bit depends on the batch.
+How an episode goes is in its seed: `Script.of(seed)`. Only + - * / are used, so no bit depends on the batch. Worker
+processes import this module: `FakeEnvironment` is what a plan sends them.
 """
 
 from dataclasses import dataclass
@@ -38,10 +39,14 @@ class FakeTask:
     observation_size = 5
     action_size = 2
     control_limit = 1.0
+    physics_s = 0.0
 
-    def __init__(self, num_episodes, on_step=None):
+    def __init__(self, num_episodes, on_step=None, goal_interval=0):
+        """Make room for `num_episodes`; with a `goal_interval` the task itself sets goals and moves them as often."""
         self.num_episodes = num_episodes
         self.on_step = on_step
+        self.goal_interval = goal_interval
+        self.goal = np.ones((num_episodes, 2)) if goal_interval else None
         self.scripts = [Script(0, 0)] * num_episodes
         self.seeds = np.full(num_episodes, -1)
         self.age = np.zeros(num_episodes, int)
@@ -73,11 +78,13 @@ class FakeTask:
 
     def reset(self, ids, seeds):
         assert len(ids) == len(seeds)
+        self.age[ids] = 0
         for i, seed in zip(ids, seeds, strict=True):
             rng = np.random.default_rng(seed)
             self.scripts[i], self.seeds[i] = Script.of(seed), seed
             self.position[i], self.wind[i] = rng.uniform(-2, 2, 2), rng.uniform(-0.1, 0.1, 2)
             self.heading[i] = rng.uniform(-3, 3)
+            self._move_goal(i)
         for array in (self.age, self.reward, self.running_return, self.diverged, self.has_ended):
             array[ids] = 0
 
@@ -94,7 +101,28 @@ class FakeTask:
             if self.age[i] == self.scripts[i].diverges_after:
                 self.diverged[i] = True
                 self.position[i] = 0  # the simulator's own reset state: finite
+            if self.goal_interval and self.age[i] % self.goal_interval == 0:
+                self._move_goal(i)
         # As in a real task, what is computed for rows that did not move means nothing.
         self.reward = (self.position[:, 0] + 0.25 * self.age) * ~self.diverged
         self.running_return += self.reward
         self.has_ended[ids] = (self.terminated | self.diverged)[ids]
+
+    def _move_goal(self, i):
+        """Put the goal of episode `i` somewhere that depends on its seed and its age."""
+        if self.goal_interval:
+            rng = np.random.default_rng([self.seeds[i], self.age[i]])
+            self.goal[i] = self.position[i] + rng.uniform(0.5, 1.5, 2) * rng.choice([-1, 1], 2)
+
+    def close(self):
+        pass
+
+
+@dataclass(frozen=True)
+class FakeEnvironment:
+    """Makes fake tasks: in place of an environment of the registry."""
+
+    goal_interval: int = 0
+
+    def make(self, num_episodes, options=None):
+        return FakeTask(num_episodes, goal_interval=self.goal_interval)

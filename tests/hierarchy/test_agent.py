@@ -7,8 +7,10 @@ import pytest
 
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
-from shes.hierarchy.agent import AgentDesign, HierarchicalAgent, Moments
 from shes.hierarchy.goals import AngleEncoding
+from shes.hierarchy.hierarchical import HierarchicalDesign
+from shes.hierarchy.moments import Moments
+from shes.hierarchy.outputs import OneHotOutput, VectorOutput
 from shes.hierarchy.rewards import ProgressReward
 from shes.policies.mlp import MLP
 from shes.types import CONTROLLER, PRIMITIVE
@@ -23,21 +25,24 @@ def _design(**changes):
         "primitive": MLP(3 + OBSERVED, (), 3),
         "goal_encoding": AngleEncoding(),
         "primitive_reward": ProgressReward(),
+        "controller_output": VectorOutput(),
         "goal_distance": 4.0,
         "controller_interval": INTERVAL,
         "has_minimum_goal_distance": False,
         "control_limit": 1.0,
     }
-    return AgentDesign(**{**design, **changes})
+    return HierarchicalDesign(**{**design, **changes})
 
 
-def _agent(num_policies=1, num_episodes=1, output=(0.5, 0.25), follows=0.0, **changes):
+def _agent(num_policies=1, num_episodes=1, output=(0.5, 0.25), follows=0.0, sees=None, **changes):
     """Return an agent whose controller says `output` (+ the tanh of `follows` times what it observes).
 
     Its primitive lets us look at the goal's features: the controls are tanh(sin), tanh(cos), tanh(distance).
     """
-    agent = HierarchicalAgent(_design(**changes), num_policies, num_episodes)
-    controller = np.concatenate([follows * np.eye(2).ravel(), np.arctanh(output)])
+    design = _design(**changes)
+    agent = design.make(num_policies, num_episodes)
+    weights = follows * np.eye(2).ravel() if sees is None else sees
+    controller = np.concatenate([weights, np.arctanh(output)])
     primitive = np.zeros((3 + OBSERVED, 3))
     primitive[:3] = np.diag([1, 1, 1000])
     agent.theta[CONTROLLER][:] = controller
@@ -45,7 +50,7 @@ def _agent(num_policies=1, num_episodes=1, output=(0.5, 0.25), follows=0.0, **ch
     agent.normalise_by(
         tuple(
             LevelParameters.of(theta[0], ObservationStatistics.empty(size))
-            for theta, size in zip(agent.theta, agent.design.observation_sizes, strict=True)
+            for theta, size in zip(agent.theta, design.observation_sizes, strict=True)
         )
     )
     for policy in range(num_policies):
@@ -144,26 +149,74 @@ def test_the_primitive_is_paid_for_its_progress_towards_the_goal():
         ((2.41, 3.21), 1 - math.hypot(0.59, 0.79) / 5 + 1),
         ((3, 4), 2),
     ):
-        assert agent.primitive_reward(np.array([position]))[0] == pytest.approx(reward, abs=1e-6)
+        assert agent.internal_reward(np.array([position]))[0] == pytest.approx(reward, abs=1e-6)
 
 
 def test_a_robot_that_did_not_move_has_made_exactly_no_progress():
     agent = _agent(num_policies=50, output=(0.3, 0.7))
     position = np.random.default_rng(0).normal(size=(50, 2)) * 10
     agent.act(np.zeros((50, OBSERVED)), position, np.zeros(50))
-    assert agent.primitive_reward(position).tolist() == [0] * 50
+    assert agent.internal_reward(position).tolist() == [0] * 50
 
 
 def test_a_goal_where_the_robot_stands_pays_the_bonus_and_is_no_nan():
     agent = _agent(output=(0, 0))
     _act(agent, position=(5, 5))
-    assert agent.primitive_reward(np.array([[5.0, 5.0]])).tolist() == [2]
+    assert agent.internal_reward(np.array([[5.0, 5.0]])).tolist() == [2]
 
 
 def test_walking_away_from_a_goal_where_the_robot_stood_is_paid_something_finite():
     agent = _agent(output=(0, 0))
     _act(agent, position=(5, 5))
-    assert np.isfinite(agent.primitive_reward(np.array([[10.0, 5.0]]))).all()
+    assert np.isfinite(agent.internal_reward(np.array([[10.0, 5.0]]))).all()
+
+
+def test_a_goal_is_counted_once_when_the_robot_first_comes_near_it():
+    agent = _agent(num_policies=2, output=(0.75, 0.0))  # 3 m to the right of where it is set
+    _act(agent)
+    counts = []
+    # Just outside 1 m, inside, further inside, outside and inside again: one goal.
+    for x in (1.99, 2.01, 2.5, 0.0, 3.0):
+        agent.internal_reward(np.array([[x, 0.0], [0.0, 0.0]]))
+        counts.append(agent.goals_reached.tolist())
+    assert counts == [[0, 0], [1, 0], [1, 0], [1, 0], [1, 0]]
+    for _ in range(INTERVAL):
+        _act(agent, position=(3, 0))
+    # A new goal at (6, 0): another one to reach.
+    assert agent.goal.round(5).tolist() == [[6, 0]] * 2
+    agent.internal_reward(np.array([[3.0, 0.0], [6.0, 0.0]]))
+    assert agent.goals_reached.tolist() == [1, 1]
+    agent.internal_reward(np.array([[6.0, 0.0], [6.0, 0.0]]))
+    assert agent.goals_reached.tolist() == [2, 1]
+
+
+def test_new_episodes_have_reached_no_goal_and_can_reach_their_first():
+    agent = _agent(num_policies=2, num_episodes=2, output=(0.75, 0.0))
+    _act(agent)
+    at_goal = np.array([[3.0, 0.0]] * 4)
+    agent.internal_reward(at_goal)
+    agent.start(1)
+    assert agent.goals_reached.tolist() == [1, 1, 0, 0]
+    _act(agent)
+    agent.internal_reward(at_goal)
+    assert agent.goals_reached.tolist() == [1, 1, 1, 1]
+
+
+def test_a_controller_output_turns_the_goal_with_the_robot():
+    # The eight outputs say nothing but the fourth: straight ahead of the robot, 0.5 * 4 m.
+    output = (-0.9, -0.9, -0.9, 0.5, -0.9, -0.9, -0.9, -0.9)
+    agent = _agent(controller=MLP(OBSERVED, (), 8), controller_output=OneHotOutput(), output=output, sees=np.zeros(16))
+    _act(agent, position=(1, 1), heading=math.pi / 2)
+    assert agent.goal[0] == pytest.approx([1, 3], abs=1e-6)
+
+
+def test_a_primitive_sees_the_part_of_the_observation_that_is_its_view():
+    # Columns 1 and 0, in this order: not a slice.
+    agent = _agent(output=(0.5, 0), primitive_view=(1, 0))
+    agent.is_recording = True
+    _act(agent, observation=(7, -8))
+    assert agent.moments[PRIMITIVE].total[0] == pytest.approx([0, 1, 0.002, -8, 7], abs=1e-6)
+    assert agent.moments[CONTROLLER].total[0].tolist() == [7, -8]
 
 
 def test_controls_are_the_primitives_outputs_times_the_limit():
@@ -172,20 +225,20 @@ def test_controls_are_the_primitives_outputs_times_the_limit():
     assert np.abs(unit).max() > 0.1
 
 
-def test_controller_noise_is_added_to_the_tanh_output_and_moves_the_goal_fourfold():
+def test_decision_noise_is_added_to_the_tanh_output_and_moves_the_goal_fourfold():
     agent = _agent(output=(0.5, -0.5))
     noise = np.array([[[0.01, -0.02]]], np.float32)
-    _act(agent, controller_noise=noise)
+    _act(agent, decision_noise=noise)
     assert agent.goal[0] == pytest.approx([2.04, -2.08], abs=1e-5)
     goal = agent.goal.copy()
     for _ in range(INTERVAL - 1):
-        _act(agent, controller_noise=7 * noise)  # no decision is due: not used
+        _act(agent, decision_noise=7 * noise)  # no decision is due: not used
         assert np.array_equal(agent.goal, goal)
 
 
-def test_primitive_noise_is_added_to_the_control_not_scaled_by_its_limit():
+def test_control_noise_is_added_to_the_control_not_scaled_by_its_limit():
     clean, noisy = (
-        _act(_agent(control_limit=30.0), primitive_noise=noise)
+        _act(_agent(control_limit=30.0), control_noise=noise)
         for noise in (None, np.array([[[0.5, 0, -0.25]]], np.float32))
     )
     assert noisy - clean == pytest.approx(np.array([[0.5, 0, -0.25]]), abs=1e-5)
@@ -243,7 +296,7 @@ def test_the_bits_of_a_pair_do_not_depend_on_who_else_decides_with_it(hidden, ep
 
     def play(members, delays):
         """Return the controls of each member, started after its delay."""
-        agent = HierarchicalAgent(design, len(members), episodes)
+        agent = design.make(len(members), episodes)
         agent.normalise_by(
             tuple(
                 LevelParameters.of(theta, ObservationStatistics.empty(size))
@@ -308,3 +361,4 @@ def test_the_design_knows_its_sizes():
     design = _design(controller=MLP(7, (4,), 2), primitive=MLP(10, (5,), 8))
     assert design.dims == (7 * 4 + 4 + 4 * 2 + 2, 10 * 5 + 5 + 5 * 8 + 8)
     assert design.observation_sizes == (7, 10)
+    assert (design.decision_size, design.decision_interval, design.internal_level) == (2, INTERVAL, PRIMITIVE)

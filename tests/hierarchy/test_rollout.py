@@ -3,6 +3,7 @@
 import math
 import random
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -11,30 +12,65 @@ from shes.errors import PolicyError
 from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.es.statistics import ObservationStatistics
-from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.episodes import EpisodeTask, Generation
+from shes.hierarchy.clock import Clock
+from shes.hierarchy.episodes import PARTS, EpisodeTask, Generation
+from shes.hierarchy.flat import FlatDesign
 from shes.hierarchy.goals import AngleEncoding
+from shes.hierarchy.hierarchical import HierarchicalDesign
+from shes.hierarchy.outputs import VectorOutput
+from shes.hierarchy.primitive import PrimitiveDesign
 from shes.hierarchy.rewards import ProgressReward
 from shes.hierarchy.rollout import EXPLORATION_STD, Rollout
 from shes.policies.mlp import MLP
 from shes.types import CONTROLLER, PRIMITIVE
-from tests.hierarchy.fake_task import FakeTask, Script, make_seed
+from tests.hierarchy.fake_task import FakeEnvironment, FakeTask, Script, make_seed
 
 INTERVAL = 5
 HORIZON = 23
 EPISODES = 3
 SIGMA = 0.2
 
-DESIGN = AgentDesign(
+DESIGN = HierarchicalDesign(
     controller=MLP(5, (16,), 2),
     primitive=MLP(8, (16,), 2),
     goal_encoding=AngleEncoding(),
     primitive_reward=ProgressReward(),
+    controller_output=VectorOutput(),
     goal_distance=4.0,
     controller_interval=INTERVAL,
     has_minimum_goal_distance=True,
     control_limit=1.0,
 )
+
+ALONE = {
+    "primitive": (
+        PrimitiveDesign(
+            primitive=MLP(8, (16,), 2),
+            goal_encoding=AngleEncoding(),
+            primitive_reward=ProgressReward(),
+            controller_interval=INTERVAL,
+            control_limit=1.0,
+        ),
+        FakeEnvironment(goal_interval=INTERVAL),
+    ),
+    "primitive with a clock": (
+        PrimitiveDesign(
+            primitive=MLP(10, (16,), 2),
+            goal_encoding=AngleEncoding(),
+            primitive_reward=ProgressReward(),
+            controller_interval=INTERVAL,
+            control_limit=1.0,
+            clock=Clock(frequency_hz=1.5, step_s=0.1),
+        ),
+        FakeEnvironment(goal_interval=INTERVAL),
+    ),
+    "flat": (FlatDesign(policy=MLP(5, (16,), 2), control_limit=1.0), FakeEnvironment()),
+    "flat with a clock": (
+        FlatDesign(policy=MLP(7, (16,), 2), control_limit=1.0, clock=Clock(frequency_hz=1.5, step_s=0.1)),
+        FakeEnvironment(),
+    ),
+}
+"""Agents of one level, each with what makes its episodes."""
 
 
 def _table(size=2000):
@@ -50,7 +86,7 @@ def _generation(design=DESIGN, *, scale=1.0, sigma=SIGMA, is_evaluation=False):
         )
         theta = mlp.initial(rng, "glorot_normal") * np.float32(scale)
         levels.append(LevelParameters.of(theta, statistics))
-    return Generation(levels=tuple(levels), sigma=sigma, is_evaluation=is_evaluation)
+    return Generation(levels=tuple(levels), sigma=sigma, episodes_per_policy=EPISODES, is_evaluation=is_evaluation)
 
 
 def _task(member, seeds, *, slots=None, signs=(1, -1), records=True):
@@ -84,7 +120,8 @@ def _bits(results):
     """Return everything in `results` [K episodes] as bytes, episode by episode."""
     moments = [a for m in results.moments or () for a in (m.count, m.total, m.total_squares)]
     arrays = [*results.returns, results.score, results.success, results.steps, results.has_terminated]
-    arrays += [results.has_diverged, *moments]
+    arrays += [results.has_diverged, results.goals_reached, results.final_position, results.environment_returns]
+    arrays += moments
     return [b"".join(a[k].tobytes() for a in arrays) for k in range(len(results.steps))]
 
 
@@ -260,19 +297,39 @@ def test_the_primitive_too_is_not_paid_for_the_step_of_a_divergence():
 
 
 @pytest.mark.parametrize("is_minimum", [True, False])
-def test_an_episode_is_that_of_a_plain_loop(is_minimum):
-    design = replace(DESIGN, has_minimum_goal_distance=is_minimum)
+@pytest.mark.parametrize("goal_distance", [4.0, 1.0])
+def test_an_episode_is_that_of_a_plain_loop(is_minimum, goal_distance):
+    design = replace(DESIGN, has_minimum_goal_distance=is_minimum, goal_distance=goal_distance)
+    goals = _check_against_plain_loop(design, FakeEnvironment())
+    assert goals > 0 or goal_distance == 4  # otherwise nothing is told of goals reached
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_an_episode_of_one_level_is_that_of_a_plain_loop(name):
+    goals = _check_against_plain_loop(*ALONE[name])
+    assert (goals > 0) == name.startswith("primitive")
+
+
+def _check_against_plain_loop(design, world):
+    """Compare three episodes with those of a plain loop; return how many goals were reached in them."""
     generation = _generation(design, is_evaluation=True)
     seeds = [make_seed(draw=3), make_seed(terminates_after=18, draw=5), make_seed(terminates_after=7, draw=2)]
-    task = _task(3, seeds, signs=(-1, 1))
-    results = _run(_rollout(2, design=design), [task], generation)[3]
+    task = replace(_task(3, seeds), noise_index=(21, 133)[: len(design.dims)], signs=(-1, 1)[: len(design.dims)])
+    rollout = Rollout(design, world.make, 2, EPISODES, HORIZON)
+    results = _run(rollout, [task], generation)[3]
+    goals = 0
     for k, seed in enumerate(seeds):
-        returns, score = _plain_episode(design, generation, task, seed)
-        assert results.returns[:, k] == pytest.approx(returns, rel=1e-4, abs=1e-4)
-        assert results.score[k] == pytest.approx(score, rel=1e-4, abs=1e-4)
+        expected = _plain_episode(design, world, generation, task, seed)
+        assert results.returns[:, k] == pytest.approx(expected["returns"], rel=1e-4, abs=1e-4)
+        assert results.environment_returns[k] == pytest.approx(expected["environment"], rel=1e-4, abs=1e-4)
+        assert results.score[k] == pytest.approx(expected["score"], rel=1e-4, abs=1e-4)
+        assert results.final_position[k] == pytest.approx(expected["position"], rel=1e-4, abs=1e-4)
+        assert results.goals_reached[k] == expected["goals"]
+        goals += expected["goals"]
+    return goals
 
 
-def _plain_episode(design, generation, task, seed):
+def _plain_episode(design, made_by, generation, task, seed):
     """Run one episode with one robot, one step at a time, as the specification says."""
     noise = _table().values
 
@@ -288,29 +345,84 @@ def _plain_episode(design, generation, task, seed):
             x = np.tanh(x @ weights + biases)
         return x
 
-    world = FakeTask(1)
+    world = made_by.make(1)
     world.reset([0], [seed])
-    controller_return = primitive_return = 0.0
-    goal = np.zeros(2)
-    start_distance = 0.0
+    paid = dict.fromkeys(("controller", "primitive", "policy"), 0.0)
+    goal, start_distance, reached, is_reached = None, 0.0, 0, False
     for step in range(HORIZON):
         seen, place = world.observe()[0], world.position[0].copy()
-        if step % INTERVAL == 0:
-            vector = policy(CONTROLLER, seen) * 4
-            if design.has_minimum_goal_distance:
-                vector = np.array([math.copysign(max(abs(v), math.sqrt(0.5)), v) for v in vector])
-            goal = place + vector
-            start_distance = math.dist(goal, place)
-        dx, dy = goal - place
-        bearing = math.atan2(dy, dx) - world.heading[0]
-        features = [math.sin(bearing), math.cos(bearing), math.hypot(dx, dy) / 1000]
-        world.step(np.array([0]), policy(PRIMITIVE, np.array([*features, *seen]))[None])
-        distance = math.dist(goal, world.position[0])
-        controller_return += world.reward[0]
-        primitive_return += 1 - distance / start_distance + (1 if distance < 1 else 0)
+        inputs = seen
+        if "primitive" in design.level_names:
+            if step % INTERVAL == 0:
+                if "controller" in design.level_names:
+                    vector = policy(0, seen) * design.goal_distance
+                    if design.has_minimum_goal_distance:
+                        vector = np.array([math.copysign(max(abs(v), math.sqrt(0.5)), v) for v in vector])
+                    goal = place + vector
+                else:
+                    goal = world.goal[0].copy()
+                start_distance, is_reached = math.dist(goal, place), False
+            dx, dy = goal - place
+            bearing = math.atan2(dy, dx) - world.heading[0]
+            inputs = np.array([math.sin(bearing), math.cos(bearing), math.hypot(dx, dy) / 1000, *seen])
+        if design.clock is not None:
+            phase = 2 * math.pi * design.clock.frequency_hz * design.clock.step_s * step
+            features = 3 if goal is not None else 0
+            inputs = np.array([*inputs[:features], math.sin(phase), math.cos(phase), *inputs[features:]])
+        world.step(np.array([0]), policy(len(design.dims) - 1, inputs)[None])
+        paid["controller"] += world.reward[0]
+        paid["policy"] += world.reward[0]
+        if goal is not None:
+            distance = math.dist(goal, world.position[0])
+            paid["primitive"] += 1 - distance / start_distance + (1 if distance < 1 else 0)
+            reached += distance < 1 and not is_reached
+            is_reached |= distance < 1
         if world.terminated[0]:
             break
-    return [controller_return, primitive_return], world.score[0]
+    return {
+        "returns": [paid[name] for name in design.level_names],
+        "environment": paid["policy"],
+        "score": world.score[0],
+        "position": world.position[0],
+        "goals": reached,
+    }
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_results_of_one_level_do_not_depend_on_lanes_order_or_company(name):
+    design, world = ALONE[name]
+    generation, rng = _generation(design), random.Random(1)  # noqa: S311 - seeds of a test
+    tasks = [
+        replace(_task(m, [rng.randrange(2**63) for _ in range(EPISODES)]), noise_index=(7 * m,), signs=(1 - m % 3,))
+        for m in range(6)
+    ]
+    alone = {
+        task.member: _bits(_run(Rollout(design, world.make, 1, EPISODES, HORIZON), [task], generation)[task.member])
+        for task in tasks
+    }
+    assert len({bits for member in alone.values() for bits in member}) == 6 * EPISODES
+    for lanes, order in ((2, tasks), (5, tasks[::-1])):
+        rollout = Rollout(design, world.make, lanes, EPISODES, HORIZON)
+        assert {m: _bits(r) for m, r in _run(rollout, order, generation).items()} == alone
+
+
+def test_what_the_environment_paid_is_kept_beside_what_a_level_was_paid(population):
+    design, world = ALONE["primitive"]
+    tasks = [replace(_task(0, population[0].seeds), noise_index=(0,), signs=(1,))]
+    alone = _run(Rollout(design, world.make, 1, EPISODES, HORIZON), tasks, _generation(design))[0]
+    assert not np.isclose(alone.returns[0], alone.environment_returns).any()
+    both = _run(_rollout(1), [population[0]])[0]
+    assert both.environment_returns.tolist() == both.returns[CONTROLLER].tolist()
+
+
+def test_seconds_are_told_once_and_add_up_to_no_more_than_was_spent(population):
+    start = perf_counter()
+    results = _run(_rollout(3), population).values()
+    spent = perf_counter() - start
+    told = sum(result.seconds for result in results)
+    assert told.shape == (len(PARTS),)
+    assert told.min() >= 0
+    assert 0 < told.sum() < spent
 
 
 # Exploration noise -----------------------------------------------------------

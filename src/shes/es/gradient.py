@@ -25,9 +25,9 @@ def group_weights(shaped: F64Array, signs: NDArray[np.int8]) -> F32Array:
 
     Args:
         shaped: Shaped fitness [n] of the population, group after group.
-        signs: Signs [M] that the members of a group give to this level's noise vector.
+        signs: Signs [G, M] that the members of each group give to this level's noise vector.
     """
-    return (shaped.reshape(-1, len(signs)) * signs).sum(axis=1).astype(np.float32)  # no BLAS: the same bits anywhere
+    return (shaped.reshape(signs.shape) * signs).sum(axis=1).astype(np.float32)  # no BLAS: the same bits anywhere
 
 
 def weighted_noise_sum(

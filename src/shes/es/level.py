@@ -5,17 +5,19 @@ Source: SHES paper, Algorithm 1 lines 4 and 5; algorithm specification section 4
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.es.gradient import group_weights, weighted_noise_sum
 from shes.es.noise import NoiseTable
-from shes.es.optimizers import Adam, AdamState
-from shes.es.ranking import TIES, centred_ranks
+from shes.es.novelty import NoveltyState
+from shes.es.optimizers import Adam, Optimizer, OptimizerState
+from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.types import F32Array, F64Array, IntArray
@@ -23,10 +25,12 @@ from shes.types import F32Array, F64Array, IntArray
 __all__ = [
     "LevelParameters",
     "LevelState",
+    "LevelUpdate",
     "TrainState",
     "UpdateRule",
     "draw_noise_index",
     "perturb",
+    "select_fitness",
     "update_level",
 ]
 
@@ -35,9 +39,11 @@ __all__ = [
 class LevelState:
     """Everything that a level carries from one generation to the next."""
 
+    name: str
+    """What the level is called: `controller`, `primitive`, or `policy` where there is one level alone."""
     theta: F32Array
     """Parameters of the mean policy [D]."""
-    optimizer: AdamState
+    optimizer: OptimizerState
     """State of the optimizer."""
     statistics: ObservationStatistics
     """Moments of what the level observes."""
@@ -55,6 +61,8 @@ class TrainState:
     """Environment steps of training so far."""
     levels: tuple[LevelState, ...]
     """The levels, controller first."""
+    novelty: NoveltyState | None = None
+    """Archive and weight of the search for novelty, if there is one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,33 +78,45 @@ class LevelParameters:
         """Freeze `theta` with the normalisation that `statistics` give."""
         return cls(theta=theta, mean=statistics.mean, inverse_std=1 / statistics.std)
 
+    @classmethod
+    def of_all(cls, levels: Sequence[LevelState]) -> tuple[LevelParameters, ...]:
+        """Freeze every one of `levels`."""
+        return tuple(cls.of(level.theta, level.statistics) for level in levels)
+
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateRule:
     """How fitness becomes a step."""
 
-    learning_rate: float
-    """Adam's rate (alpha)."""
     weight_decay: float = 0.0
     """Coefficient of the parameters subtracted from the gradient estimate."""
-    rank_ties: str = "average"
-    """How equal fitnesses rank: `average` or `index`."""
-    adam: Adam = Adam()
-    """The optimizer."""
+    shaping: FitnessShaping = CentredRanks()
+    """What a fitness counts."""
+    optimizer: Optimizer = Adam()
+    """How the gradient estimate becomes a step."""
 
     def __post_init__(self) -> None:
         """Check every value.
 
         Raises:
-            ConfigError: A rate is out of range.
-            UnknownNameError: `rank_ties` is not one of `TIES`.
+            ConfigError: `weight_decay` is out of range.
         """
-        if not 0 < self.learning_rate < float("inf"):
-            raise ConfigError(f"learning_rate must be positive, got {self.learning_rate}.")
         if not 0 <= self.weight_decay < float("inf"):
             raise ConfigError(f"weight_decay must be zero or positive, got {self.weight_decay}.")
-        if self.rank_ties not in TIES:
-            raise UnknownNameError("way to rank ties", self.rank_ties, TIES, "Set --rank-ties.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelUpdate:
+    """A level after its update, and what is to be known of the update; NaN where the level was not perturbed."""
+
+    level: LevelState
+    """The level after the update."""
+    gradient_norm: float = np.nan
+    """Length of the gradient estimate, without weight decay."""
+    halves_cosine: float = np.nan
+    """Cosine between the estimates from the first and the second half of the groups: near 0 is noise, near 1 signal."""
+    update_ratio: float = np.nan
+    """Length of the step over that of the parameters before it."""
 
 
 def draw_noise_index(seed: int, generation: int, num_groups: int, dims: tuple[int, ...], table_size: int) -> IntArray:
@@ -117,35 +137,72 @@ def perturb(theta: F32Array, noise: F32Array, scale: float, out: F32Array) -> No
     np.add(out, theta, out=out)
 
 
-def update_level(
+def select_fitness(fitness: F64Array, signs: NDArray[np.int8]) -> F64Array:
+    """Return the fitness [n'] of the members that perturb a level, given all [n] and the level's signs [G, M]."""
+    return fitness.reshape(signs.shape)[signs.any(axis=1)].ravel()
+
+
+def update_level(  # noqa: PLR0917 - a formula's terms
     level: LevelState,
-    fitness: F64Array,
+    shaped: F64Array,
     signs: NDArray[np.int8],
     noise_index: IntArray,
     table: NoiseTable,
     rule: UpdateRule,
+    learning_rate: float,
     pool: ThreadPoolExecutor | None = None,
-) -> LevelState:
-    """Return `level` after one update from the fitness [n] of its members.
+) -> LevelUpdate:
+    """Return `level` after one update from the shaped fitness [n'] of the members that perturbed it.
 
-    The gradient estimate is `(1 / n) * sum(weight * noise) - weight_decay * theta`.
+    The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`.
 
     Deviation: no factor 1/sigma (the paper's Algorithm 1 has it, its code does not): Adam's step does not depend on the
     scale of the gradient, only the weight decay beside it does.
 
     Args:
         level: The level before.
-        fitness: Fitness [n], group after group.
-        signs: Sign [M] that each member of a group gives to this level's noise.
+        shaped: Shaped fitness [n'], group after group, of the groups in which `signs` are not 0.
+        signs: Signs [G, M] that the members of each group give to this level's noise.
         noise_index: Start of each group's slice of the table [G].
         table: The noise table.
-        rule: Rates and options.
+        rule: Weight decay and optimizer.
+        learning_rate: The optimizer's rate (alpha).
         pool: Threads for the weighted sum; its result does not depend on them.
     """
-    shaped = centred_ranks(fitness, rule.rank_ties)
-    weights = group_weights(shaped, signs) / np.float32(len(fitness))
-    gradient = weighted_noise_sum(table, noise_index, weights, len(level.theta), pool)
+    active = signs.any(axis=1)
+    if not active.any():
+        return LevelUpdate(level=level)
+    weights = group_weights(shaped, signs[active]) / np.float32(len(shaped))
+    indices, middle = noise_index[active], len(weights) // 2
+    halves = [
+        weighted_noise_sum(table, indices[half], weights[half], len(level.theta), pool)
+        for half in (slice(None, middle), slice(middle, None))
+    ]
+    gradient = halves[0] + halves[1]
+    norm = _length(gradient)
     if rule.weight_decay:
         gradient -= np.float32(rule.weight_decay) * level.theta
-    step, optimizer = rule.adam.step(gradient, level.optimizer, rule.learning_rate)
-    return replace(level, theta=level.theta + step, optimizer=optimizer)
+    step, optimizer = rule.optimizer.step(gradient, level.optimizer, learning_rate)
+    return LevelUpdate(
+        level=replace(level, theta=level.theta + step, optimizer=optimizer),
+        gradient_norm=norm,
+        halves_cosine=_cosine(*halves),
+        update_ratio=_ratio(_length(step), _length(level.theta)),
+    )
+
+
+def _length(vector: F32Array) -> float:
+    """Return the Euclidean length of `vector` [D], without BLAS: the same bits for any number of threads."""
+    wide = vector.astype(np.float64)
+    return float(np.sqrt((wide * wide).sum()))
+
+
+def _cosine(a: F32Array, b: F32Array) -> float:
+    """Return the cosine between `a` and `b` [D]; NaN where one is zero."""
+    product = float((a.astype(np.float64) * b).sum())
+    return _ratio(product, _length(a) * _length(b))
+
+
+def _ratio(part: float, whole: float) -> float:
+    """Return `part / whole`; NaN where `whole` is 0."""
+    return part / whole if whole else np.nan

@@ -1,4 +1,4 @@
-"""Fitness shaping: what a member's fitness counts in the update.
+"""Centred ranks: the shaping of fitness that the paper uses; `shaping` has the others.
 
 Source: Salimans et al. 2017 (centred ranks); SHES paper II-A ("ranked and shaped as in S-ES").
 """
@@ -10,10 +10,24 @@ import numpy as np
 from shes.errors import PolicyError, UnknownNameError
 from shes.types import F64Array
 
-__all__ = ["TIES", "centred_ranks"]
+__all__ = ["TIES", "centred_ranks", "check_finite"]
 
 TIES = ("average", "index")
 """How equal fitnesses are ranked: by their average rank, or by their place in the population."""
+
+
+def check_finite(fitness: F64Array) -> None:
+    """Refuse a fitness [n] that is not a number or infinite.
+
+    Raises:
+        PolicyError: A fitness is not finite; the message names the first such member.
+    """
+    if not np.isfinite(fitness).all():
+        member = int(np.flatnonzero(~np.isfinite(fitness))[0])
+        raise PolicyError(
+            f"the fitness of member {member} is {fitness[member]}; every fitness must be finite. "
+            "Look at the reward that it comes from."
+        )
 
 
 def centred_ranks(fitness: F64Array, ties: str = "average") -> F64Array:
@@ -26,12 +40,7 @@ def centred_ranks(fitness: F64Array, ties: str = "average") -> F64Array:
         PolicyError: A fitness is not finite.
         UnknownNameError: `ties` is not one of `TIES`.
     """
-    if not np.isfinite(fitness).all():
-        member = int(np.flatnonzero(~np.isfinite(fitness))[0])
-        raise PolicyError(
-            f"the fitness of member {member} is {fitness[member]}; every fitness must be finite. "
-            "Look at the reward that it comes from."
-        )
+    check_finite(fitness)
     if ties not in TIES:
         raise UnknownNameError("way to rank ties", ties, TIES, "Set --rank-ties.")
     count = len(fitness)

@@ -11,21 +11,30 @@ from operator import index
 from typing import SupportsIndex
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from shes.errors import ConfigError, ShapeError
-from shes.es.level import LevelState, TrainState, UpdateRule, draw_noise_index, perturb, update_level
-from shes.es.mirror import check_population, sign_matrix
+from shes.es.level import (
+    LevelState,
+    TrainState,
+    UpdateRule,
+    draw_noise_index,
+    perturb,
+    select_fitness,
+    update_level,
+)
 from shes.es.noise import NoiseTable
-from shes.es.optimizers import Adam
+from shes.es.optimizers import make_optimizer
+from shes.es.perturbation import Signs, check_perturbation, make_perturbation
+from shes.es.shaping import make_fitness_shaping
 from shes.es.statistics import ObservationStatistics
-from shes.types import F32Array, F64Array
+from shes.types import F32Array, F64Array, IntArray
 
 __all__ = ["EvolutionStrategy"]
 
 
 class EvolutionStrategy:
-    """Evolution strategy with mirrored noise, centred ranks and Adam, by ask and tell.
+    """Evolution strategy with mirrored noise, by ask and tell; with centred ranks and Adam unless told otherwise.
 
     ```python
     es = EvolutionStrategy(10, population_size=40, sigma=0.1, learning_rate=0.05)
@@ -45,7 +54,12 @@ class EvolutionStrategy:
         learning_rate: float = 0.01,
         weight_decay: float = 0.0,
         mirrored: str = "quad",
+        perturbation: str = "many_to_many",
+        fitness_shaping: str = "centred_rank",
         rank_ties: str = "average",
+        top_fraction: float = 0.2,
+        optimizer: str = "adam",
+        momentum: float = 0.9,
         initial: ArrayLike | Sequence[ArrayLike] | None = None,
         seed: int = 0,
         noise_table_size: int = 1_000_000,
@@ -57,10 +71,15 @@ class EvolutionStrategy:
             dim: Number of parameters, or one number per level.
             population_size: Candidates per generation, mirrored ones included.
             sigma: Standard deviation of the perturbations.
-            learning_rate: Adam's rate.
+            learning_rate: The optimizer's rate.
             weight_decay: Coefficient of the parameters subtracted from the gradient estimate.
             mirrored: `quad`, `pair` or `none`; with one level, `quad` and `pair` are the same.
+            perturbation: `many_to_many` (all levels at once), `one_to_many` (in turns) or `one_to_many_halves`.
+            fitness_shaping: `centred_rank`, `z_score` or `top_fraction`.
             rank_ties: `average` or `index`.
+            top_fraction: Share of the candidates that count, for `top_fraction`.
+            optimizer: `adam`, `sgd` or `clipup`.
+            momentum: Of `sgd` and `clipup`.
             initial: Start vector [dim] (a sequence of them with several levels); zeros if none.
             seed: Seed of every draw.
             noise_table_size: Normals in the shared table, at least twice the largest `dim`.
@@ -68,6 +87,7 @@ class EvolutionStrategy:
 
         Raises:
             ConfigError: A value is out of range, or the population is not a multiple of the mirrored group.
+            UnknownNameError: A name is not known.
             ShapeError: `initial` or `state` does not fit `dim`.
         """
         dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
@@ -81,11 +101,19 @@ class EvolutionStrategy:
             raise ConfigError(f"population_size must be a positive whole number, got {population_size!r}.")
         if not _is_whole(seed, 0):
             raise ConfigError(f"seed must be a whole number of at least 0, got {seed!r}.")
-        self.num_groups = check_population(population_size, mirrored, len(self.dims))
+        check_perturbation(perturbation, population_size, mirrored, [True] * len(self.dims))
+        self.perturbation = make_perturbation(perturbation)
         self.population_size = population_size
+        self.mirrored = mirrored
         self.sigma = sigma
-        self.signs = sign_matrix(mirrored, len(self.dims))
-        self.rule = UpdateRule(learning_rate=learning_rate, weight_decay=weight_decay, rank_ties=rank_ties)
+        if not 0 < learning_rate < float("inf"):
+            raise ConfigError(f"learning_rate must be a positive number, got {learning_rate}.")
+        self.learning_rate = learning_rate
+        self.rule = UpdateRule(
+            weight_decay=weight_decay,
+            shaping=make_fitness_shaping(fitness_shaping, ties=rank_ties, fraction=top_fraction),
+            optimizer=make_optimizer(optimizer, momentum=momentum),
+        )
         self.table = NoiseTable.open(noise_table_size)
         for level_dim in self.dims:
             self.table.check_dim(level_dim)
@@ -102,12 +130,12 @@ class EvolutionStrategy:
     def ask(self) -> F32Array | tuple[F32Array, ...]:
         """Return this generation's candidates [n, dim], or one such array per level; asking twice gives the same."""
         candidates = tuple(np.empty((self.population_size, dim), np.float32) for dim in self.dims)
-        members = len(self.signs)
-        noise_index = self._noise_index()
+        signs = self._signs()
+        noise_index = self._noise_index(len(signs))
         for level, (state, out) in enumerate(zip(self.state.levels, candidates, strict=True)):
-            for i in range(self.population_size):
-                noise = self.table.slice(int(noise_index[level, i // members]), self.dims[level])
-                perturb(state.theta, noise, self.sigma * int(self.signs[i % members, level]), out[i])
+            for i, sign in enumerate(signs[:, :, level].ravel().tolist()):
+                noise = self.table.slice(int(noise_index[level, i // signs.shape[1]]), self.dims[level])
+                perturb(state.theta, noise, self.sigma * sign, out[i])
         return candidates[0] if self._single else candidates
 
     def tell(self, fitness: ArrayLike) -> None:
@@ -122,15 +150,28 @@ class EvolutionStrategy:
         if values.shape != expected:
             raise ShapeError(f"fitness must have shape {expected}, got {values.shape}.")
         rows = values[None] if self._single else values
-        noise_index = self._noise_index()
-        levels = tuple(
-            update_level(state, rows[i], self.signs[:, i], noise_index[i], self.table, self.rule)
-            for i, state in enumerate(self.state.levels)
-        )
+        signs = self._signs()
+        noise_index = self._noise_index(len(signs))
+        levels = tuple(self._update(i, rows[i], signs[:, :, i], noise_index[i]) for i in range(len(self.dims)))
         self.state = replace(self.state, generation=self.state.generation + 1, levels=levels)
 
-    def _noise_index(self):  # noqa: ANN202 - an int array [L, G], as draw_noise_index says
-        return draw_noise_index(self.state.seed, self.state.generation, self.num_groups, self.dims, self.table.size)
+    def _update(self, level: int, fitness: F64Array, signs: NDArray[np.int8], noise_index: IntArray) -> LevelState:
+        """Return level number `level` after its update from `fitness` [n]."""
+        state = self.state.levels[level]
+        if not signs.any():
+            return state
+        shaped = self.rule.shaping(select_fitness(fitness, signs))
+        return update_level(state, shaped, signs, noise_index, self.table, self.rule, self.learning_rate).level
+
+    def _signs(self) -> Signs:
+        """Return the signs [G, M, L] of this generation."""
+        return self.perturbation.signs(
+            self.state.generation, self.population_size, self.mirrored, [True] * len(self.dims)
+        )
+
+    def _noise_index(self, num_groups: int) -> IntArray:
+        """Return where the noise of each group starts [L, G]."""
+        return draw_noise_index(self.state.seed, self.state.generation, num_groups, self.dims, self.table.size)
 
     def _start(self, initial: ArrayLike | Sequence[ArrayLike] | None, seed: int) -> TrainState:
         """Return the state before the first generation."""
@@ -141,8 +182,13 @@ class EvolutionStrategy:
         if tuple(x.shape for x in starts) != tuple((dim,) for dim in self.dims):
             raise ShapeError(f"initial must have the shape of dim {self.dims}, got {[x.shape for x in starts]}.")
         levels = tuple(
-            LevelState(theta=x, optimizer=Adam().start(len(x)), statistics=ObservationStatistics.empty(0))
-            for x in starts
+            LevelState(
+                name="policy" if self._single else f"level_{i}",
+                theta=x,
+                optimizer=self.rule.optimizer.start(len(x)),
+                statistics=ObservationStatistics.empty(0),
+            )
+            for i, x in enumerate(starts)
         )
         return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
 

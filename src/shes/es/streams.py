@@ -18,6 +18,7 @@ class Purpose(IntEnum):
     EVALUATION_EPISODES = 3
     STATISTICS_SAMPLE = 4
     FRESH_EPISODES = 5
+    NOVELTY_EPISODES = 6
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:

@@ -15,26 +15,23 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from shes.algorithm import evolve, population_tasks, sample_noise
+from shes.algorithm import evolve, generation_work
 from shes.envs.registry import make_task
 from shes.envs.task import FRAME_SKIP, Task
 from shes.errors import ConfigError
 from shes.es.gradient import group_weights, weighted_noise_sum
-from shes.es.level import LevelParameters, LevelState, draw_noise_index, update_level
-from shes.es.mirror import check_population, sign_matrix
-from shes.es.ranking import centred_ranks
+from shes.es.level import LevelState, draw_noise_index, update_level
+from shes.es.perturbation import ManyToMany
 from shes.experiments.build import (
     build_backend,
     build_design,
     build_plan,
     build_settings,
     build_state,
-    build_update_rule,
     open_noise_table,
 )
 from shes.experiments.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.experiments.config import TrainConfig
-from shes.hierarchy.episodes import Generation
 from shes.hierarchy.rollout import Rollout
 from shes.types import F64Array, FloatArray, IntArray
 from shes.worker import WorkerPlan
@@ -123,10 +120,8 @@ def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjMo
     recorder = _Recorder(task)
     state, settings = build_state(config, plan.design), build_settings(config)
     table = open_noise_table(config, plan.design)
-    tasks = population_tasks(state, settings, sample_noise(state, settings, table))[:members]
-    levels = tuple(LevelParameters.of(level.theta, level.statistics) for level in state.levels)
-    generation = Generation(levels=levels, sigma=config.sigma, is_evaluation=False)
-    for _ in rollout.run(iter(enumerate(tasks)), generation, table):
+    _, tasks, generation = generation_work(state, settings, table.size)
+    for _ in rollout.run(iter(enumerate(tasks[:members])), generation, table):
         pass
     return recorder.model, recorder.episodes
 
@@ -156,11 +151,12 @@ def bench_update(config: TrainConfig, repeats: int = 20) -> dict[str, Any]:
     design = build_design(config)
     table = open_noise_table(config, design)
     state = build_state(config, design)
-    groups = check_population(config.population_size, config.mirrored, 2)
-    signs = sign_matrix(config.mirrored, 2)
-    rule = build_update_rule(config)
+    settings = replace(build_settings(config), perturbation=ManyToMany())  # all that learns, in one generation
+    signs = settings.signs(0)
+    learning = [i for i, learns in enumerate(settings.learns) if learns]
+    dims = tuple(design.dims[i] for i in learning)
     rng = np.random.default_rng(0)
-    fitness = rng.standard_normal((2, config.population_size))
+    fitness = rng.standard_normal((len(learning), config.population_size))
     times: dict[str, list[float]] = {}
 
     def timed(name: str, work: Callable[[], Any]) -> Any:
@@ -171,39 +167,41 @@ def bench_update(config: TrainConfig, repeats: int = 20) -> dict[str, Any]:
 
     with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers, 8)) as pool:
         for generation in range(repeats):
-            index = draw_noise_index(0, generation, groups, design.dims, table.size)  # other slices every time
+            index = draw_noise_index(0, generation, len(signs), dims, table.size)  # other slices every time
 
             def whole(index: IntArray = index) -> tuple[LevelState, ...]:
-                updated = [
-                    update_level(level, fitness[i], signs[:, i], index[i], table, rule, pool)
-                    for i, level in enumerate(state.levels)
-                ]
-                return tuple(
-                    replace(level, statistics=level.statistics.merge(1, level.statistics.total, level.statistics.total))
-                    for level in updated
-                )
+                levels = list(state.levels)
+                for k, i in enumerate(learning):
+                    rule, statistics = settings.updates[i], levels[i].statistics
+                    shaped = rule.shaping(fitness[k])
+                    update = update_level(
+                        levels[i], shaped, signs[:, :, i], index[k], table, rule, config.learning_rate, pool
+                    )
+                    merged = statistics.merge(1, statistics.total, statistics.total)
+                    levels[i] = replace(update.level, statistics=merged)
+                return tuple(levels)
 
             levels = timed("total_ms", whole)
-            index = draw_noise_index(1, generation, groups, design.dims, table.size)
-            shaped = timed("rank_ms", lambda: [centred_ranks(row, config.rank_ties) for row in fitness])
-            weights = [group_weights(row, signs[:, i]) for i, row in enumerate(shaped)]
+            index = draw_noise_index(1, generation, len(signs), dims, table.size)
+            shaped = timed("rank_ms", lambda: [settings.updates[0].shaping(row) for row in fitness])
+            weights = [group_weights(row, signs[:, :, i]) for row, i in zip(shaped, learning, strict=True)]
             gradients = timed(
                 "gradient_ms",
                 lambda index=index, weights=weights: [
-                    weighted_noise_sum(table, index[i], weights[i], dim, pool) for i, dim in enumerate(design.dims)
+                    weighted_noise_sum(table, index[k], weights[k], dim, pool) for k, dim in enumerate(dims)
                 ],
             )
             timed(
-                "adam_ms",
+                "optimizer_ms",
                 lambda gradients=gradients: [
-                    rule.adam.step(gradient, level.optimizer, rule.learning_rate)
-                    for gradient, level in zip(gradients, state.levels, strict=True)
+                    settings.updates[i].optimizer.step(gradient, state.levels[i].optimizer, config.learning_rate)
+                    for gradient, i in zip(gradients, learning, strict=True)
                 ],
             )
             checkpoint = Checkpoint(state=replace(state, levels=levels), best=Best(), numbers=config.numbers())
             timed("checkpoint_ms", partial(save_checkpoint, Path(folder) / "last.npz", checkpoint))
     return {
-        "parameters": sum(design.dims),
-        "noise_vectors": groups,
+        "parameters": sum(dims),
+        "noise_vectors": len(signs),
         **{name: statistics.median(values) for name, values in times.items()},
     }

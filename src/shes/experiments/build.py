@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -14,14 +16,24 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.registry import EnvironmentMaker, find_environment
 from shes.envs.task import TaskOptions
-from shes.errors import ShapeError
+from shes.errors import ConfigError, ShapeError
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable
+from shes.es.novelty import make_novelty_rule
+from shes.es.optimizers import make_optimizer
+from shes.es.perturbation import make_perturbation
+from shes.es.schedules import Schedule, make_schedule
+from shes.es.shaping import make_fitness_shaping
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.experiments.config import TrainConfig
 from shes.hierarchy.agent import AgentDesign
+from shes.hierarchy.clock import Clock
+from shes.hierarchy.flat import FlatDesign
 from shes.hierarchy.goals import make_goal_encoding
+from shes.hierarchy.hierarchical import HierarchicalDesign
+from shes.hierarchy.outputs import make_controller_output
+from shes.hierarchy.primitive import PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
 from shes.policies.mlp import MLP
 from shes.worker import RolloutWorker, WorkerPlan
@@ -34,7 +46,10 @@ __all__ = [
     "build_settings",
     "build_state",
     "build_task",
+    "build_update_rules",
     "open_noise_table",
+    "primitive_inputs",
+    "primitive_view",
 ]
 
 
@@ -51,7 +66,10 @@ def build_environment(config: TrainConfig) -> EnvironmentMaker:
 
 def build_options(config: TrainConfig, env: EnvironmentMaker, *, is_evaluation: bool) -> TaskOptions:
     """Return the options of the environment in training or in evaluation."""
-    has_intervals = "goal_interval" in env.heeds
+    random_controller: dict[str, Any] = {
+        "goal_interval": config.controller_interval,
+        "goal_range": config.goal_distance,
+    }
     return TaskOptions(
         spec=config.spec,
         integrator=config.integrator,
@@ -62,7 +80,7 @@ def build_options(config: TrainConfig, env: EnvironmentMaker, *, is_evaluation: 
         evaluation_target=config.evaluation_target,
         observe_block=config.observe_block,
         fall_penalty=config.fall_penalty,
-        **({"goal_interval": config.controller_interval} if has_intervals else {}),
+        **(random_controller if env.sets_goals else {}),
     )
 
 
@@ -77,6 +95,7 @@ def build_design(config: TrainConfig) -> AgentDesign:
 
     Raises:
         ShapeError: The environment observes another number of values than its layout names.
+        ConfigError: There is no position to hide.
     """
     task = build_task(config, 1, is_evaluation=False)
     task.reset(np.array([0]), [0])
@@ -87,47 +106,114 @@ def build_design(config: TrainConfig) -> AgentDesign:
             f"names; for 1 episode it observed {shape}. Change its layout or its observe()."
         )
     task.close()
-    encoding = make_goal_encoding(config.goal_encoding)
-    return AgentDesign(
-        controller=MLP(task.observation_size, config.hidden, 2),
-        primitive=MLP(encoding.size + len(task.primitive_view), config.hidden, task.action_size),
-        primitive_view=tuple(task.primitive_view.tolist()),
-        goal_encoding=encoding,
-        primitive_reward=make_primitive_reward(config.primitive_reward),
+    clock = None
+    if config.clock_frequency is not None:
+        clock = Clock(frequency_hz=config.clock_frequency, step_s=task.step_s)
+    acting: dict[str, Any] = {"control_limit": task.control_limit, "clock": clock}
+    extra = 0 if clock is None else clock.size
+    if config.level_names == ("policy",):
+        return FlatDesign(policy=MLP(extra + task.observation_size, config.hidden, task.action_size), **acting)
+    encoding, view = make_goal_encoding(config.goal_encoding), primitive_view(config, task)
+    hidden = config.hidden if config.primitive_hidden is None else config.primitive_hidden
+    reaching: dict[str, Any] = {
+        "primitive": MLP(encoding.size + extra + len(view), hidden, task.action_size),
+        "primitive_view": view,
+        "goal_encoding": encoding,
+        "primitive_reward": make_primitive_reward(config.primitive_reward),
+        "controller_interval": config.controller_interval,
+        **acting,
+    }
+    if config.level_names == ("primitive",):
+        return PrimitiveDesign(**reaching)
+    output = make_controller_output(config.controller_output)
+    return HierarchicalDesign(
+        controller=MLP(task.observation_size, config.hidden, output.size),
+        controller_output=output,
         goal_distance=config.goal_distance,
-        controller_interval=config.controller_interval,
         has_minimum_goal_distance=config.minimum_goal_distance,
-        control_limit=task.control_limit,
+        **reaching,
     )
+
+
+def primitive_view(config: TrainConfig, task: EpisodeBatch) -> tuple[int, ...]:
+    """Return the indices in the observation of `task` of what the primitive of `config` sees.
+
+    Raises:
+        ConfigError: Its position is to be hidden, and it sees none.
+    """
+    sees_all = config.primitive_view == "observation" and config.level_names != ("primitive",)
+    view = (task.primitive_view if sees_all else task.proprioception).tolist()
+    if not config.hide_position:
+        return tuple(view)
+    hidden = [column for column in view if column in task.position_columns]
+    if not hidden:
+        raise ConfigError(
+            f"hide_position: a primitive in {config.env} sees no absolute position that could be hidden. "
+            "Leave --hide-position away."
+        )
+    return tuple(column for column in view if column not in hidden)
+
+
+def primitive_inputs(config: TrainConfig) -> tuple[str, ...]:
+    """Return what each input of the primitive of `config` is called, in order."""
+    task = build_task(config, 1, is_evaluation=False)
+    task.close()
+    features = [f"goal {config.goal_encoding} {i}" for i in range(make_goal_encoding(config.goal_encoding).size)]
+    clock = [] if config.clock_frequency is None else [f"clock {x} {config.clock_frequency} Hz" for x in ("sin", "cos")]
+    return (*features, *clock, *(task.observation_names[i] for i in primitive_view(config, task)))
 
 
 def build_settings(config: TrainConfig) -> Settings:
     """Return the numbers of Algorithm 1."""
+
+    def schedule(name: str, kind: str, end: float | None) -> Schedule:
+        start = getattr(config, name)
+        return make_schedule(name, kind, start, start if end is None else end, config.schedule_generations)
+
     return Settings(
         population_size=config.population_size,
-        episodes_per_policy=config.episodes_per_policy,
-        sigma=config.sigma,
-        update=build_update_rule(config),
+        episodes_per_policy=schedule("episodes_per_policy", config.episodes_schedule, config.episodes_end),
+        sigma=schedule("sigma", config.sigma_schedule, config.sigma_end),
+        learning_rate=schedule("learning_rate", config.learning_rate_schedule, config.learning_rate_end),
+        updates=build_update_rules(config),
+        learns=config.learns,
         mirrored=config.mirrored,
-        has_common_random_numbers=config.common_random_numbers,
+        perturbation=make_perturbation(config.perturbation),
+        common_random_numbers=config.common_random_numbers,
         statistics_fraction=config.statistics_fraction,
+        novelty=None if config.novelty == "none" else make_novelty_rule(config.novelty),
+        novelty_neighbours=config.novelty_neighbours,
     )
 
 
-def build_update_rule(config: TrainConfig) -> UpdateRule:
-    """Return how fitness becomes a step."""
-    return UpdateRule(learning_rate=config.learning_rate, weight_decay=config.weight_decay, rank_ties=config.rank_ties)
+def build_update_rules(config: TrainConfig) -> tuple[UpdateRule, ...]:
+    """Return how fitness becomes a step, for each level."""
+    rule = UpdateRule(
+        weight_decay=config.weight_decay,
+        shaping=make_fitness_shaping(config.fitness_shaping, ties=config.rank_ties, fraction=config.top_fraction),
+        optimizer=make_optimizer(config.optimizer, momentum=config.momentum),
+    )
+    of_controller = config.weight_decay if config.controller_weight_decay is None else config.controller_weight_decay
+    decays = {"controller": of_controller}
+    return tuple(replace(rule, weight_decay=decays.get(name, rule.weight_decay)) for name in config.level_names)
 
 
 def build_state(config: TrainConfig, design: AgentDesign) -> TrainState:
-    """Return the state before the first generation."""
-    adam = build_update_rule(config).adam
+    """Return the state before the first generation; a primitive that is transferred comes in later."""
     levels: list[LevelState] = []
+    rules = build_update_rules(config)
     for number, (policy, size) in enumerate(zip(design.policies, design.observation_sizes, strict=True)):
         theta = policy.initial(stream(config.seed, Purpose.INITIAL_PARAMETERS, number), config.biases)
-        statistics = ObservationStatistics.empty(size)
-        levels.append(LevelState(theta=theta, optimizer=adam.start(len(theta)), statistics=statistics))
-    return TrainState(seed=config.seed, generation=0, env_steps=0, levels=tuple(levels))
+        levels.append(
+            LevelState(
+                name=design.level_names[number],
+                theta=theta,
+                optimizer=rules[number].optimizer.start(len(theta)),
+                statistics=ObservationStatistics.empty(size),
+            )
+        )
+    novelty = None if config.novelty == "none" else make_novelty_rule(config.novelty).start()
+    return TrainState(seed=config.seed, generation=0, env_steps=0, levels=tuple(levels), novelty=novelty)
 
 
 def open_noise_table(config: TrainConfig, design: AgentDesign) -> NoiseTable:
@@ -148,7 +234,6 @@ def build_plan(config: TrainConfig, design: AgentDesign, table: NoiseTable) -> W
         evaluation=build_options(config, env, is_evaluation=True),
         design=design,
         noise_table=table.path,
-        episodes_per_policy=config.episodes_per_policy,
         horizon=config.horizon,
         evaluation_horizon=config.evaluation_horizon or config.horizon,
         chunk_size=config.chunk_size,

@@ -14,14 +14,14 @@ import numpy as np
 
 from shes.errors import CheckpointError
 from shes.es.level import LevelState, TrainState
-from shes.es.optimizers import AdamState
+from shes.es.novelty import NoveltyState
+from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
 from shes.storage import write_atomically
-from shes.types import LEVEL_NAMES
 
 __all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "save_checkpoint"]
 
-FORMAT = 1
+FORMAT = 2
 # What NumPy and zipfile raise for a file that is cut short, damaged, or of another kind.
 _DAMAGES = (
     AttributeError,
@@ -73,15 +73,22 @@ def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
         "best_return": np.float64(best.mean_return),
         "settings": np.array(json.dumps(checkpoint.numbers, sort_keys=True)),
     }
-    for name, level in zip(LEVEL_NAMES, state.levels, strict=True):
+    arrays["levels"] = np.array([level.name for level in state.levels])
+    for level in state.levels:
         arrays |= {
-            f"{name}/theta": level.theta,
-            f"{name}/adam_first": level.optimizer.first,
-            f"{name}/adam_second": level.optimizer.second,
-            f"{name}/adam_steps": np.int64(level.optimizer.steps),
-            f"{name}/observation_count": np.int64(level.statistics.count),
-            f"{name}/observation_total": level.statistics.total,
-            f"{name}/observation_total_squares": level.statistics.total_squares,
+            f"{level.name}/theta": level.theta,
+            f"{level.name}/optimizer_steps": np.int64(level.optimizer.steps),
+            **{f"{level.name}/optimizer_{slot}": values for slot, values in level.optimizer.slots.items()},
+            f"{level.name}/observation_count": np.int64(level.statistics.count),
+            f"{level.name}/observation_total": level.statistics.total,
+            f"{level.name}/observation_total_squares": level.statistics.total_squares,
+        }
+    if state.novelty is not None:
+        arrays |= {
+            "novelty/archive": state.novelty.archive,
+            "novelty/weight": np.float64(state.novelty.weight),
+            "novelty/best_return": np.float64(state.novelty.best_return),
+            "novelty/stalled": np.int64(state.novelty.stalled),
         }
     return {name: np.asarray(value) for name, value in arrays.items()}
 
@@ -126,33 +133,21 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
 def _from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Checkpoint:
     """Return the checkpoint that `_arrays` took apart."""
-    if int(arrays["format"]) != FORMAT:
+    version = int(arrays["format"])
+    if version == 1:
+        arrays = _from_first_format(arrays)
+    elif version != FORMAT:
         raise CheckpointError(
-            f"{path} has checkpoint format {int(arrays['format'])}; this version of SHES reads {FORMAT}. "
+            f"{path} has checkpoint format {version}; this version of SHES reads 1 and {FORMAT}. "
             "Use the version that wrote it (config.json of the run names it)."
         )
-    levels = tuple(
-        LevelState(
-            theta=arrays[f"{name}/theta"],
-            optimizer=AdamState(
-                first=arrays[f"{name}/adam_first"],
-                second=arrays[f"{name}/adam_second"],
-                steps=int(arrays[f"{name}/adam_steps"]),
-            ),
-            statistics=ObservationStatistics(
-                count=int(arrays[f"{name}/observation_count"]),
-                total=arrays[f"{name}/observation_total"],
-                total_squares=arrays[f"{name}/observation_total_squares"],
-            ),
-        )
-        for name in LEVEL_NAMES
-    )
     return Checkpoint(
         state=TrainState(
             seed=int(arrays["seed"]),
             generation=int(arrays["generation"]),
             env_steps=int(arrays["env_steps"]),
-            levels=levels,
+            levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
+            novelty=_novelty(arrays),
         ),
         best=Best(
             generation=int(arrays["best_generation"]),
@@ -161,6 +156,41 @@ def _from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Checkpoint:
         ),
         numbers=json.loads(str(arrays["settings"])),
     )
+
+
+def _level(arrays: dict[str, np.ndarray], name: str) -> LevelState:
+    """Return the level of this name."""
+    start = f"{name}/optimizer_"
+    slots = {key.removeprefix(start): values for key, values in arrays.items() if key.startswith(start)}
+    steps = int(slots.pop("steps"))
+    return LevelState(
+        name=name,
+        theta=arrays[f"{name}/theta"],
+        optimizer=OptimizerState(steps=steps, slots=slots),
+        statistics=ObservationStatistics(
+            count=int(arrays[f"{name}/observation_count"]),
+            total=arrays[f"{name}/observation_total"],
+            total_squares=arrays[f"{name}/observation_total_squares"],
+        ),
+    )
+
+
+def _novelty(arrays: dict[str, np.ndarray]) -> NoveltyState | None:
+    """Return the search for novelty, if there is one."""
+    if "novelty/archive" not in arrays:
+        return None
+    return NoveltyState(
+        archive=arrays["novelty/archive"],
+        weight=float(arrays["novelty/weight"]),
+        best_return=float(arrays["novelty/best_return"]),
+        stalled=int(arrays["novelty/stalled"]),
+    )
+
+
+def _from_first_format(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return what the first format held, two levels with Adam, as this one holds it."""
+    renamed = {name.replace("/adam_", "/optimizer_"): values for name, values in arrays.items()}
+    return {**renamed, "levels": np.array(["controller", "primitive"])}
 
 
 class CheckpointWriter:

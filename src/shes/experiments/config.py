@@ -4,26 +4,19 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from shes.envs.external.description import ExternalDescription
-from shes.envs.registry import check_external_name, find_description
-from shes.envs.task import SPECS, TARGET_SAMPLINGS
-from shes.envs.worlds import INTEGRATORS
-from shes.errors import ConfigError, UnknownNameError
-from shes.es.mirror import MIRRORINGS, check_population
-from shes.es.ranking import TIES
-from shes.hierarchy.goals import GOAL_ENCODINGS, check_goal_encoding
-from shes.hierarchy.rewards import PRIMITIVE_REWARDS, check_primitive_reward
-from shes.policies.mlp import BIAS_INITIALISATIONS
+from shes.envs.registry import check_external_name, find_description, find_environment
+from shes.errors import ConfigError
+from shes.es.perturbation import check_perturbation
+from shes.experiments.settings import NAMES, SCHEDULED, check_value, flag, out_of_range
 
-__all__ = ["BACKENDS", "EXECUTION_FIELDS", "HEADINGS", "WITHOUT_FLAG", "TrainConfig", "check_fields", "choices", "flag"]
-
-BACKENDS = ("processes", "serial")
+__all__ = ["EXECUTION_FIELDS", "HEADINGS", "WITHOUT_FLAG", "TrainConfig", "check_fields", "in_words_of_today"]
 
 EXECUTION_FIELDS = frozenset(
     {"preset", "backend", "num_workers", "chunk_size", "generations", "minutes", "keep_checkpoints"}
@@ -37,52 +30,18 @@ HEADINGS: dict[str, str] = {
     "env": "run",
     "backend": "workers",
     "population_size": "population and update",
+    "learning_rate_schedule": "schedules",
+    "novelty": "novelty",
     "hidden": "networks",
     "controller_interval": "hierarchy",
+    "primitive": "transfer",
     "horizon": "episodes and environment",
     "evaluation_interval": "evaluation, checkpoints, memory",
 }
 """Where the sections of `TrainConfig` begin, and what the help of `shes train` calls them."""
 
-_CHOICES: dict[str, tuple[str, ...]] = {
-    "backend": BACKENDS,
-    "biases": BIAS_INITIALISATIONS,
-    "integrator": ("default", *INTEGRATORS),
-    "mirrored": MIRRORINGS,
-    "rank_ties": TIES,
-    "spec": tuple(SPECS),
-    "target_sampling": TARGET_SAMPLINGS,
-}
-_REGISTERED: dict[str, Callable[[str], None]] = {
-    "goal_encoding": check_goal_encoding,
-    "primitive_reward": check_primitive_reward,
-}
-"""Names that users may add to, and what refuses an unknown one."""
-_REGISTRIES: dict[str, Mapping[str, Any]] = {
-    "goal_encoding": GOAL_ENCODINGS,
-    "primitive_reward": PRIMITIVE_REWARDS,
-}
-_AT_LEAST: dict[str, int] = {
-    "chunk_size": 0,
-    "controller_interval": 1,
-    "episodes_per_policy": 1,
-    "evaluation_episodes": 1,
-    "evaluation_horizon": 1,
-    "evaluation_interval": 1,
-    "generations": 1,
-    "horizon": 1,
-    "keep_checkpoints": 1,
-    "noise_table_size": 2,
-    "num_workers": 0,
-    "population_size": 1,
-    "seed": 0,
-}
-_POSITIVE = ("goal_distance", "learning_rate", "minutes", "sigma")
-_NOT_NEGATIVE = ("evaluation_reset_noise", "reset_noise", "weight_decay")
-_FRACTIONS = ("statistics_fraction",)
-_SWITCHES = ("common_random_numbers", "fall_penalty", "minimum_goal_distance", "observe_block")
-_PLACES = ("evaluation_target", "target")
-_OPTIONAL = ("evaluation_horizon", "minutes", "observe_block", *_PLACES)
+_FORMER = {"True": {"common_random_numbers": "group"}, "False": {"common_random_numbers": "off"}}
+"""What runs of version 0.1 called otherwise: they stay readable."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +52,8 @@ class TrainConfig:
 
     env: str
     """Environment; `shes envs` lists them."""
+    algorithm: str = "shes"
+    """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES."""
     preset: str = "laptop"
     """What the other settings start from: paper, laptop or smoke."""
     external: ExternalDescription | None = None
@@ -121,17 +82,51 @@ class TrainConfig:
     """Adam's learning rate (Table I: 0.01)."""
     weight_decay: float = 0.005
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
+    controller_weight_decay: float | None = None
+    """The same for the controller; as for the primitive if none."""
     mirrored: str = "quad"
-    """How the members of a group mirror its noise: quad, pair or none (section II-F)."""
+    """How the members of a group mirror its noise: quad (four-way), pair (two-way) or none (section II-F)."""
+    perturbation: str = "many_to_many"
+    """What a generation perturbs (section II-E): both levels, one_to_many: in turns, one_to_many_halves: half each."""
+    fitness_shaping: str = "centred_rank"
+    """What a fitness counts: centred_rank, z_score or top_fraction."""
     rank_ties: str = "average"
     """How equal fitnesses rank: average or index."""
-    common_random_numbers: bool = True
-    """Whether the members of a group share their episodes' seeds."""
+    top_fraction: float = 0.2
+    """Share of the population that counts with top_fraction."""
+    optimizer: str = "adam"
+    """How a gradient becomes a step: adam, sgd (with momentum) or clipup."""
+    momentum: float = 0.9
+    """Momentum of sgd and clipup."""
+    common_random_numbers: str = "group"
+    """Who shares the episodes' seeds: off (nobody), the members of a mirrored group, or the whole population."""
     statistics_fraction: float = 1.0
     """Share of the groups whose observations enter the observation statistics."""
 
+    learning_rate_schedule: str = "constant"
+    """How the learning rate goes to its end: constant, linear, exponential or cosine."""
+    learning_rate_end: float | None = None
+    """Learning rate at the end of its schedule."""
+    sigma_schedule: str = "constant"
+    """How sigma goes to its end: constant, linear, exponential or cosine."""
+    sigma_end: float | None = None
+    """Standard deviation of the perturbations at the end of its schedule."""
+    episodes_schedule: str = "constant"
+    """How the episodes of a policy go to their end, rounded: constant, linear, exponential or cosine."""
+    episodes_end: int | None = None
+    """Episodes of a policy at the end of their schedule."""
+    schedule_generations: int = 1000
+    """Generations from the start of every schedule to its end."""
+
+    novelty: str = "none"
+    """Novelty in the controller's fitness: none, ns, nsr, nsra (Conti et al. 2018) or nsra_reset (authors' code)."""
+    novelty_neighbours: int = 10
+    """Nearest final positions that novelty is measured from (k)."""
+
     hidden: tuple[int, ...] = (32,)
     """Hidden layers of both policies (paper: 256 256 256); no number makes them linear."""
+    primitive_hidden: tuple[int, ...] | None = None
+    """Hidden layers of the primitive; the same as the controller's if none."""
     biases: str = "zero"
     """How biases start: zero or glorot_normal."""
     controller_interval: int = 25
@@ -140,10 +135,25 @@ class TrainConfig:
     """Metres that a controller's output of 1 stands for (Table I)."""
     minimum_goal_distance: bool = True
     """Whether goals nearer than 1 m are pushed outward."""
+    controller_output: str = "vector"
+    """What the controller's outputs say: vector (to the goal), or one_hot (a direction of eight, a distance)."""
     goal_encoding: str = "angle"
-    """What the primitive is told about its goal: angle (section II-C)."""
+    """What the primitive is told about its goal (section II-C): angle, unit_vector, vector or angle_metres."""
     primitive_reward: str = "progress"
-    """What the primitive is paid: progress (section II-B, equation 1)."""
+    """What the primitive is paid (section II-B): progress (equation 1), negative_distance or cosine."""
+    primitive_view: str = "observation"
+    """What the primitive sees beside its goal: the observation, or proprioception (the robot's coordinates)."""
+    hide_position: bool = False
+    """Whether the robot's absolute x and y are hidden from the primitive."""
+    clock_frequency: float | None = None
+    """Frequency, in Hz, of a clock that the primitive (with es: the policy) observes; no clock if none."""
+
+    primitive: str | None = None
+    """Run whose primitive this one begins with (section II-D): its parameters and its observation statistics."""
+    primitive_checkpoint: str = "best"
+    """Which checkpoint of that run: best, last or the number of a generation."""
+    freeze_primitive: bool = True
+    """Whether that primitive stays as it is, or learns on."""
 
     horizon: int = 200
     """Control steps in an episode of training (Table I: 500)."""
@@ -185,23 +195,61 @@ class TrainConfig:
         """
         for field in fields(self):
             object.__setattr__(self, field.name, _plain(getattr(self, field.name)))
-        for name in ("env", *_REGISTERED, "preset", *_CHOICES):
+        for name in ("env", *NAMES):
             if not isinstance(getattr(self, name), str):
-                raise _out_of_range(name, getattr(self, name), "a name")
+                raise out_of_range(name, getattr(self, name), "a name")
         self._find_description()
-        for name, check in _REGISTERED.items():
-            check(getattr(self, name))
-        for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise UnknownNameError(name.replace("_", " "), str(getattr(self, name)), choices, f"Set {flag(name)}.")
         for name in (field.name for field in fields(self)):
-            self._check_number(name, getattr(self, name))
-        sizes = self.hidden if isinstance(self.hidden, tuple) else (None,)
-        if any(not isinstance(size, int) or isinstance(size, bool) or size < 1 for size in sizes):
-            raise _out_of_range("hidden", self.hidden, "positive whole numbers, e.g. --hidden 64 64")
+            check_value(name, getattr(self, name))
         if self.seed >= 2**63:
-            raise _out_of_range("seed", self.seed, "less than 2**63")
-        check_population(self.population_size, self.mirrored, 2)
+            raise out_of_range("seed", self.seed, "less than 2**63")
+        self._check_schedules()
+        self._check_transfer()
+        check_perturbation(self.perturbation, self.population_size, self.mirrored, self.learns)
+
+    def _check_schedules(self) -> None:
+        """Refuse a schedule without an end, and an end without a schedule."""
+        for name, (kind, end) in SCHEDULED.items():
+            is_constant, has_end = getattr(self, kind) == "constant", getattr(self, end) is not None
+            if is_constant and has_end:
+                raise ConfigError(
+                    f"{end} is {getattr(self, end)}, but {name} is constant. Set {flag(kind)} to linear, exponential "
+                    f"or cosine, or leave {flag(end)} away."
+                )
+            if not is_constant and not has_end:
+                raise ConfigError(f"{kind} is {getattr(self, kind)!r}, but nothing says where to. Set {flag(end)}.")
+
+    def _check_transfer(self) -> None:
+        """Refuse a primitive, or what concerns one, where there is no place for it."""
+        if self.primitive is None:
+            pass
+        elif not isinstance(self.primitive, str) or not self.primitive:
+            raise out_of_range("primitive", self.primitive, "the path of a run folder")
+        elif self.level_names != ("controller", "primitive"):
+            raise ConfigError(
+                f"primitive is {self.primitive!r}, but a run of {self.env} with algorithm {self.algorithm!r} has the "
+                f"levels {', '.join(self.level_names)} alone: a transferred primitive needs a controller. "
+                "Leave --primitive away, or name another environment, e.g. ant-gather, with --algorithm shes."
+            )
+        if self.novelty != "none" and self.level_names == ("primitive",):
+            raise ConfigError(
+                f"novelty is {self.novelty!r}, but it concerns what the environment pays, and {self.env} trains a "
+                "primitive alone, which its goals pay. Leave --novelty away."
+            )
+
+    @property
+    def level_names(self) -> tuple[str, ...]:
+        """What the levels of the run are called."""
+        if self.algorithm == "es":
+            return ("policy",)
+        sets_goals = self.external is None and find_environment(self.env).sets_goals
+        return ("primitive",) if sets_goals else ("controller", "primitive")
+
+    @property
+    def learns(self) -> tuple[bool, ...]:
+        """Which levels learn."""
+        is_frozen = self.primitive is not None and self.freeze_primitive
+        return tuple(not (is_frozen and name == "primitive") for name in self.level_names)
 
     def _find_description(self) -> None:
         """Take in what describes an external environment, so that nobody has to say it again."""
@@ -211,27 +259,6 @@ class TrainConfig:
             raise ConfigError(f"external must be an ExternalDescription, got {self.external!r}.")
         else:
             check_external_name(self.env)
-
-    @staticmethod
-    def _check_number(name: str, value: Any) -> None:
-        """Refuse a number that is none, or out of its range."""
-        if value is None and name in _OPTIONAL:
-            return
-        is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-        is_whole = is_number and isinstance(value, int | np.integer)
-        number: float = float(str(value)) if is_number else float("nan")
-        if name in _AT_LEAST and not (is_whole and number >= _AT_LEAST[name]):
-            raise _out_of_range(name, value, f"a whole number of at least {_AT_LEAST[name]}")
-        if name in _POSITIVE and not 0 < number < float("inf"):
-            raise _out_of_range(name, value, "a positive number")
-        if name in _NOT_NEGATIVE and not 0 <= number < float("inf"):
-            raise _out_of_range(name, value, "zero or a positive number")
-        if name in _FRACTIONS and not 0 <= number <= 1:
-            raise _out_of_range(name, value, "between 0 and 1")
-        if name in _SWITCHES and not isinstance(value, bool):
-            raise _out_of_range(name, value, "true or false")
-        if name in _PLACES and not _is_place(value):
-            raise _out_of_range(name, value, f"coordinates in metres, e.g. {flag(name)} 0 16")
 
     @property
     def workers(self) -> int:
@@ -261,21 +288,17 @@ class TrainConfig:
         if "env" not in values:
             raise ConfigError("the configuration names no environment (key 'env').")
         settings: dict[str, Any] = {
-            n: tuple(value) if isinstance(value, list) else value for n, value in values.items()
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in in_words_of_today(values).items()
         }
         if settings.get("external") is not None:
             settings["external"] = ExternalDescription.from_dict(settings["external"])
         return cls(**settings)
 
 
-def flag(name: str) -> str:
-    """Return the flag of `train` that sets field `name`."""
-    return "--" + {"num_workers": "workers"}.get(name, name).replace("_", "-")
-
-
-def choices(name: str) -> tuple[str, ...]:
-    """Return the names that setting `name` may have; none where it is no name."""
-    return tuple(_CHOICES.get(name) or _REGISTRIES.get(name, ()))
+def in_words_of_today(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings that version 0.1 may have written, with values of today."""
+    return {**values, **_FORMER.get(str(values.get("common_random_numbers")), {})}
 
 
 def check_fields(names: Mapping[str, Any]) -> None:
@@ -299,14 +322,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         value = value.tolist()
     return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value
-
-
-def _is_place(value: Any) -> bool:
-    """Tell whether `value` is a tuple of finite numbers."""
-    items: tuple[Any, ...] = value if isinstance(value, tuple) else ()
-    are_numbers = [isinstance(item, int | float) and not isinstance(item, bool) for item in items]
-    return len(items) > 0 and all(are_numbers) and bool(np.isfinite(items).all())
-
-
-def _out_of_range(name: str, value: Any, allowed: str) -> ConfigError:
-    return ConfigError(f"{name} must be {allowed}, got {value!r}. Set {flag(name)}.")

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from shes.backends.backend import Backend
-from shes.errors import ConfigError
+from shes.errors import ConfigError, UnknownNameError
 from shes.es.level import LevelParameters, LevelState, TrainState
 from shes.es.streams import Purpose, stream
 from shes.experiments.build import build_backend, build_design, build_plan, open_noise_table
 from shes.experiments.config import TrainConfig
 from shes.experiments.run_folder import RunFolder
-from shes.hierarchy.episodes import EpisodeTask, Generation, PopulationResults
-from shes.types import CONTROLLER, PRIMITIVE, F64Array
+from shes.hierarchy.episodes import EpisodeTask, Generation
+from shes.hierarchy.results import PopulationResults, lower_diverged
+from shes.types import F64Array
 
-__all__ = ["Evaluation", "evaluate", "evaluate_levels", "evaluation_seeds"]
+__all__ = ["TARGETS", "Evaluation", "evaluate", "evaluate_levels", "evaluation_seeds"]
+
+TARGETS = ("evaluation", "training")
+"""Whose targets and reset noise an evaluation may have."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +34,10 @@ class Evaluation:
     """Test score of the task [K]."""
     returns: F64Array
     """Summed reward of the environment [K]."""
-    primitive_returns: F64Array
-    """Summed reward that the controller paid its primitive [K]."""
+    primitive_returns: F64Array | None
+    """Summed reward for its goals that the primitive got [K]; none where there is no primitive."""
+    goals_reached: F64Array
+    """Goals that the primitive reached [K]."""
     successes: F64Array
     """1 where the task counts as solved, else 0 [K]."""
     steps: F64Array
@@ -41,13 +47,19 @@ class Evaluation:
 
     def summary(self) -> dict[str, Any]:
         """Return the means and deviations that tables show."""
+        primitive: dict[str, Any] = {}
+        if self.primitive_returns is not None:
+            primitive = {
+                "primitive_return_mean": float(self.primitive_returns.mean()),
+                "goals_reached_mean": float(self.goals_reached.mean()),
+            }
         return {
             "episodes": len(self.scores),
             "score_mean": float(self.scores.mean()),
             "score_std": float(self.scores.std()),
             "return_mean": float(self.returns.mean()),
             "return_std": float(self.returns.std()),
-            "primitive_return_mean": float(self.primitive_returns.mean()),
+            **primitive,
             "success_rate": float(self.successes.mean()),
             "episode_steps_mean": float(self.steps.mean()),
             "diverged_episodes": int(self.diverged.sum()),
@@ -62,12 +74,12 @@ def evaluation_seeds(state: TrainState, episodes: int, purpose: Purpose = Purpos
 def evaluate_levels(
     levels: Sequence[LevelState], seeds: Sequence[int], backend: Backend, episodes_per_policy: int
 ) -> Evaluation:
-    """Run one episode of the mean policies for every seed.
+    """Run one episode of the mean policies for every seed; one that diverges counts as the worst of the others.
 
     The episodes go out in blocks of `episodes_per_policy`, the rows that a policy's matmul has in training: one number
     of rows serves both, and no result depends on how the blocks are spread.
     """
-    parameters = tuple(LevelParameters.of(level.theta, level.statistics) for level in levels)
+    parameters = LevelParameters.of_all(levels)
     rows = episodes_per_policy
     zeros = (0,) * len(parameters)
     blocks = [seeds[first : first + rows] for first in range(0, len(seeds), rows)]
@@ -82,23 +94,36 @@ def evaluate_levels(
         )
         for number, block in enumerate(blocks)
     ]
-    backend.broadcast(Generation(levels=parameters, sigma=0.0, is_evaluation=True))
+    backend.broadcast(Generation(levels=parameters, sigma=0.0, episodes_per_policy=rows, is_evaluation=True))
     results = PopulationResults.empty(len(parameters), len(tasks), rows)
     for task, result in zip(tasks, backend.map(tasks), strict=True):
         results.add(task, result)
     count = len(seeds)  # the last block may be short: its unused slots are at the end
+
+    def column(values: np.ndarray) -> F64Array:
+        return values.ravel()[:count].astype(np.float64)
+
+    has_diverged = results.has_diverged.ravel()[:count]
+    primitive = next((i for i, level in enumerate(levels) if level.name == "primitive"), None)
     return Evaluation(
-        scores=results.score.ravel()[:count],
-        returns=results.returns[CONTROLLER].ravel()[:count],
-        primitive_returns=results.returns[PRIMITIVE].ravel()[:count],
-        successes=results.success.ravel()[:count].astype(np.float64),
-        steps=results.steps.ravel()[:count].astype(np.float64),
-        diverged=results.has_diverged.ravel()[:count].astype(np.float64),
+        scores=lower_diverged(column(results.score), has_diverged),
+        returns=lower_diverged(column(results.environment_returns), has_diverged),
+        primitive_returns=None if primitive is None else column(results.returns[primitive]),
+        goals_reached=column(results.goals_reached),
+        successes=column(results.success),
+        steps=column(results.steps),
+        diverged=has_diverged.astype(np.float64),
     )
 
 
 def evaluate(
-    run: Path | str, *, episodes: int = 50, checkpoint: str = "best", num_workers: int = 0, seed: int | None = None
+    run: Path | str,
+    *,
+    episodes: int = 50,
+    checkpoint: str = "best",
+    num_workers: int = 0,
+    seed: int | None = None,
+    targets: str = "evaluation",
 ) -> Evaluation:
     """Evaluate a checkpoint of a run on episodes that its training never used, not even to choose the checkpoint.
 
@@ -108,12 +133,16 @@ def evaluate(
         checkpoint: `best`, `last` or the number of a generation.
         num_workers: Worker processes; 0 is one for every core. Never changes a number.
         seed: Seed of the episodes; the run's own, in a stream apart, if none.
+        targets: `evaluation`, or `training`: with training's targets and reset noise, as the maze's random targets.
 
     Raises:
         RunFolderError: `run` is not a run folder.
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: `episodes` is not positive, or `seed` is negative.
+        UnknownNameError: `targets` is not known.
     """
+    if targets not in TARGETS:
+        raise UnknownNameError("targets", targets, TARGETS, "Set --targets.")
     if episodes < 1:
         raise ConfigError(f"episodes must be at least 1, got {episodes}. Set --episodes.")
     if seed is not None and seed < 0:
@@ -126,5 +155,7 @@ def evaluate(
     seeds = evaluation_seeds(draws, episodes, Purpose.FRESH_EPISODES)
     design = build_design(config)
     plan = build_plan(config, design, open_noise_table(config, design))
+    if targets == "training":
+        plan = replace(plan, evaluation=plan.training)
     with build_backend(config, plan) as backend:
         return evaluate_levels(state.levels, seeds, backend, config.episodes_per_policy)

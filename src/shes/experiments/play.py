@@ -13,7 +13,6 @@ from shes.es.level import LevelParameters, LevelState
 from shes.experiments.build import build_design, build_task
 from shes.experiments.config import TrainConfig
 from shes.experiments.run_folder import RunFolder
-from shes.hierarchy.agent import HierarchicalAgent
 from shes.types import F64Array, FloatArray
 
 __all__ = ["Agent", "load"]
@@ -22,7 +21,7 @@ __all__ = ["Agent", "load"]
 class Agent:
     """The mean policies of a checkpoint, acting without noise in `num_envs` environments of the trained kind.
 
-    It holds the controller's goal between calls: call `reset` when an episode begins.
+    It holds its goal between calls: call `reset` when an episode begins.
     """
 
     def __init__(self, config: TrainConfig, levels: tuple[LevelState, ...], num_envs: int = 1) -> None:
@@ -36,17 +35,18 @@ class Agent:
         self.observation_size = task.observation_size
         task.close()
         # One policy per environment, so that each has its own clock and can be reset alone.
-        self._agent = HierarchicalAgent(build_design(config), num_envs, 1)
-        parameters = tuple(LevelParameters.of(level.theta, level.statistics) for level in levels)
+        self._agent = build_design(config).make(num_envs, 1)
+        parameters = LevelParameters.of_all(levels)
         self._agent.normalise_by(parameters)
         for theta, level in zip(self._agent.theta, parameters, strict=True):
             theta[:] = level.theta
         self.reset()
 
     @property
-    def goal(self) -> F64Array:
-        """The goals being held, in the world [num_envs, 2], in metres."""
-        return self._agent.goal.copy()
+    def goal(self) -> F64Array | None:
+        """The goals being held, in the world [num_envs, 2], in metres; none with flat S-ES, which knows no goals."""
+        held = self._agent.goal
+        return None if held is None else held.copy()
 
     def reset(self, env: int | None = None) -> None:
         """Begin a new episode in environment `env`, or in all of them: the next `act` sets a new goal."""
@@ -81,18 +81,21 @@ class Agent:
             raise PolicyError(
                 "the observation holds NaN or infinity: the simulation has blown up. Reset the environment."
             )
-        action = self._reader.to_action(self.control(rows, *self._reader.locate(rows, info)))
+        position, heading = self._reader.locate(rows, info)
+        goal = self._reader.goal(rows, position, heading)
+        action = self._reader.to_action(self.control(rows, position, heading, goal))
         return action[0] if is_single else action
 
-    def control(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array:
+    def control(self, rows: F64Array, position: F64Array, heading: F64Array, goal: F64Array | None = None) -> F64Array:
         """Return the controls [num_envs, A] for one step of robots that observe `rows` [num_envs, O].
 
         Args:
             rows: What is observed, flat.
             position: Where the robots are [num_envs, 2], in metres.
             heading: Their yaw [num_envs], in radians.
+            goal: Where the environment itself tells them to go [num_envs, 2], in metres, if it does.
         """
-        return self._agent.act(rows, position, heading).astype(np.float64)
+        return self._agent.act(rows, position, heading, goal=goal).astype(np.float64)
 
 
 def load(run: Path | str, *, checkpoint: str = "best", num_envs: int = 1) -> Agent:

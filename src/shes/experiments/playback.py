@@ -115,7 +115,7 @@ class Playback:
         self._agent.reset()
         trail = deque([task.position[0].copy()], maxlen=_TRAIL_STEPS)
         for step in range(self.steps):
-            control = self._agent.control(task.observe(), task.position, task.heading)
+            control = self._agent.control(task.observe(), task.position, task.heading, task.goal)
             yield self._moment(step, trail, "")
             task.step(one, control)
             trail.append(task.position[0].copy())
@@ -129,7 +129,7 @@ class Playback:
         parts = [self.name, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending]
         return Moment(
             pose=task.pose(0),
-            markers=[*task.markers(0), *_goal_and_trail(self._agent.goal[0], trail, task.ground_m)],
+            markers=[*task.markers(0), *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
             caption=" · ".join(part for part in parts if part),
         )
 
@@ -143,11 +143,13 @@ def _ending(task: EpisodeBatch, is_last: bool) -> str:
     return "time is up" if is_last else ""
 
 
-def _goal_and_trail(goal: F64Array, trail: deque[F64Array], ground: float) -> list[Marker]:
-    """Return the controller's goal, a line to it, the way that the robot came, and a spot under the robot."""
+def _goal_and_trail(goals: F64Array | None, trail: deque[F64Array], ground: float) -> list[Marker]:
+    """Return the goal, if there is one, a line to it, the way that the robot came, and a spot under the robot."""
     height = ground + _ABOVE_GROUND_M
     places = [(*place, height) for place in trail]
     way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
-    to_goal = line(places[-1], (*goal, height), _LINE_RADIUS_M / 2, GOAL)
     spot = disc(places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
-    return [*way, spot, to_goal, disc((*goal, height), _GOAL_RADIUS_M, GOAL)]
+    if goals is None:
+        return [*way, spot]
+    goal = (*goals[0], height)
+    return [*way, spot, line(places[-1], goal, _LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]

@@ -10,7 +10,6 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.typing import ColorType
 
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
 from shes.experiments.config import TrainConfig
@@ -24,21 +23,23 @@ __all__ = ["X_AXES", "interval", "plot"]
 X_AXES = {"generation": "generation", "env_steps": "environment steps", "wall_time_s": "minutes"}
 """What a curve can be drawn over: column of the tables -> label."""
 
-_PANELS = (
-    ("evaluation", "score_mean", "evaluation score"),
-    ("progress", "controller_return_mean", "controller return (training)"),
-    ("progress", "primitive_return_mean", "primitive return (training)"),
-)
+Panel = tuple[str, str, str]
+"""Table, column, title."""
 _CONFIDENCE = 0.95
 _RESAMPLES = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Group:
+    """Runs that share all settings but the seed: repetitions of each other. In every panel they look the same."""
+
+    folders: list[RunFolder]
+    label: str
+    color: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Curve:
-    run: Path
-    name: str
-    group: str
-    """Settings but for the seed: runs that share them are repetitions of each other."""
     x: F64Array
     y: F64Array
 
@@ -65,15 +66,18 @@ def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str =
     if x not in X_AXES:
         raise UnknownNameError("x axis", x, X_AXES, "Set --x.")
     target = Path(out)
-    figure, axes = plt.subplots(1, len(_PANELS), figsize=(5 * len(_PANELS), 3.8), layout="constrained")
+    paths = {Path(run).resolve(): Path(run) for run in runs}  # a run named twice counts once
+    folders = [RunFolder.open(path) for path in paths.values()]
+    panels, groups = _panels(folders), _groups(folders)
+    figure, axes = plt.subplots(1, len(panels), figsize=(5 * len(panels), 3.8), layout="constrained")
     try:
         picture_format = target.suffix.lstrip(".").lower()
         if picture_format not in figure.canvas.get_supported_filetypes():
             raise ConfigError(f"out must end in .png, .pdf or .svg, got {str(out)!r}. Set --out.")
-        paths = {Path(run).resolve(): Path(run) for run in runs}  # a run named twice counts once
-        folders = [RunFolder.open(path) for path in paths.values()]
-        for axis, (table, column, label) in zip(axes, _PANELS, strict=True):
-            _draw_panel(axis, folders, table, column, x)
+        for axis, (table, column, label) in zip(axes, panels, strict=True):
+            for group in groups:
+                if _has_level(group.folders[0], column):
+                    _draw_group(axis, group, table, column, x)
             axis.set_xlabel(X_AXES[x])
             axis.set_title(label)
             axis.grid(alpha=0.3)
@@ -84,39 +88,58 @@ def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str =
     return target
 
 
-def _draw_panel(axis: Axes, folders: list[RunFolder], table: str, column: str, x: str) -> None:
-    """Draw one column of all runs, group by group."""
-    groups: dict[str, list[_Curve]] = {}
+def _panels(folders: list[RunFolder]) -> list[Panel]:
+    """Return what is drawn: the score, and the return of each level that one of the runs has."""
+    levels = dict.fromkeys(name for folder in folders for name in folder.read_config().level_names)
+    returns = [("progress", f"{name}_return_mean", f"{name} return (training)") for name in levels]
+    return [("evaluation", "score_mean", "evaluation score"), *returns]
+
+
+def _has_level(folder: RunFolder, column: str) -> bool:
+    """Tell whether a run has the level that `column` is of; every run has a score."""
+    level = column.removesuffix("_return_mean")
+    return level == column or level in folder.read_config().level_names
+
+
+def _groups(folders: list[RunFolder]) -> list[_Group]:
+    """Return the groups that `folders` are of."""
+    found: dict[str, list[RunFolder]] = {}
     for folder in folders:
-        curve = _read_curve(folder, table, column, x)
-        groups.setdefault(curve.group, []).append(curve)
-    for curves in groups.values():
-        is_unique = sum(others[0].name == curves[0].name for others in groups.values()) == 1
-        name = curves[0].name if is_unique else f"{curves[0].name}: {curves[0].run.name}"
-        if len(curves) == 1:
-            (line,) = axis.plot(curves[0].x, curves[0].y, label=name)
-            _draw_spread(axis, folders, curves[0], table, column, line.get_color())
-            continue
-        grid, values = _on_one_grid(curves)
-        low, high = interval(values)
-        (line,) = axis.plot(grid, values.mean(axis=0), label=f"{name} ({len(curves)} runs)")
-        axis.fill_between(grid, low, high, alpha=0.2, color=line.get_color(), linewidth=0)
+        config = folder.read_config()
+        settings = {name: value for name, value in config.numbers().items() if name != "seed"}
+        found.setdefault(json.dumps([config.preset, settings], sort_keys=True), []).append(folder)
+    names = [_name(members[0].read_config()) for members in found.values()]
+    groups: list[_Group] = []
+    for number, (name, members) in enumerate(zip(names, found.values(), strict=True)):
+        label = name if names.count(name) == 1 else f"{name}: {members[0].path.name}"
+        several = f" ({len(members)} runs)" if len(members) > 1 else ""
+        groups.append(_Group(folders=members, label=label + several, color=f"C{number}"))
+    return groups
 
 
-def _draw_spread(
-    axis: Axes, folders: list[RunFolder], curve: _Curve, table: str, column: str, color: ColorType
-) -> None:
+def _draw_group(axis: Axes, group: _Group, table: str, column: str, x: str) -> None:
+    """Draw one column of a group's runs."""
+    curves = [_read_curve(folder, table, column, x) for folder in group.folders]
+    if len(curves) == 1:
+        axis.plot(curves[0].x, curves[0].y, label=group.label, color=group.color)
+        _draw_spread(axis, group, curves[0], table, column)
+        return
+    grid, values = _on_one_grid(curves)
+    low, high = interval(values)
+    axis.plot(grid, values.mean(axis=0), label=group.label, color=group.color)
+    axis.fill_between(grid, low, high, alpha=0.2, color=group.color, linewidth=0)
+
+
+def _draw_spread(axis: Axes, group: _Group, curve: _Curve, table: str, column: str) -> None:
     """Shade two standard errors of a single run's evaluations."""
     if (table, column) != ("evaluation", "score_mean"):
         return
-    folder = next(folder for folder in folders if folder.path == curve.run)
-    columns = read_csv(folder.evaluation)
+    columns = read_csv(group.folders[0].evaluation)
     error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])
-    axis.fill_between(curve.x, curve.y - error, curve.y + error, alpha=0.2, color=color, linewidth=0)
+    axis.fill_between(curve.x, curve.y - error, curve.y + error, alpha=0.2, color=group.color, linewidth=0)
 
 
 def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> _Curve:
-    config = folder.read_config()
     path = folder.evaluation if table == "evaluation" else folder.progress
     if not path.exists():
         raise RunFolderError(f"{folder.path} has no generation yet: {path.name} is missing. Train it first.")
@@ -124,11 +147,7 @@ def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> _Curve:
     if column not in columns:
         raise RunFolderError(f"{path} has no column {column!r}, or no row.")
     scale = 1 / 60 if x == "wall_time_s" else 1.0
-    settings = {name: value for name, value in config.numbers().items() if name != "seed"}
-    group = json.dumps([config.preset, settings], sort_keys=True)
-    return _Curve(
-        run=folder.path, name=_name(config), group=group, x=np.array(columns[x]) * scale, y=np.array(columns[column])
-    )
+    return _Curve(x=np.array(columns[x]) * scale, y=np.array(columns[column]))
 
 
 def _name(config: TrainConfig) -> str:

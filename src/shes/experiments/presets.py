@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from shes.envs.external.description import is_description_file, read_description
-from shes.errors import UnknownNameError
+from shes.envs.registry import find_environment
+from shes.errors import ConfigError, UnknownNameError
 from shes.experiments.config import TrainConfig, check_fields
+from shes.experiments.settings import flag
+from shes.experiments.transfer import brought_settings
 
 __all__ = ["PRESETS", "make_config"]
 
@@ -23,7 +26,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "biases": "glorot_normal",
         "horizon": 500,
         "rank_ties": "index",
-        "common_random_numbers": False,
+        "common_random_numbers": "off",
         "statistics_fraction": 0.01,
         "reset_noise": 0.0,
         "evaluation_episodes": 10,
@@ -79,8 +82,51 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     if is_description_file(env):
         path = Path(env)
         env, overrides["external"] = path.stem, read_description(path)
+    for name in ("hidden", "primitive_hidden"):
+        if isinstance(overrides.get(name), int):
+            overrides[name] = (overrides[name],)
+    if isinstance(overrides.get("primitive"), Path):
+        overrides["primitive"] = str(overrides["primitive"])
     values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **overrides}
-    if "hidden" in values:
-        hidden = values["hidden"]
-        values["hidden"] = (hidden,) if isinstance(hidden, int) else hidden
-    return TrainConfig(env=env, preset=preset, **values)
+    if values.get("primitive") is not None:
+        values.update(brought_settings(values["primitive"], values.get("primitive_checkpoint", "best"), overrides))
+    config = TrainConfig(env=env, preset=preset, **values)
+    _refuse_unheeded(config, overrides)
+    return config
+
+
+_OF_CONTROLLERS = frozenset(
+    {"controller_output", "controller_weight_decay", "minimum_goal_distance", "primitive_hidden", "primitive_view"}
+)
+"""Settings that concern two levels only."""
+_OF_PRIMITIVES = frozenset(
+    {"controller_interval", "goal_distance", "goal_encoding", "hide_position", "primitive_reward"} | _OF_CONTROLLERS
+)
+"""Settings that concern goals."""
+_OF_RANDOM_CONTROLLERS = frozenset({"controller_interval", "goal_distance"})
+"""Settings of goals that an environment heeds which sets them itself."""
+
+
+def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
+    """Refuse settings that somebody asked for, and that would do nothing in this run.
+
+    Raises:
+        ConfigError: There is one.
+    """
+    for name in ("freeze_primitive", "primitive_checkpoint"):
+        if config.primitive is None and name in overrides:
+            raise ConfigError(
+                f"{name} is {overrides[name]!r}, but no run is named whose primitive it would be. "
+                f"Set --primitive RUN, or leave {flag(name)} away."
+            )
+    unheeded = frozenset[str]()
+    if config.level_names == ("primitive",):
+        unheeded = _OF_CONTROLLERS
+    elif config.level_names == ("policy",):
+        sets_goals = config.external is None and find_environment(config.env).sets_goals
+        unheeded = _OF_PRIMITIVES - (_OF_RANDOM_CONTROLLERS if sets_goals else frozenset())
+    for name in sorted(unheeded & set(overrides)):
+        raise ConfigError(
+            f"{name} does nothing in a run of {config.env} with algorithm {config.algorithm!r}, whose one level is the "
+            f"{config.level_names[0]}; got {overrides[name]!r}. Leave {flag(name)} away."
+        )

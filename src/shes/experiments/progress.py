@@ -126,10 +126,13 @@ class ProgressDisplay:
         if evaluation:
             score = f"{evaluation['score_mean']:.2f} ± {evaluation['score_std']:.2f}"
         total = self._config.generations if self._config else 0
+        names = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
         return [
             ("generation", f"{row['generation']} / {total}"),
-            ("controller return", f"{row['controller_return_mean']:.2f} (best {row['controller_return_max']:.2f})"),
-            ("primitive return", f"{row['primitive_return_mean']:.1f} (best {row['primitive_return_max']:.1f})"),
+            *(
+                (f"{name} return", f"{row[f'{name}_return_mean']:.2f} (best {row[f'{name}_return_max']:.2f})")
+                for name in names
+            ),
             ("evaluation score", score),
             ("env steps/s", f"{row['env_steps_per_s']:,.0f} ({row['env_steps'] / 1e6:,.1f} M so far)"),
             ("time left", "-" if left is None else format_duration(left)),

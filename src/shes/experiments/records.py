@@ -17,8 +17,9 @@ from tensorboardX.summary import scalar
 from shes.algorithm import GenerationReport
 from shes.errors import RunFolderError
 from shes.experiments.run_folder import RunFolder
+from shes.hierarchy.episodes import PARTS
 from shes.storage import storage_errors, write_atomically
-from shes.types import CONTROLLER, LEVEL_NAMES, PRIMITIVE, IntArray
+from shes.types import F64Array, IntArray
 
 __all__ = ["CsvTable", "Records", "progress_row", "read_csv"]
 
@@ -26,8 +27,11 @@ Row = dict[str, Any]
 
 
 def progress_row(report: GenerationReport, wall_time_s: float, generation_s: float) -> Row:
-    """Return the row of `progress.csv` for a generation. Columns that end in `_s` are times and rates."""
-    results = report.results
+    """Return the row of `progress.csv` for a generation. Columns that end in `_s` are times and rates.
+
+    `physics_s`, `policy_s` and `task_s` are added up over the workers; NaN stands for what a generation has not.
+    """
+    results, levels = report.results, report.state.levels
     steps = int(results.steps.sum())
     row: Row = {
         "generation": report.state.generation,
@@ -35,23 +39,48 @@ def progress_row(report: GenerationReport, wall_time_s: float, generation_s: flo
         "wall_time_s": round(wall_time_s, 3),
         "env_steps_per_s": round(steps / generation_s, 1),
     }
-    for level in (CONTROLLER, PRIMITIVE):
-        row[f"{LEVEL_NAMES[level]}_return_mean"] = float(results.fitness[level].mean())
-        row[f"{LEVEL_NAMES[level]}_return_max"] = float(results.fitness[level].max())
+    for level, fitness in zip(levels, results.fitness, strict=True):
+        row[f"{level.name}_return_mean"] = float(fitness.mean())
+        row[f"{level.name}_return_max"] = float(fitness.max())
     row |= {
         "score_mean": float(results.score.mean()),
         "success_rate": float(results.success.mean()),
         "episode_steps_mean": float(results.steps.mean()),
         "terminated_rate": float(results.has_terminated.mean()),
+        "diverged_rate": float(results.has_diverged.mean()),
         "diverged_episodes": int(results.has_diverged.sum()),
+        "episodes_per_policy": results.score.shape[1],
+        "sigma": report.sigma,
+        "learning_rate": report.learning_rate,
     }
-    for level, state in enumerate(report.state.levels):
-        indices = report.noise_index[level]
-        row[f"{LEVEL_NAMES[level]}_noise_distinct"] = len(np.unique(indices))
-        row[f"{LEVEL_NAMES[level]}_noise_overlapping"] = _overlapping(indices, len(state.theta))
-        row[f"{LEVEL_NAMES[level]}_theta_norm"] = float(np.linalg.norm(state.theta.astype(np.float64)))
+    if any(level.name == "primitive" for level in levels):
+        row["goals_reached_mean"] = float(results.goals_reached.mean())
+    for level, update, fitness, indices in zip(
+        levels, report.updates, results.fitness, report.noise_index, strict=True
+    ):
+        row |= {
+            f"{level.name}_noise_distinct": len(np.unique(indices)),
+            f"{level.name}_noise_overlapping": _overlapping(indices, len(level.theta)),
+            f"{level.name}_rank_ties": _tied(fitness),
+            f"{level.name}_gradient_norm": update.gradient_norm,
+            f"{level.name}_halves_cosine": update.halves_cosine,
+            f"{level.name}_update_ratio": update.update_ratio,
+            f"{level.name}_theta_norm": float(np.linalg.norm(level.theta.astype(np.float64))),
+        }
+    if report.state.novelty is not None:
+        row |= {
+            "novelty_weight": report.state.novelty.weight,
+            "novelty_archive": len(report.state.novelty.archive),
+            "novelty_best_return": report.state.novelty.best_return,
+        }
     row |= {"rollout_s": round(report.rollout_s, 4), "update_s": round(report.update_s, 4)}
-    return row
+    return row | {f"{part}_s": round(float(s), 4) for part, s in zip(PARTS, results.seconds, strict=True)}
+
+
+def _tied(fitness: F64Array) -> float:
+    """Return the share of the members whose fitness another one has, too."""
+    _, counts = np.unique(fitness, return_counts=True)
+    return float(counts[counts > 1].sum() / len(fitness))
 
 
 def _overlapping(indices: IntArray, dim: int) -> int:
@@ -145,7 +174,7 @@ class _Events:
         """Write the values of `row`, by generation."""
         with storage_errors(self._folder):
             for name, value in row.items():
-                if name != "generation":
+                if name != "generation" and np.isfinite(value):
                     summary = scalar(f"{group}/{name}", value)
                     self._writer.write_event(Event(wall_time=time(), step=row["generation"], summary=summary))
             self._writer.flush()  # before the checkpoint, which says that this generation is done

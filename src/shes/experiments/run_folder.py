@@ -13,7 +13,7 @@ from typing import Any
 
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.experiments.checkpoint import Checkpoint, load_checkpoint
-from shes.experiments.config import TrainConfig
+from shes.experiments.config import TrainConfig, in_words_of_today
 from shes.experiments.provenance import provenance
 from shes.storage import storage_errors, write_atomically
 
@@ -158,16 +158,22 @@ class RunFolder:
             CheckpointError: It is missing, damaged, or of another run.
         """
         path = self.checkpoint_path(name)
-        checkpoint = load_checkpoint(path)
-        mine = self.read_config().numbers()
+        checkpoint, config = load_checkpoint(path), self.read_config()
+        mine = config.numbers()
         # Settings that came after the checkpoint was written have their defaults, which change nothing.
         missing = {field.name: field.default for field in fields(TrainConfig) if field.name in mine}
-        checkpoint = replace(checkpoint, numbers={**missing, **checkpoint.numbers})
+        checkpoint = replace(checkpoint, numbers=in_words_of_today({**missing, **checkpoint.numbers}))
         if checkpoint.numbers != mine:
             keys = sorted(mine.keys() | checkpoint.numbers.keys())
             other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]
             shown = ", ".join(f"{key} is {checkpoint.numbers.get(key)!r}, not {mine.get(key)!r}" for key in other[:3])
             raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
+        levels = tuple(level.name for level in checkpoint.state.levels)
+        if levels != config.level_names:  # version 0.1 trained a controller on flagrun, too
+            raise CheckpointError(
+                f"{path} has the levels {', '.join(levels)}, but a run of {config.env} has "
+                f"{', '.join(config.level_names)} now. Use the version that wrote it (config.json of the run names it)."
+            )
         return checkpoint
 
     def _read_record(self) -> dict[str, Any]:

@@ -23,13 +23,15 @@ from shes.experiments.build import (
     open_noise_table,
 )
 from shes.experiments.checkpoint import Best, Checkpoint, CheckpointWriter, save_checkpoint
-from shes.experiments.config import EXECUTION_FIELDS, TrainConfig, check_fields, flag
+from shes.experiments.config import EXECUTION_FIELDS, TrainConfig, check_fields
 from shes.experiments.evaluate import evaluate_levels, evaluation_seeds
 from shes.experiments.interruption import Interruption
 from shes.experiments.presets import make_config
 from shes.experiments.records import Records, Row, progress_row, read_csv
 from shes.experiments.run_folder import RunFolder, new_folder
 from shes.experiments.run_log import logger, run_log
+from shes.experiments.settings import flag
+from shes.experiments.transfer import transfer_primitive
 
 __all__ = ["Listener", "Run", "resume", "start_run", "train"]
 
@@ -94,10 +96,11 @@ def train(
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: Listener | None = None) -> Run:
     """Begin a run with the settings of `config`; see `train`."""
     design = build_design(config)
-    open_noise_table(config, design)  # what can be wrong with it shows before there is a folder
+    open_noise_table(config, design)  # what can be wrong with it, or with the primitive, shows before there is a folder
+    state = transfer_primitive(config, build_state(config, design))
     folder = RunFolder.create(new_folder(config) if out is None else _path(out))
     with folder.lock():
-        checkpoint = Checkpoint(state=build_state(config, design), best=Best(), numbers=config.numbers())
+        checkpoint = Checkpoint(state=state, best=Best(), numbers=config.numbers())
         for name in ("0", "best", "last"):
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
         folder.record_start(config)  # from here on it is a run, which can be resumed
@@ -216,6 +219,7 @@ class _Session:
         now = perf_counter()
         row = progress_row(report, self._earlier_s + now - self._start, now - self._generation_start)
         self._generation_start = now
+        row["evaluation_s"] = 0.0
         self._tell_events(report.results.log)
         # `last` last: a run that dies before it does this generation, its evaluation and its other checkpoints again.
         best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
@@ -223,7 +227,8 @@ class _Session:
             with interruption.at_once():
                 evaluation = self._evaluate(report)
             self._records.add_evaluation(evaluation)
-            if best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
+            is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score says nothing
+            if is_sound and best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
                 best = Best(
                     generation=state.generation,
                     score=evaluation["score_mean"],
@@ -233,6 +238,7 @@ class _Session:
             self._tell_events([])
             self._tell("on_evaluation", evaluation)
             self._generation_start = perf_counter()
+            row["evaluation_s"] = round(self._generation_start - now, 4)
         if state.generation % self._config.keep_checkpoints == 0:
             paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
         self._records.add_progress(row)

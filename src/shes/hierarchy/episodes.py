@@ -5,14 +5,18 @@ A task is a few integers; perturbations are drawn again from the noise table whe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shes.es.level import LevelParameters, LevelState
+from shes.es.level import LevelParameters, TrainState
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["EpisodeResults", "EpisodeTask", "Generation", "LevelMoments", "PopulationResults", "spread"]
+__all__ = ["PARTS", "EpisodeResults", "EpisodeTask", "Generation", "LevelMoments", "spread"]
+
+PARTS = ("physics", "policy", "task")
+"""What a roll-out spends its time on: MuJoCo; the agent; the task's observations and rewards, and the rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +27,23 @@ class Generation:
     """The mean policies with their normalisation."""
     sigma: float
     """Standard deviation of the perturbations."""
+    episodes_per_policy: int
+    """Rows of every policy's matmul (E)."""
     is_evaluation: bool
     """Whether the episodes are evaluation's: its reset noise and targets, no exploration noise."""
+    has_frozen_control: bool = False
+    """Whether the level that acts is frozen: no noise of any kind is put on it then."""
+
+    @classmethod
+    def of_training(cls, state: TrainState, sigma: float, episodes: int, learns: Sequence[bool]) -> Generation:
+        """Return what the tasks of training after `state` have in common; `learns` says which levels do."""
+        return cls(
+            levels=LevelParameters.of_all(state.levels),
+            sigma=sigma,
+            episodes_per_policy=episodes,
+            is_evaluation=False,
+            has_frozen_control=not learns[-1],
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,80 +92,18 @@ class EpisodeResults:
     """Whether the task's own rule ended the episode [K]."""
     has_diverged: BoolArray
     """Whether the physics blew up [K]."""
+    goals_reached: IntArray
+    """Goals that the primitive reached [K]."""
+    final_position: F64Array
+    """Where the robot was at the end [K, 2], in metres."""
+    environment_returns: F64Array
+    """Summed reward of the environment [K]."""
     moments: tuple[LevelMoments, ...] | None
     """Sums of the observations of each level, if asked for."""
+    seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
+    """What the worker spent on each of `PARTS` since the result before this one."""
     log: tuple[str, ...] = ()
     """What the simulator had to say meanwhile."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PopulationResults:
-    """What came of the episodes of a whole population of n members with E episodes each."""
-
-    returns: F64Array
-    """Summed reward of each level [L, n, E]."""
-    score: F64Array
-    """Test score of the task [n, E]."""
-    success: BoolArray
-    """Whether the task counts as solved [n, E]."""
-    steps: IntArray
-    """Environment steps [n, E]; 0 for an episode that was not asked for."""
-    has_terminated: BoolArray
-    """Whether the task's own rule ended the episode [n, E]."""
-    has_diverged: BoolArray
-    """Whether the physics blew up [n, E]."""
-    moments: list[LevelMoments] = field(default_factory=list)
-    """Sums of the observations of each level so far, over episodes (K = 1); empty before the first."""
-    log: list[str] = field(default_factory=list)
-    """What the simulators had to say."""
-
-    @classmethod
-    def empty(cls, num_levels: int, members: int, episodes: int) -> PopulationResults:
-        """Return results to be filled by `add`."""
-        shape = (members, episodes)
-        return cls(
-            returns=np.zeros((num_levels, *shape)),
-            score=np.zeros(shape),
-            success=np.zeros(shape, np.bool_),
-            steps=np.zeros(shape, np.int64),
-            has_terminated=np.zeros(shape, np.bool_),
-            has_diverged=np.zeros(shape, np.bool_),
-        )
-
-    @property
-    def fitness(self) -> F64Array:
-        """Fitness of every member at each level [L, n]: its mean return."""
-        return self.returns.mean(axis=2)
-
-    def add(self, task: EpisodeTask, result: EpisodeResults) -> None:
-        """Enter the result of `task`. The order of these calls is that in which sums of observations are rounded."""
-        place = (task.member, list(task.slots))
-        self.returns[:, task.member, place[1]] = result.returns
-        self.score[place], self.success[place] = result.score, result.success
-        self.steps[place] = result.steps
-        self.has_terminated[place], self.has_diverged[place] = result.has_terminated, result.has_diverged
-        self.log.extend(result.log)
-        if result.moments is None:
-            return
-        if not self.moments:
-            self.moments.extend(
-                LevelMoments(count=m.count[:1] * 0, total=m.total[0] * 0, total_squares=m.total_squares[0] * 0)
-                for m in result.moments
-            )
-        for mine, new in zip(self.moments, result.moments, strict=True):
-            mine.count[0] += new.count.sum()
-            for k in range(len(new.count)):
-                mine.total[:] += new.total[k]
-                mine.total_squares[:] += new.total_squares[k]
-
-    def merge_statistics(self, levels: tuple[LevelState, ...]) -> tuple[LevelState, ...]:
-        """Return `levels` with these observations in their statistics."""
-        if not self.moments:
-            return levels
-        return tuple(
-            replace(level, statistics=level.statistics.merge(int(m.count[0]), m.total, m.total_squares))
-            for level, m in zip(levels, self.moments, strict=True)
-        )
 
 
 def spread(tasks: list[EpisodeTask], num_workers: int) -> list[EpisodeTask]:

@@ -18,6 +18,9 @@ __all__ = [
     "GOAL_ENCODINGS",
     "AngleEncoding",
     "GoalEncoding",
+    "MetreAngleEncoding",
+    "UnitVectorEncoding",
+    "VectorEncoding",
     "check_goal_encoding",
     "make_goal_encoding",
     "register_goal_encoding",
@@ -52,14 +55,73 @@ class AngleEncoding(GoalEncoding):
 
     def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
         """Write sin, cos, distance / 1000."""
-        angle = np.arctan2(vector[:, 1], vector[:, 0])
-        angle -= heading
-        np.sin(angle, out=out[:, 0])
-        np.cos(angle, out=out[:, 1])
+        _write_bearing(vector, heading, out)
         np.divide(distance, DISTANCE_SCALE, out=out[:, 2])
 
 
-GOAL_ENCODINGS: dict[str, type[GoalEncoding]] = {"angle": AngleEncoding}
+class MetreAngleEncoding(GoalEncoding):
+    """Sine and cosine of the goal's bearing relative to the heading, and the distance in metres.
+
+    Deviation: the distance is not divided by 1000 (paper II-C): the standard deviation that inputs are divided by is at
+    least 0.1, so that a goal 5.7 m away, the farthest that a controller sets in Table I, counts for less than 0.06. In
+    metres the normalisation makes the distance as large as other inputs.
+    """
+
+    size = 3
+
+    def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
+        """Write sin, cos, distance."""
+        _write_bearing(vector, heading, out)
+        out[:, 2] = distance
+
+
+class UnitVectorEncoding(GoalEncoding):
+    """Direction of the goal in the world frame, as a vector of length 1, and the distance over 1000.
+
+    A goal exactly where the robot stands has no direction: its vector is (0, 0).
+
+    Source: paper II-C, "concatenating the distance to the goal onto a normalized vector".
+    """
+
+    size = 3
+
+    def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
+        """Write x / distance, y / distance, distance / 1000."""
+        del heading
+        length = np.where(distance > 0, distance, 1)
+        np.divide(vector, length[:, None], out=out[:, :2])
+        np.divide(distance, DISTANCE_SCALE, out=out[:, 2])
+
+
+class VectorEncoding(GoalEncoding):
+    """The vector to the goal in the world frame, in metres.
+
+    Source: paper II-C, which found that it "did not work since the values are not normalized". Kept to show it; here,
+    as in the authors' code, the observation statistics normalise it like every other input.
+    """
+
+    size = 2
+
+    def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
+        """Write x, y."""
+        del distance, heading
+        out[:] = vector
+
+
+def _write_bearing(vector: F64Array, heading: F64Array, out: F64Array) -> None:
+    """Write sine and cosine of the bearing of `vector` [N, 2] relative to `heading` [N] into the first columns."""
+    angle = np.arctan2(vector[:, 1], vector[:, 0])
+    angle -= heading
+    np.sin(angle, out=out[:, 0])
+    np.cos(angle, out=out[:, 1])
+
+
+GOAL_ENCODINGS: dict[str, type[GoalEncoding]] = {
+    "angle": AngleEncoding,
+    "unit_vector": UnitVectorEncoding,
+    "vector": VectorEncoding,
+    "angle_metres": MetreAngleEncoding,
+}
 
 
 def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:

@@ -12,6 +12,8 @@ from shes.types import F64Array
 
 __all__ = [
     "PRIMITIVE_REWARDS",
+    "CosineReward",
+    "NegativeDistanceReward",
     "PrimitiveReward",
     "ProgressReward",
     "check_primitive_reward",
@@ -51,7 +53,53 @@ class ProgressReward(PrimitiveReward):
         return 1 - distance / start_distance + (distance < REACHED_M)
 
 
-PRIMITIVE_REWARDS: dict[str, type[PrimitiveReward]] = {"progress": ProgressReward}
+class NegativeDistanceReward(PrimitiveReward):
+    """Minus the distance to the goal in metres, `-d_t`: never above 0, so that a robot that dies at once loses least.
+
+    Source: HIRO (Nachum et al. 2018), of which paper II-B tells the local minimum.
+    Deviation: HIRO's goal is a whole state, its distance that between states; ours is a point on the floor.
+    """
+
+    def __call__(
+        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
+    ) -> F64Array:
+        """Return minus the distance [N], in metres."""
+        del start_distance, displacement, goal
+        return -distance
+
+
+class CosineReward(PrimitiveReward):
+    """Cosine of the angle between what the robot has moved since the goal was set and the way to the goal from there.
+
+    It is in [-1, 1] and pays for the direction, not for how far. Where the robot has not moved, or the goal was set
+    where the robot stood, there is no angle: it is 0.
+
+    Source: FuN (Vezhnevets et al. 2017), as told in paper II-B.
+    Deviation: FuN averages over the goals of the last c steps, because it sets one each step, and measures in a learned
+    space; ours is held for c steps, so that there is one to compare with, on the floor.
+    """
+
+    def __call__(
+        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
+    ) -> F64Array:
+        """Return the cosine [N]."""
+        del distance, start_distance
+        moved, way = _direction(displacement), _direction(goal)
+        cosine = moved[:, 0] * way[:, 0] + moved[:, 1] * way[:, 1]
+        return np.clip(cosine, -1, 1)  # rounding may exceed 1 by a bit
+
+
+def _direction(vector: F64Array) -> F64Array:
+    """Return `vector` [N, 2] with length 1, or (0, 0) where it has none."""
+    length = np.hypot(vector[:, 0], vector[:, 1])  # its squares would vanish for very short vectors
+    return vector / np.where(length > 0, length, 1)[:, None]
+
+
+PRIMITIVE_REWARDS: dict[str, type[PrimitiveReward]] = {
+    "progress": ProgressReward,
+    "negative_distance": NegativeDistanceReward,
+    "cosine": CosineReward,
+}
 
 
 def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:

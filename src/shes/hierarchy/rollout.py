@@ -1,4 +1,4 @@
-"""The only loop over environment steps: many policy pairs in lockstep, refilled as they finish.
+"""The only loop over environment steps: many policies in lockstep, refilled as they finish.
 
 A worker has P lanes; a lane runs the E episodes of one member of the population, each in its own slot. A finished
 episode leaves the physics and the statistics but keeps its row of the policy's matmul, so no result depends on which
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import PolicyError
 from shes.es.level import perturb
 from shes.es.noise import NoiseTable
-from shes.hierarchy.agent import AgentDesign, HierarchicalAgent
-from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, LevelMoments
-from shes.types import CONTROLLER, LEVEL_NAMES, PRIMITIVE, BoolArray, F32Array, F64Array, IntArray
+from shes.hierarchy.agent import AgentDesign
+from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, LevelMoments
+from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 __all__ = ["EXPLORATION_STD", "Rollout"]
 
@@ -56,19 +57,21 @@ class Rollout:
         `make_task` returns the task for a number of episodes N = P * E.
         """
         self.num_episodes, self.horizon = num_episodes, horizon
-        self.agent = HierarchicalAgent(design, num_lanes, num_episodes)
+        self.design = design
+        self.agent = design.make(num_lanes, num_episodes)
         self.task = make_task(num_lanes * num_episodes)
         self._lanes: list[_Lane | None] = [None] * num_lanes
         rows = num_lanes * num_episodes
-        decisions = -(-horizon // design.controller_interval)
-        self._controller_noise: F32Array = np.zeros((num_lanes, decisions, num_episodes, 2), np.float32)
-        self._primitive_noise: F32Array = np.zeros(
-            (num_lanes, horizon, num_episodes, self.task.action_size), np.float32
+        decisions = -(-horizon // design.decision_interval)
+        self._decision_noise: F32Array = np.zeros(
+            (decisions, num_lanes, num_episodes, design.decision_size), np.float32
         )
+        self._control_noise: F32Array = np.zeros((horizon, num_lanes, num_episodes, self.task.action_size), np.float32)
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
         self._steps: IntArray = np.zeros(rows, dtype=np.int64)
-        self._primitive_return: F64Array = np.zeros(rows)
-        self._explores = False
+        self._internal_return: F64Array = np.zeros(rows)
+        self._explores = self._has_frozen_control = False
+        self._seconds: F64Array = np.zeros(len(PARTS))
 
     @property
     def num_lanes(self) -> int:
@@ -84,6 +87,7 @@ class Rollout:
             PolicyError: A policy returned NaN or infinity.
         """
         self._explores = not generation.is_evaluation
+        self._has_frozen_control = generation.has_frozen_control
         self.agent.normalise_by(generation.levels)
         self._lanes = [None] * self.num_lanes
         self._is_running[:] = False
@@ -115,56 +119,69 @@ class Rollout:
             self._draw_exploration(place, task)
         self._is_running[rows] = True
         self._steps[rows] = 0
-        self._primitive_return[rows] = 0
-        results = _empty_results(task, self.agent.design.observation_sizes)
+        self._internal_return[rows] = 0
+        results = _empty_results(task, self.design.observation_sizes)
         self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(rows))), results=results)
 
     def _draw_exploration(self, place: int, task: EpisodeTask) -> None:
         """Draw the exploration noise of whole episodes from their seeds: no draw depends on another episode."""
         for slot, seed in zip(task.slots, task.seeds, strict=True):
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
-            for noise in (self._controller_noise, self._primitive_noise):
-                drawn = rng.standard_normal((noise.shape[1], noise.shape[3]), dtype=np.float32)
-                noise[place, :, slot] = drawn * np.float32(EXPLORATION_STD)
+            for noise in (self._decision_noise, self._control_noise):
+                drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
+                noise[:, place, slot] = drawn * np.float32(EXPLORATION_STD)
 
     def _step(self) -> Iterator[tuple[int, EpisodeResults]]:
         """Advance every running episode by one control step; yield the tasks that this finished."""
         task, agent = self.task, self.agent
-        action = agent.act(task.observe(), task.position, task.heading, *self._exploration())
+        start, physics_s = perf_counter(), task.physics_s
+        seen = (task.observe(), task.position, task.heading)
+        observed = perf_counter()
+        action = agent.act(*seen, goal=task.goal, **self._exploration())
         if not np.isfinite(action).all():
             self._refuse(action)
+        acted = perf_counter()
         running = np.flatnonzero(self._is_running)
         task.step(running, action)
         self._steps[running] += 1
-        # What a diverged simulation is worth is not known: its last step pays nothing.
-        self._primitive_return += agent.primitive_reward(task.position) * ~task.diverged
+        stepped = perf_counter()
+        if self.design.internal_level is not None:
+            # What a diverged simulation is worth is not known: its last step pays nothing.
+            self._internal_return += agent.internal_reward(task.position) * ~task.diverged
         ended = self._is_running & (task.terminated | task.diverged | (self._steps >= self.horizon))
+        physics_s = task.physics_s - physics_s
+        policy_s = acted - observed + perf_counter() - stepped
+        self._seconds += (physics_s, policy_s, stepped - acted + observed - start - physics_s)
         if ended.any():
             yield from self._finish(np.flatnonzero(ended))
 
-    def _exploration(self) -> tuple[F32Array | None, F32Array | None]:
-        """Return this step's noise [P, E, 2] and [P, E, A], or none in evaluation."""
+    def _exploration(self) -> dict[str, F32Array]:
+        """Return this step's noise [P, E, decision_size] and [P, E, A], or none in evaluation."""
         if not self._explores:
-            return None, None
+            return {}
         clock = np.minimum(self.agent.clock, self.horizon - 1)
-        lanes = np.arange(len(clock))
-        decision = clock // self.agent.design.controller_interval
-        return self._controller_noise[lanes, decision], self._primitive_noise[lanes, clock]
+        noise = {"decision_noise": _at(self._decision_noise, clock // self.design.decision_interval)}
+        if not self._has_frozen_control:
+            noise["control_noise"] = _at(self._control_noise, clock)
+        return noise
 
     def _finish(self, rows: IntArray) -> Iterator[tuple[int, EpisodeResults]]:
         """Take the results of the episodes in `rows`; yield the lanes in which none is left."""
         task = self.task
-        score, success, terminated = task.score, task.success, task.terminated
+        score, success, terminated, position = task.score, task.success, task.terminated, task.position
         for row in rows.tolist():
             place, slot = divmod(row, self.num_episodes)
             lane = self._lanes[place]
             assert lane is not None
             k = lane.task.slots.index(slot)
             results = lane.results
-            results.returns[CONTROLLER, k] = task.running_return[row]
-            results.returns[PRIMITIVE, k] = self._primitive_return[row]
+            results.environment_returns[k] = results.returns[:, k] = task.running_return[row]
+            if self.design.internal_level is not None:
+                results.returns[self.design.internal_level, k] = self._internal_return[row]
             results.score[k], results.success[k] = score[row], success[row]
             results.steps[k] = self._steps[row]
+            results.goals_reached[k] = self.agent.goals_reached[row]
+            results.final_position[k] = position[row]
             results.has_diverged[k] = task.diverged[row]
             results.has_terminated[k] = terminated[row] and not task.diverged[row]
             for moments, summed in zip(results.moments or (), self.agent.moments, strict=False):
@@ -175,6 +192,8 @@ class Rollout:
             lane.running.discard(k)
             if not lane.running:
                 self._lanes[place] = None
+                results.seconds[:] = self._seconds
+                self._seconds[:] = 0
                 yield lane.number, results
 
     def _refuse(self, action: F32Array) -> None:
@@ -186,12 +205,18 @@ class Rollout:
             place, slot = divmod(row, self.num_episodes)
             seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
             bad = [not np.isfinite(theta[place]).all() for theta in self.agent.theta]
-            which = " and ".join(name for name, is_bad in zip(LEVEL_NAMES, bad, strict=True) if is_bad)
+            which = " and ".join(name for name, is_bad in zip(self.design.level_names, bad, strict=True) if is_bad)
             raise PolicyError(
                 f"the policy of member {lane.task.member} returned NaN or infinity at step {int(self._steps[row])}"
                 f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
                 f"{seed}. Start another run with a lower --learning-rate or --sigma."
             )
+
+
+def _at(noise: F32Array, place: IntArray) -> F32Array:
+    """Return `noise[place[p], p]` [P, ...] for each lane p: a view where all places are equal, as they mostly are."""
+    first = place[0]
+    return noise[first] if (place == first).all() else noise[place, np.arange(len(place))]
 
 
 def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
@@ -208,5 +233,8 @@ def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
         steps=np.zeros(k, np.int64),
         has_terminated=np.zeros(k, np.bool_),
         has_diverged=np.zeros(k, np.bool_),
+        goals_reached=np.zeros(k, np.int64),
+        final_position=np.zeros((k, 2)),
+        environment_returns=np.zeros(k),
         moments=moments if task.records_statistics else None,
     )

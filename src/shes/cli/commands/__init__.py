@@ -16,6 +16,7 @@ SUMMARIES: dict[str, str] = {
     "plot": "draw the learning curves of runs",
     "render": "make a video of a run's policy",
     "watch": "look at a run's policy in a window",
+    "experiment": "run a study of many runs, with tables and figures",
     "bench": "measure how fast this machine is",
     "completion": "complete commands, flags and names by the tab key",
 }

@@ -25,6 +25,8 @@ class Arguments:
     """Worker processes; 0 is one for every core."""
     seed: int | None = None
     """Seed of the episodes; a stream of the run's own, apart from its training, if none."""
+    targets: Annotated[str, Shown(choices=("evaluation", "training"))] = "evaluation"
+    """Whose targets and reset noise: those of evaluation, or of training, such as the maze's random targets."""
     json: bool = False
     """Print one JSON object."""
 
@@ -39,6 +41,7 @@ def _run(values: dict[str, Any]) -> int:
         checkpoint=given.checkpoint,
         num_workers=given.num_workers,
         seed=given.seed,
+        targets=given.targets,
     )
     print_facts({"run": str(given.run), "checkpoint": given.checkpoint, **found.summary()}, as_json=given.json)
     return 0

@@ -1,0 +1,180 @@
+"""`shes experiment`: studies of many runs, with their tables and figures."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated, Any
+
+from shes.cli.command import Command
+from shes.cli.options import Group, Shown, options_of
+from shes.cli.output import print_error, print_line, print_table, quote
+
+if TYPE_CHECKING:
+    from shes.experiments.ablation import Comparison
+    from shes.experiments.study import Outcome, Study
+
+_NAMES = ("ablation",)
+_SCALES = ("laptop", "smoke")  # those of `experiments.ablation`, which imports matplotlib
+_GROUPS = ("choices", "sweep", "transfer", "horizon")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """What `shes experiment` takes."""
+
+    experiment: Annotated[str, Shown(choices=_NAMES, noun="the name of an experiment")]
+    """ablation: the choices of the paper, a sweep of the settings, transfer and horizon, on Point Gather and Maze."""
+    out: Annotated[Path, Shown(metavar="FOLDER")] = Path("runs/ablation")
+    """Where its runs, tables and figures are kept; what is there is not done again."""
+    workers: int = 0
+    """Runs at a time; 0 is one for every core."""
+    scale: Annotated[str, Shown(choices=_SCALES)] = "laptop"
+    """laptop: hours on two cores; smoke: a minute, to see that everything works."""
+    seeds: int | None = None
+    """Seeds of every variant; 10, and 5 in the sweep, if none (smoke: 2)."""
+    only: Annotated[tuple[str, ...] | None, Shown(metavar="GROUP", choices=_GROUPS)] = None
+    """Groups to run: choices, sweep, transfer, horizon, and always the base; all if none."""
+    json: bool = False
+    """Print one JSON object."""
+
+
+def _run(values: dict[str, Any]) -> int:
+    from shes.cli.output import print_facts
+    from shes.errors import ConfigError, UnknownNameError
+    from shes.experiments.ablation import ablation, choose, compare
+    from shes.experiments.config import TrainConfig
+    from shes.experiments.figures import draw_figures
+    from shes.experiments.study import check_study, read_summaries, run_study, write_csv, write_tables
+
+    given = Arguments(**values)
+    if given.experiment not in _NAMES:
+        fix = "`shes experiment --help` explains them."
+        raise UnknownNameError("experiment", given.experiment, _NAMES, fix)
+    if given.only == ():
+        raise ConfigError(f"--only needs at least one group: {', '.join(_GROUPS)}. Leave it away to run all.")
+    if given.workers < 0:
+        raise ConfigError(f"workers must be a whole number of at least 0, got {given.workers}. Set --workers.")
+    study = ablation(given.scale, given.seeds)
+    chosen = choose(study, given.only or ())
+    check_study(study, given.out)
+    summaries = read_summaries(study, given.out)
+    workers = TrainConfig(env="point-gather", num_workers=given.workers).workers
+    failed: list[Outcome] = []
+    outcomes = run_study(chosen, given.out, num_workers=workers)
+    with _Progress(chosen, set(summaries), workers, is_silent=given.json) as progress, closing(outcomes):
+        for outcome in outcomes:
+            progress.show(outcome)
+            if outcome.summary is None:
+                failed.append(outcome)
+            else:
+                write_tables(read_summaries(study, given.out), given.out)
+    summaries = read_summaries(study, given.out)
+    comparisons = compare(study, summaries)
+    write_tables(summaries, given.out)
+    write_csv(given.out / "comparison.csv", [comparison.row() for comparison in comparisons])
+    figures = draw_figures(study, summaries, comparisons, given.out)
+    if given.json:
+        facts = {
+            "out": str(given.out),
+            "cells": len(chosen.cells),
+            "failed": {outcome.cell.name: outcome.error for outcome in failed},
+            "figures": [str(path) for path in figures],
+            "comparisons": [comparison.row() for comparison in comparisons],
+        }
+        print_facts(facts, as_json=True)
+    else:
+        _print_comparisons(comparisons)
+        print_line(f"Tables: runs.csv, curves.csv, comparison.csv in {quote(given.out)}")
+        print_line(f"Figures: {' '.join(quote(path) for path in figures) or 'none'}")
+    for outcome in failed:
+        print_error(RuntimeError(f"{outcome.cell.name} failed: {outcome.error}"))
+    if failed:
+        again = "the same command does them again"
+        print_error(RuntimeError(f"{len(failed)} of {len(chosen.cells)} runs failed: {again}."))
+    return 1 if failed else 0
+
+
+class _Progress:
+    """Says what is ahead, what every finished run came to and how long the rest takes; after Ctrl-C, how to go on."""
+
+    def __init__(self, study: Study, done: set[str], workers: int, *, is_silent: bool) -> None:
+        from shes.experiments.study import cell_steps
+
+        self._steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
+        self._left = {name: steps for name, steps in self._steps.items() if name not in done}
+        self._workers, self._is_silent = workers, is_silent
+        self._start, self._made = monotonic(), 0
+
+    def __enter__(self) -> _Progress:
+        from shes.experiments.ablation import STEPS_PER_S
+        from shes.experiments.progress import format_duration
+
+        total, ahead = sum(self._steps.values()), sum(self._left.values())
+        at_once = max(1, min(self._workers, len(self._left)))
+        runs = f"{len(self._steps)} runs, {total / 1e6:,.1f} M environment steps"
+        done = f"; {len(self._steps) - len(self._left)} are done" if len(self._left) < len(self._steps) else ""
+        if not self._left:
+            self._say(f"{runs}; all are done.")
+            return self
+        expected = format_duration(ahead / STEPS_PER_S / at_once)
+        pace = f"at {STEPS_PER_S:,} steps a second on each of {at_once} core{'s' * (at_once != 1)}"
+        self._say(f"{runs}{done}. About {expected} {pace}; Ctrl-C stops, the same command goes on.")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *exception: object) -> None:
+        if kind is KeyboardInterrupt:
+            self._say("Stopped; nothing that is done is lost. Go on with the same command.")
+
+    def show(self, outcome: Outcome) -> None:
+        """Say what came of a cell."""
+        from shes.experiments.ablation import METRICS
+        from shes.experiments.progress import format_duration
+
+        for event in outcome.events:
+            self._say(event)
+        self._made += self._left.pop(outcome.cell.name)
+        count = f"[{len(self._steps) - len(self._left)}/{len(self._steps)}] {outcome.cell.name}"
+        ahead = sum(self._left.values())
+        left = format_duration(ahead * (monotonic() - self._start) / self._made)
+        if outcome.summary is None:
+            self._say(f"{count}: FAILED; {left} left")
+            return
+        row = outcome.summary.row
+        column, words = METRICS.get(outcome.cell.env, ("best_score", "score"))
+        self._say(f"{count}: {words} {row[column]:.2f} in {row['seconds']:.0f} s; {left} left")
+
+    def _say(self, text: str) -> None:
+        if not self._is_silent:
+            print_line(text)
+
+
+def _print_comparisons(comparisons: list[Comparison]) -> None:
+    """Print a table per task, with a row per variant."""
+    from shes.experiments.ablation import BASE, METRICS, label
+
+    for env in dict.fromkeys(found.env for found in comparisons):
+        rows: list[tuple[str, ...]] = []
+        for found in (found for found in comparisons if found.env == env):
+            other = "" if found.against in (None, BASE) else f" (to {label(found.against)})"
+            score = f"{found.score_mean:.2f} [{found.score_low:.2f}, {found.score_high:.2f}]"
+            p = "-" if found.p_holm is None else f"{found.p_holm:.4f}"
+            rows.append((found.group, label(found.variant) + other, str(found.seeds), score, p))
+        print_line(env)
+        print_table(("group", "variant", "seeds", "mean [95 %]", "p"), rows)
+        print_line(f"mean: {METRICS[env][1]}, over seeds; p: to the base, by permutation, corrected by Holm.")
+
+
+COMMAND = Command(
+    name="experiment",
+    description="Run a study of many runs and draw its figures. Stopped, it goes on by the same command.",
+    examples=(
+        "shes experiment ablation --out results/ablation --workers 2",
+        "shes experiment ablation --out runs/try --scale smoke --only choices transfer",
+    ),
+    groups=(Group(heading="experiment and flags", options=options_of(Arguments)),),
+    run=_run,
+    is_help_alone=True,
+)

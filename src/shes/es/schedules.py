@@ -1,0 +1,150 @@
+"""Schedules: a number that changes from generation to generation, from `start` to `end`, and stays there.
+
+A generation is the number of updates made so far: 0 for the first.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from shes.errors import ConfigError, UnknownNameError
+
+__all__ = ["SCHEDULES", "Constant", "Cosine", "Exponential", "Linear", "Schedule", "make_schedule"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule(ABC):
+    """What a quantity is worth in each generation."""
+
+    quantity: str
+    """What changes, for messages: `learning_rate`, `sigma` or `episodes`."""
+    start: float
+    """Value in generation 0."""
+    end: float
+    """Value from `generations` on."""
+    generations: int
+    """Generations from `start` to `end`."""
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            ConfigError: `start` or `end` is out of range, or `generations` is not positive.
+        """
+        self._check_number("start", self.start, zero=False)
+        self._check_number("end", self.end, zero=True)
+        if self.generations < 1:
+            raise ConfigError(
+                f"schedule_generations must be a positive whole number, got {self.generations}. "
+                "Set --schedule-generations."
+            )
+
+    def value(self, generation: int) -> float:
+        """Return the value in `generation`: exactly `start` in 0, exactly `end` from `generations` on."""
+        if generation <= 0:
+            return self.start
+        if generation >= self.generations:
+            return self.end
+        return self.between(generation / self.generations)
+
+    @abstractmethod
+    def between(self, progress: float) -> float:
+        """Return the value after the share `progress` of the way, inside (0, 1)."""
+
+    def _check_number(self, place: str, number: float, *, zero: bool) -> None:
+        """Refuse a `number` at `place` that is negative or not finite, or zero where `zero` is not allowed."""
+        if not math.isfinite(number) or number < 0 or (number == 0 and not zero):
+            allowed = "zero or positive" if zero else "positive"
+            fix = f"Set --{self.quantity.replace('_', '-')}-schedule to another one, or change its {place}."
+            raise ConfigError(
+                f"the {place} of the {type(self).__name__.lower()} schedule of {self.quantity} must be {allowed}, "
+                f"got {number}. {fix}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constant(Schedule):
+    """Always `start`; `end` and `generations` do not count."""
+
+    end: float = 0.0
+    generations: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse a `start` that is not positive (ConfigError)."""
+        self._check_number("start", self.start, zero=False)
+
+    def value(self, generation: int) -> float:
+        """Return `start`."""
+        del generation
+        return self.start
+
+    def between(self, progress: float) -> float:
+        """Return `start`."""
+        del progress
+        return self.start
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linear(Schedule):
+    """The same difference every generation. Source: Mnih et al. 2015, Methods (annealed exploration)."""
+
+    def between(self, progress: float) -> float:
+        """Return the value on the straight line."""
+        return self.start + (self.end - self.start) * progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exponential(Schedule):
+    """The same factor every generation: geometric. Source: Ha 2017 (estool), `sigma_decay`, `learning_rate_decay`."""
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises:
+            ConfigError: As every schedule, or `end` is zero, which no factor reaches.
+        """
+        super().__post_init__()
+        self._check_number("end", self.end, zero=False)
+
+    def between(self, progress: float) -> float:
+        """Return the value on the geometric curve."""
+        return self.start * (self.end / self.start) ** progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cosine(Schedule):
+    """Half a cosine: slow at both ends. Source: Loshchilov and Hutter 2017 (SGDR), equation 5, without restarts."""
+
+    def between(self, progress: float) -> float:
+        """Return the value on the half wave."""
+        return self.end + (self.start - self.end) * (1 + math.cos(math.pi * progress)) / 2
+
+
+SCHEDULES: dict[str, type[Schedule]] = {
+    "constant": Constant,
+    "linear": Linear,
+    "exponential": Exponential,
+    "cosine": Cosine,
+}
+
+
+def make_schedule(quantity: str, kind: str, start: float, end: float, generations: int) -> Schedule:
+    """Return the schedule of this kind.
+
+    Args:
+        quantity: What changes; messages name it and its flag, `--QUANTITY-schedule`.
+        kind: One of `SCHEDULES`.
+        start: Value in generation 0.
+        end: Value from `generations` on; `constant` ignores it.
+        generations: Generations from `start` to `end`; `constant` ignores it.
+
+    Raises:
+        UnknownNameError: `kind` is not in `SCHEDULES`.
+        ConfigError: `start` or `end` is out of range, or `generations` is not positive.
+    """
+    if kind not in SCHEDULES:
+        fix = f"Set --{quantity.replace('_', '-')}-schedule."
+        raise UnknownNameError(f"schedule of {quantity}", kind, SCHEDULES, fix)
+    return SCHEDULES[kind](quantity=quantity, start=start, end=end, generations=generations)

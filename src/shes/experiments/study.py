@@ -1,0 +1,389 @@
+"""Studies: many runs that differ in a few settings, made by one call that can be stopped and made again.
+
+Every cell of a study is an ordinary run folder, trained by one worker process; finished cells are not run again, and
+unfinished ones go on as `shes resume` does, so a study that was stopped has the numbers of one that never was.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import signal
+import traceback
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from shes.backends.backend import Backend
+from shes.backends.processes import ProcessesBackend
+from shes.errors import ConfigError, RunFolderError, ShesError
+from shes.experiments.config import TrainConfig
+from shes.experiments.evaluate import evaluate
+from shes.experiments.presets import make_config
+from shes.experiments.records import Row, read_csv
+from shes.experiments.run_folder import RunFolder
+from shes.experiments.train import resume, start_run
+from shes.storage import storage_errors, write_atomically
+
+__all__ = [
+    "Cell",
+    "Outcome",
+    "Study",
+    "StudyWorker",
+    "Summary",
+    "cell_steps",
+    "check_study",
+    "read_summaries",
+    "run_cell",
+    "run_study",
+    "write_csv",
+    "write_tables",
+]
+
+CHECKPOINTS = ("best", "last")
+"""What is evaluated on fresh episodes at the end of a cell."""
+_TRANSFER = ("primitive", "freeze_primitive")
+_CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One run of a study."""
+
+    group: str
+    """Which question it belongs to."""
+    variant: str
+    """What is changed; runs of one variant differ in the seed alone."""
+    env: str
+    seed: int
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the run by name, over those of the preset."""
+    primitive: str | None = None
+    """Name of the cell whose primitive it begins with."""
+    preset: str = "laptop"
+
+    @property
+    def name(self) -> str:
+        """What it is called, and its run folder below that of the study."""
+        return f"{self.env}/{self.group}/{self.variant}/seed-{self.seed}"
+
+    @property
+    def identity(self) -> Row:
+        """The columns by which tables know it."""
+        return {"group": self.group, "variant": self.variant, "env": self.env, "seed": self.seed}
+
+    def config(self, out: Path) -> TrainConfig:
+        """Return the settings of its run in the study at `out`.
+
+        Raises:
+            ConfigError: A setting is unknown or not allowed.
+            UnknownNameError: A name is not known.
+            RunFolderError: There is no run yet to take the primitive from.
+        """
+        transfer = {} if self.primitive is None else {"primitive": str(out / self.primitive)}
+        alone = {"seed": self.seed, "backend": "serial", "num_workers": 1}
+        return make_config(self.env, self.preset, {**self.settings, **transfer, **alone})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Runs that belong together."""
+
+    cells: tuple[Cell, ...]
+    episodes: int = 100
+    """Fresh episodes on which a finished run's checkpoints are evaluated."""
+
+    def __post_init__(self) -> None:
+        """Refuse cells of one name, and primitives of no cell.
+
+        Raises:
+            ConfigError: There is one.
+        """
+        names = [cell.name for cell in self.cells]
+        for cell in self.cells:
+            if names.count(cell.name) > 1:
+                raise ConfigError(f"two cells of the study are called {cell.name}: give one another variant.")
+            if cell.primitive is not None and cell.primitive not in names:
+                raise ConfigError(f"{cell.name} begins with the primitive of {cell.primitive}, which is no cell.")
+
+    def stages(self) -> tuple[tuple[Cell, ...], ...]:
+        """Return the cells in stages: every cell after the one it begins with, and else as late as it may be.
+
+        Within a stage the seed comes first, so that a study that is stopped has as many seeds of every variant.
+        """
+        followers: dict[str | None, list[Cell]] = {}
+        for cell in self.cells:
+            followers.setdefault(cell.primitive, []).append(cell)
+
+        def height(cell: Cell) -> int:
+            return max((1 + height(follower) for follower in followers.get(cell.name, ())), default=0)
+
+        heights = {cell.name: height(cell) for cell in self.cells}
+        ordered = sorted(self.cells, key=lambda cell: cell.seed)
+        return tuple(
+            tuple(cell for cell in ordered if heights[cell.name] == level)
+            for level in sorted(set(heights.values()), reverse=True)
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """What came of a cell."""
+
+    row: Row
+    """Its row of `runs.csv`."""
+    curve: tuple[Row, ...]
+    """Its rows of `curves.csv`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """A cell that has been run: what came of it, or why nothing did."""
+
+    cell: Cell
+    summary: Summary | None = None
+    error: str = ""
+    events: tuple[str, ...] = ()
+    """What happened to the workers meanwhile."""
+
+
+def cell_steps(cell: Cell, episodes: int) -> int:
+    """Return the environment steps of a cell, all its evaluations included, if no episode ends before its time."""
+    config = make_config(
+        cell.env, cell.preset, {name: value for name, value in cell.settings.items() if name not in _TRANSFER}
+    )
+    training = config.generations * config.population_size * config.episodes_per_policy * config.horizon
+    evaluations = 1 + config.generations // config.evaluation_interval
+    evaluated = evaluations * config.evaluation_episodes + (len(CHECKPOINTS) + 1) * episodes
+    return training + evaluated * (config.evaluation_horizon or config.horizon)
+
+
+# One cell, in a worker process.
+
+
+def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
+    """Train the cell to its end, from where it stands; evaluate it; return what came of it.
+
+    Raises:
+        RunFolderError: Its folder holds a run of other settings.
+        ShesError: Whatever `start_run`, `resume` and `evaluate` raise.
+    """
+    path = out / cell.name
+    summary = _read_summary(path)
+    if summary is not None:
+        return summary
+    config = cell.config(out)
+    folder = RunFolder(path)
+    if not folder.config.is_file():
+        start_run(config, path)
+    else:
+        _check_settings(cell, folder, config)
+        if folder.load("last").state.generation < config.generations:
+            resume(path)
+    summary = _summarise(cell, folder, episodes)
+    write_atomically(_summary_path(path), partial(_dump, summary))
+    return summary
+
+
+def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
+    """Evaluate a finished run and gather what its tables say."""
+    state = folder.load("last").state
+    row: Row = {
+        **cell.identity,
+        "generations": state.generation,
+        "env_steps": state.env_steps,
+        "seconds": read_csv(folder.progress)["wall_time_s"][-1],
+    }
+    for checkpoint in CHECKPOINTS:
+        found = evaluate(folder.path, episodes=episodes, checkpoint=checkpoint, num_workers=1).summary()
+        row |= {
+            f"{checkpoint}_score": found["score_mean"],
+            f"{checkpoint}_return": found["return_mean"],
+            f"{checkpoint}_success": found["success_rate"],
+            f"{checkpoint}_primitive_return": found.get("primitive_return_mean"),
+            f"{checkpoint}_goals_reached": found.get("goals_reached_mean"),
+        }
+    random = evaluate(folder.path, episodes=episodes, checkpoint="last", num_workers=1, targets="training").summary()
+    row |= {"last_training_success": random["success_rate"], "last_training_return": random["return_mean"]}
+    table, progress = read_csv(folder.evaluation), read_csv(folder.progress)
+    curve: list[Row] = []
+    first = 0.0
+    for i, generation in enumerate(table["generation"]):
+        made = zip(progress["generation"], progress["success_rate"], strict=True)
+        since = [rate for number, rate in made if first < number <= generation]
+        shown = {name: table[name][i] if name in table else None for name in _CURVE}
+        curve.append({**cell.identity, **shown, "training_success_rate": sum(since) / len(since)})
+        first = generation
+    return Summary(row=row, curve=tuple(curve))
+
+
+def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
+    """Refuse a run folder that holds a run of other settings.
+
+    Raises:
+        RunFolderError: It does.
+    """
+    # A path is no setting of the study: the same folder may be reached by another one.
+    wanted, there = (
+        {**settings.numbers(), "generations": settings.generations, "primitive": settings.primitive is not None}
+        for settings in (config, folder.read_config())
+    )
+    other = [
+        f"{name} is {there.get(name)!r} there and {value!r} in the study"
+        for name, value in wanted.items()
+        if there.get(name) != value
+    ]
+    if other:
+        raise RunFolderError(
+            f"{folder.path} holds a run of other settings than cell {cell.name}: {'; '.join(other[:3])}. "
+            f"Choose another folder with --out, or remove this one to have it made anew."
+        )
+
+
+class StudyWorker:
+    """Runs the cells that it is handed, one after another: the `Worker` of a study's processes."""
+
+    def __init__(self, out: Path, episodes: int) -> None:
+        """Leave Ctrl-C, which reaches the whole process group, to the parent: training here must not answer to it."""
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        self._out, self._episodes = out, episodes
+
+    def receive(self, state: Any) -> None:
+        """Do nothing: all cells are alike."""
+
+    def run(self, work: Iterator[tuple[int, Cell]], share: int) -> Iterator[tuple[int, Outcome]]:
+        """Run a cell at a time; one that fails is an outcome, too."""
+        for number, cell in work:
+            yield number, self._outcome(cell)
+
+    def _outcome(self, cell: Cell) -> Outcome:
+        try:
+            return Outcome(cell=cell, summary=run_cell(cell, self._out, self._episodes))
+        except ShesError as error:
+            return Outcome(cell=cell, error=str(error))
+        except Exception:  # noqa: BLE001 - whatever it is, it must not stop the other cells
+            return Outcome(cell=cell, error=traceback.format_exc())
+
+
+# All cells.
+
+
+def run_study(study: Study, out: Path, *, num_workers: int) -> Generator[Outcome]:
+    """Run the cells of `study` that are not finished, `num_workers` at a time, and yield what comes of each, in order.
+
+    Raises:
+        RunFolderError: `out` is in use, or a folder below it holds a run of other settings.
+        ConfigError: The settings of a cell are not allowed.
+        StorageError: `out` cannot be written.
+        WorkerError: Workers keep dying.
+    """
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    failed: set[str] = set()
+    with RunFolder(out).lock():
+        check_study(study, out)
+        done = read_summaries(study, out)
+        left = [tuple(cell for cell in stage if cell.name not in done) for stage in study.stages()]
+        size = min(num_workers, max(map(len, left), default=0))
+        if not size:
+            return
+        with ProcessesBackend(partial(StudyWorker, out, study.episodes), size) as backend:
+            for stage in left:
+                for outcome in _run_stage(stage, failed, backend):
+                    if outcome.summary is None:
+                        failed.add(outcome.cell.name)
+                    yield outcome
+
+
+def _run_stage(stage: Sequence[Cell], failed: set[str], backend: Backend) -> Iterator[Outcome]:
+    """Run the cells of a stage; those that cannot be for want of a primitive are outcomes without a run."""
+    for cell in stage:
+        if cell.primitive in failed:
+            yield Outcome(cell=cell, error=f"not run: it begins with the primitive of {cell.primitive}, which failed.")
+    for outcome in backend.map([cell for cell in stage if cell.primitive not in failed]):
+        events = tuple(backend.take_events())
+        yield Outcome(cell=outcome.cell, summary=outcome.summary, error=outcome.error, events=events)
+
+
+def check_study(study: Study, out: Path) -> None:
+    """Refuse settings that are not allowed, and folders that hold other runs, before hours have gone by.
+
+    Raises:
+        RunFolderError: A folder holds a run of other settings, or `out` is a run folder itself, or a file.
+        ConfigError: The settings of a cell are not allowed.
+    """
+    if out.exists() and not out.is_dir():
+        raise RunFolderError(f"{out} is a file, not a folder. Choose another path with --out.")
+    if RunFolder(out).config.exists():
+        raise RunFolderError(f"{out} is a run folder: the runs of a study need one of their own. Set --out.")
+    for cell in study.cells:
+        if cell.primitive is not None and not RunFolder(out / cell.primitive).config.is_file():
+            continue  # what it brings is not known yet; the cell's worker looks again
+        config, folder = cell.config(out), RunFolder(out / cell.name)
+        if folder.config.is_file():
+            _check_settings(cell, folder, config)
+
+
+# What is written down.
+
+
+def _summary_path(path: Path) -> Path:
+    return path / "summary.json"
+
+
+def _dump(summary: Summary, file: Any) -> None:
+    file.write(json.dumps({"row": summary.row, "curve": summary.curve}).encode())
+
+
+def _read_summary(path: Path) -> Summary | None:
+    """Return what came of the cell in the folder at `path`; None if it is not finished.
+
+    Raises:
+        RunFolderError: The file is damaged.
+    """
+    file = _summary_path(path)
+    try:
+        found = json.loads(file.read_bytes())
+        return Summary(row=found["row"], curve=tuple(found["curve"]))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunFolderError(f"{file} cannot be read: {error!r}. Remove it to have it made again.") from error
+
+
+def read_summaries(study: Study, out: Path) -> dict[str, Summary]:
+    """Return what came of the finished cells, by name, in the order of the study.
+
+    Raises:
+        RunFolderError: A summary is damaged.
+    """
+    cells = [cell for stage in study.stages() for cell in stage]
+    found = {cell.name: _read_summary(out / cell.name) for cell in cells}
+    return {name: summary for name, summary in found.items() if summary is not None}
+
+
+def write_tables(summaries: Mapping[str, Summary], out: Path) -> None:
+    """Write `runs.csv`, a row per finished cell, and `curves.csv`, a row per evaluation of one.
+
+    Raises:
+        StorageError: They cannot be written.
+    """
+    write_csv(out / "runs.csv", [summary.row for summary in summaries.values()])
+    write_csv(out / "curves.csv", [row for summary in summaries.values() for row in summary.curve])
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Write `rows`, which share their columns, as a table; None is an empty place.
+
+    Raises:
+        StorageError: It cannot be written; what was there is untouched.
+    """
+    text = io.StringIO()
+    if rows:
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    write_atomically(path, lambda file: file.write(text.getvalue().encode()))

@@ -1,0 +1,106 @@
+"""Transfer: a run that begins with the primitive of another one. Source: SHES paper II-D; algorithm specification, 6.
+
+The primitive brings what it was trained to observe: goal encoding, clock, hidden position, view, sizes of its layers.
+From then on these are settings of the new run, which needs the other's folder no more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from shes.errors import ConfigError
+from shes.es.level import LevelState, TrainState
+from shes.experiments.build import build_task, primitive_inputs
+from shes.experiments.config import TrainConfig
+from shes.experiments.run_folder import RunFolder
+from shes.experiments.settings import flag
+
+__all__ = ["brought_settings", "transfer_primitive"]
+
+_BROUGHT = ("goal_encoding", "clock_frequency", "hide_position")
+
+
+def _read(path: str, checkpoint: str) -> tuple[TrainConfig, LevelState]:
+    """Return the settings of the run at `path` and its primitive.
+
+    Raises:
+        RunFolderError: `path` is not a run folder.
+        CheckpointError: The checkpoint is missing or damaged.
+        ConfigError: The run has no primitive.
+    """
+    folder = RunFolder.open(Path(path))
+    config = folder.read_config()
+    levels = {level.name: level for level in folder.load(checkpoint).state.levels}
+    if "primitive" not in levels:
+        raise ConfigError(
+            f"{path} has no primitive: its levels are {', '.join(levels)}. Name a run with --primitive that trained "
+            "one: shes train ant-flagrun, or any run with --algorithm shes."
+        )
+    return config, levels["primitive"]
+
+
+def brought_settings(path: str, checkpoint: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that the primitive of the run at `path` brings with it.
+
+    Args:
+        path: The run folder.
+        checkpoint: `best`, `last` or the number of a generation.
+        asked: Settings that somebody asked for.
+
+    Raises:
+        RunFolderError: `path` is not a run folder.
+        CheckpointError: The checkpoint is missing or damaged.
+        ConfigError: The run has no primitive, or a setting was asked for that the primitive was not trained with.
+    """
+    if not isinstance(path, str) or not path:
+        raise ConfigError(f"primitive must be the path of a run folder, got {path!r}. Set --primitive.")
+    source, _ = _read(path, checkpoint)
+    brought: dict[str, Any] = {name: getattr(source, name) for name in _BROUGHT}
+    brought["primitive_hidden"] = source.hidden if source.primitive_hidden is None else source.primitive_hidden
+    is_alone = source.level_names == ("primitive",)
+    brought["primitive_view"] = "proprioception" if is_alone else source.primitive_view
+    for name in sorted(brought.keys() & asked.keys()):
+        wanted = tuple(asked[name]) if isinstance(asked[name], list) else asked[name]
+        if wanted != brought[name]:
+            raise ConfigError(
+                f"{name} is {wanted!r}, but the primitive of {path} was trained with {brought[name]!r}. "
+                f"Leave {flag(name)} away: it comes with the primitive."
+            )
+    return brought
+
+
+def transfer_primitive(config: TrainConfig, state: TrainState) -> TrainState:
+    """Return `state` with the primitive that `config` names: its parameters and its observation statistics.
+
+    Raises:
+        RunFolderError: There is no such run folder.
+        CheckpointError: The checkpoint is missing or damaged.
+        ConfigError: The primitive does not fit: it observes, or controls, something else.
+    """
+    if config.primitive is None:
+        return state
+    source, primitive = _read(config.primitive, config.primitive_checkpoint)
+    theirs, ours = _layout(source), _layout(config)
+    if theirs != ours:
+        raise ConfigError(
+            f"the primitive of {config.primitive} does not fit {config.env}.\n"
+            f"It was trained on {source.env}: {theirs}.\n"
+            f"Here there is: {ours}.\n"
+            "Name a primitive of the same robot with --primitive, trained by shes train ant-flagrun or point-flagrun."
+        )
+    levels = tuple(
+        replace(level, theta=primitive.theta, statistics=primitive.statistics) if level.name == "primitive" else level
+        for level in state.levels
+    )
+    return replace(state, levels=levels)
+
+
+def _layout(config: TrainConfig) -> str:
+    """Return what the primitive of `config` observes and controls, in words."""
+    inputs = primitive_inputs(config)
+    task = build_task(config, 1, is_evaluation=False)
+    task.close()
+    return f"{len(inputs)} inputs ({', '.join(inputs)}) and {task.action_size} controls of up to {task.control_limit:g}"

@@ -1,0 +1,126 @@
+"""Acting on a goal: what a primitive does every step, whoever set the goal.
+
+Source: SHES paper II-A to II-C; algorithm specification sections 2 and 3.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from shes.hierarchy.agent import Agent, AgentDesign, columns
+from shes.hierarchy.goals import GoalEncoding
+from shes.hierarchy.rewards import REACHED_M, PrimitiveReward
+from shes.policies.mlp import MLP
+from shes.types import BoolArray, F32Array, F64Array, IntArray
+
+__all__ = ["GoalReachingAgent", "GoalReachingDesign"]
+
+_MIN_START_M = 1e-3  # a goal may be set where the robot stands; progress towards it must stay finite
+
+
+@dataclass(frozen=True, kw_only=True)
+class GoalReachingDesign(AgentDesign):
+    """What an agent that reaches goals is made of. The primitive observes goal features, clock, view, in this order."""
+
+    primitive: MLP
+    goal_encoding: GoalEncoding
+    primitive_reward: PrimitiveReward
+    controller_interval: int
+    """Steps that a goal is held (c)."""
+    primitive_view: tuple[int, ...] | None = None
+    """Indices in the observation of what the primitive sees; all of it if None."""
+
+    @property
+    def decision_interval(self) -> int:
+        """Steps that a goal is held."""
+        return self.controller_interval
+
+
+class GoalReachingAgent(Agent):
+    """P primitives, each pursuing goals in E episodes. Where the goals come from, a subclass says."""
+
+    def __init__(self, design: GoalReachingDesign, num_policies: int, num_episodes: int) -> None:
+        """Make room for `num_policies` sets of `num_episodes` episodes."""
+        super().__init__(design, num_policies, num_episodes)
+        rows = num_policies * num_episodes
+        self.goal_origin: F64Array = np.zeros((rows, 2))
+        """Where the robots stood when their goals were set [N, 2]."""
+        self.goal_start_distance: F64Array = np.ones(rows)
+        """Distance to the goal when it was set [N]."""
+        self._way: F64Array = np.zeros((rows, 2))  # from where goals were set to the goals
+        self._goal: F64Array = np.ones((rows, 2))
+        self._has_reached: BoolArray = np.zeros(rows, dtype=np.bool_)
+        self._interval = design.controller_interval
+        self._encoding, self._reward = design.goal_encoding, design.primitive_reward
+        self._view = columns(design.primitive_view)
+        self._clock_start = design.goal_encoding.size
+        self._view_start = self._clock_start + design.clock_size
+        self._inputs: F64Array = np.zeros((rows, design.observation_sizes[-1]))
+
+    @property
+    def goal(self) -> F64Array:
+        """Goals being held, in the world [N, 2], in metres."""
+        return self._goal
+
+    @abstractmethod
+    def _choose_goals(
+        self,
+        due: IntArray,
+        rows: IntArray,
+        observation: F64Array,
+        position: F64Array,
+        heading: F64Array,
+        goal: F64Array | None,
+        noise: F32Array | None,
+    ) -> F64Array:
+        """Return new goals in the world [rows, 2] for the episodes `rows` of policies `due`; see `act`."""
+
+    def act(
+        self,
+        observation: F64Array,
+        position: F64Array,
+        heading: F64Array,
+        *,
+        goal: F64Array | None = None,
+        decision_noise: F32Array | None = None,
+        control_noise: F32Array | None = None,
+    ) -> F32Array:
+        """Return the controls [N, A] of one step, setting new goals where they are due; see `Agent.act`."""
+        due = np.flatnonzero(self.clock % self._interval == 0)
+        if len(due):
+            rows = (due[:, None] * self.num_episodes + np.arange(self.num_episodes)).ravel()
+            goals = self._choose_goals(due, rows, observation, position, heading, goal, decision_noise)
+            self._hold(rows, goals, position)
+        inputs = self._inputs
+        vector = self._goal - position
+        self._encoding.encode(vector, _length(vector), heading, inputs[:, : self._clock_start])
+        self._write_clock(inputs[:, self._clock_start : self._view_start])
+        inputs[:, self._view_start :] = observation[:, self._view]
+        self.clock += 1
+        return self._control(inputs, control_noise)
+
+    def internal_reward(self, position: F64Array) -> F64Array:
+        """Return the primitives' reward [N] for having come to `position` [N, 2]; goals reached are counted."""
+        distance = _length(self._goal - position)
+        near = distance < REACHED_M
+        self.goals_reached += near & ~self._has_reached
+        self._has_reached |= near
+        return self._reward(distance, self.goal_start_distance, position - self.goal_origin, self._way)
+
+    def _hold(self, rows: IntArray, goals: F64Array, position: F64Array) -> None:
+        """Set the goals of episodes `rows`, whose robots are at `position[rows]`."""
+        self.goal_origin[rows] = position[rows]
+        self._goal[rows] = goals
+        self._has_reached[rows] = False
+        # Not the controller's vector: rounding must not make this differ from the distance of the step.
+        way = goals - position[rows]
+        self._way[rows] = way
+        self.goal_start_distance[rows] = np.maximum(_length(way), _MIN_START_M)
+
+
+def _length(vector: F64Array) -> F64Array:
+    """Return the Euclidean length [N] of `vector` [N, 2]."""
+    return np.sqrt(vector[:, 0] * vector[:, 0] + vector[:, 1] * vector[:, 1])

@@ -1,0 +1,131 @@
+"""Controller outputs: what the numbers that a controller's network puts out say about where the goal is.
+
+Source: SHES paper II-C; `forward` and `onehot_forward` of the authors' code. Independent of the goal encoding.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+
+from shes.envs.entries import check_class, check_name_is_free
+from shes.errors import ConfigError, UnknownNameError
+from shes.types import F64Array
+
+__all__ = [
+    "CONTROLLER_OUTPUTS",
+    "ControllerOutput",
+    "OneHotOutput",
+    "VectorOutput",
+    "check_controller_output",
+    "make_controller_output",
+    "register_controller_output",
+]
+
+NUM_BINS = 8
+"""Directions that a one-hot output can choose from."""
+MIN_DISTANCE_M = 1.0
+"""A one-hot output sets no goal nearer than this."""
+
+
+class ControllerOutput(ABC):
+    """Turns the outputs of the controller's network into the vector from the robot to its goal."""
+
+    size: ClassVar[int]
+    """Number of outputs of the network."""
+
+    @abstractmethod
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector from the robot to the goal, world frame [N, 2], in metres.
+
+        Args:
+            output: What the network put out [N, size], in [-1, 1]; exploration noise may exceed that slightly.
+            heading: Yaw of the robot [N] in radians.
+            goal_distance: Metres that an output of 1 stands for.
+        """
+
+
+class VectorOutput(ControllerOutput):
+    """The two outputs are the vector in the world frame, in goal distances."""
+
+    size = 2
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return `output` times the goal distance."""
+        del heading
+        return output.astype(np.float64) * goal_distance
+
+
+class OneHotOutput(ControllerOutput):
+    """The largest of eight outputs picks a direction relative to the heading, and its value the distance, at least 1 m.
+
+    The directions are 45 degrees apart: output 0 stands for -135 degrees (behind to the right), output 3 for straight
+    ahead, output 5 for the left, output 7 for straight behind. Of equal outputs the first one counts.
+
+    Source: `onehot_forward` of the authors' code (policy.jl); not in the paper.
+
+    Deviation: the authors add 1/8 to the angle in radians, which is neither 0 nor half of a direction's 45 degrees: it
+    turns every goal 7 degrees to the left, and none lies straight ahead. Left out.
+
+    Deviation: in Gather the authors' angles are those of its ten sensors, 36 degrees apart, but their controller has
+    eight outputs: no goal can lie within the 108 degrees behind to the left. Here all tasks have eight directions.
+    """
+
+    size = NUM_BINS
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector in the direction of the largest output."""
+        angle = (output.argmax(axis=1) + 1) * (2 * np.pi / NUM_BINS) - np.pi
+        angle += heading
+        distance = np.maximum(output.max(axis=1).astype(np.float64) * goal_distance, MIN_DISTANCE_M)
+        return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
+
+
+CONTROLLER_OUTPUTS: dict[str, type[ControllerOutput]] = {"vector": VectorOutput, "one_hot": OneHotOutput}
+
+
+def register_controller_output(name: str, output: type[ControllerOutput]) -> None:
+    """Make `output` known as `name`, in this process; then `shes.train(..., controller_output=name)` uses it.
+
+    Args:
+        name: Lower-case words joined by `-` or `_`.
+        output: A complete subclass of `ControllerOutput`, made without arguments.
+
+    Raises:
+        ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
+    """
+    check_class("controller output", output, ControllerOutput)
+    check_name_is_free("controller output", name, output, CONTROLLER_OUTPUTS)
+    CONTROLLER_OUTPUTS[name] = output
+
+
+def check_controller_output(name: str) -> None:
+    """Refuse an unknown controller output.
+
+    Raises:
+        UnknownNameError: `name` is not in `CONTROLLER_OUTPUTS`.
+    """
+    if name not in CONTROLLER_OUTPUTS:
+        fix = "Set --controller-output. Register your own first: shes.register_controller_output, or --import MODULE."
+        raise UnknownNameError("controller output", name, CONTROLLER_OUTPUTS, fix)
+
+
+def make_controller_output(name: str) -> ControllerOutput:
+    """Return the controller output of this name.
+
+    Raises:
+        UnknownNameError: `name` is not in `CONTROLLER_OUTPUTS`.
+        ConfigError: It does not return one vector for each episode.
+    """
+    check_controller_output(name)
+    output = CONTROLLER_OUTPUTS[name]()
+    # Three episodes, not two: a result that is turned on its side, [2, N], must not look right.
+    shape = np.shape(output.vector(np.ones((3, output.size)), np.zeros(3), 1.0))
+    if shape != (3, 2):
+        raise ConfigError(
+            f"controller output {name!r} must return an array [N, 2], the vector from the robot to the goal in each of "
+            f"N episodes; for 3 episodes it returned shape {shape}, not (3, 2)."
+        )
+    return output

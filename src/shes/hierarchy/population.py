@@ -1,0 +1,81 @@
+"""The work of one generation: which member uses which noise, signs and episode seeds.
+
+Source: SHES paper, Algorithm 1 lines 2 and 3, II-E, II-F; Conti et al. 2018 for the mean policy's episodes.
+"""
+
+from __future__ import annotations
+
+from shes.errors import UnknownNameError
+from shes.es.level import TrainState
+from shes.es.perturbation import Signs
+from shes.es.streams import Purpose, stream
+from shes.hierarchy.episodes import EpisodeTask
+from shes.types import IntArray
+
+__all__ = ["COMMON_RANDOM_NUMBERS", "mean_policy_task", "population_tasks"]
+
+COMMON_RANDOM_NUMBERS = ("off", "group", "population")
+"""Who shares the episodes' seeds: nobody; the members of a mirrored group; the whole population.
+
+Deviation: `group` unless the `paper` preset says otherwise (the authors' code: every member draws its own), because it
+takes the difference between episodes out of the comparison within a group.
+"""
+
+
+def population_tasks(
+    state: TrainState,
+    signs: Signs,
+    noise_index: IntArray,
+    episodes: int,
+    common_random_numbers: str = "group",
+    statistics_fraction: float = 1.0,
+) -> list[EpisodeTask]:
+    """Return the task of every member: its group's noise, its own signs, its episodes' seeds.
+
+    Args:
+        state: The state before the generation.
+        signs: Signs of every member at each level [G, M, L].
+        noise_index: Start of each group's noise slice [L, G].
+        episodes: Episodes of a member, E.
+        common_random_numbers: One of `COMMON_RANDOM_NUMBERS`.
+        statistics_fraction: Share of the groups, drawn at random, whose observations enter the statistics.
+
+    Raises:
+        UnknownNameError: `common_random_numbers` is not known.
+    """
+    if common_random_numbers not in COMMON_RANDOM_NUMBERS:
+        raise UnknownNameError(
+            "way to share episodes", common_random_numbers, COMMON_RANDOM_NUMBERS, "Set --common-random-numbers."
+        )
+    groups, members, _ = signs.shape
+    rng = stream(state.seed, Purpose.TRAINING_EPISODES, state.generation)
+    draws = {"off": (groups, members), "group": (groups, 1), "population": (1, 1)}[common_random_numbers]
+    seeds = rng.integers(0, 2**63, (*draws, episodes))
+    sampler = stream(state.seed, Purpose.STATISTICS_SAMPLE, state.generation)
+    records = [sampler.random() < statistics_fraction for _ in range(groups)]
+    return [
+        EpisodeTask(
+            member=group * members + member,
+            noise_index=tuple(noise_index[:, group].tolist()),
+            signs=tuple(signs[group, member].tolist()),
+            slots=tuple(range(episodes)),
+            seeds=tuple(seeds[group % draws[0], member % draws[1]].tolist()),
+            records_statistics=records[group],
+        )
+        for group in range(groups)
+        for member in range(members)
+    ]
+
+
+def mean_policy_task(state: TrainState, member: int, episodes: int) -> EpisodeTask:
+    """Return the task of the mean policies themselves, as one more member: where they end is what novelty is from."""
+    zeros = (0,) * len(state.levels)
+    seeds = stream(state.seed, Purpose.NOVELTY_EPISODES, state.generation).integers(0, 2**63, episodes)
+    return EpisodeTask(
+        member=member,
+        noise_index=zeros,
+        signs=zeros,
+        slots=tuple(range(episodes)),
+        seeds=tuple(seeds.tolist()),
+        records_statistics=False,
+    )

@@ -1,0 +1,131 @@
+"""What came of the episodes of a whole population."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from shes.es.level import LevelState
+from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, LevelMoments
+from shes.types import BoolArray, F64Array, IntArray
+
+__all__ = ["PopulationResults", "lower_diverged"]
+
+
+def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
+    """Return `values` with those of diverged episodes lowered to the least of the others, if that is lower.
+
+    Args:
+        values: A return or score of every episode, of any shape.
+        has_diverged: Whether the physics blew up, of the same shape.
+    """
+    if not has_diverged.any() or has_diverged.all():
+        return values
+    return np.where(has_diverged, np.minimum(values, values[~has_diverged].min()), values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PopulationResults:
+    """What came of the episodes of a whole population of n members with E episodes each."""
+
+    returns: F64Array
+    """Summed reward of each level [L, n, E]."""
+    score: F64Array
+    """Test score of the task [n, E]."""
+    success: BoolArray
+    """Whether the task counts as solved [n, E]."""
+    steps: IntArray
+    """Environment steps [n, E]; 0 for an episode that was not asked for."""
+    has_terminated: BoolArray
+    """Whether the task's own rule ended the episode [n, E]."""
+    has_diverged: BoolArray
+    """Whether the physics blew up [n, E]."""
+    goals_reached: IntArray
+    """Goals that the primitive reached [n, E]."""
+    final_position: F64Array
+    """Where the robot was at the end [n, E, 2], in metres."""
+    environment_returns: F64Array
+    """Summed reward of the environment [n, E]."""
+    moments: list[LevelMoments] = field(default_factory=list)
+    """Sums of the observations of each level so far, over episodes (K = 1); empty before the first."""
+    seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
+    """What the workers spent on each of `PARTS`, added up over workers."""
+    log: list[str] = field(default_factory=list)
+    """What the simulators had to say."""
+
+    @classmethod
+    def empty(cls, num_levels: int, members: int, episodes: int) -> PopulationResults:
+        """Return results to be filled by `add`."""
+        shape = (members, episodes)
+        return cls(
+            returns=np.zeros((num_levels, *shape)),
+            score=np.zeros(shape),
+            success=np.zeros(shape, np.bool_),
+            steps=np.zeros(shape, np.int64),
+            has_terminated=np.zeros(shape, np.bool_),
+            has_diverged=np.zeros(shape, np.bool_),
+            goals_reached=np.zeros(shape, np.int64),
+            final_position=np.zeros((*shape, 2)),
+            environment_returns=np.zeros(shape),
+        )
+
+    def members(self, which: slice) -> PopulationResults:
+        """Return what came of some of the members; sums over all of them stay as they are."""
+        return replace(
+            self,
+            returns=self.returns[:, which],
+            score=self.score[which],
+            success=self.success[which],
+            steps=self.steps[which],
+            has_terminated=self.has_terminated[which],
+            has_diverged=self.has_diverged[which],
+            goals_reached=self.goals_reached[which],
+            final_position=self.final_position[which],
+            environment_returns=self.environment_returns[which],
+        )
+
+    @property
+    def fitness(self) -> F64Array:
+        """Fitness of every member at each level [L, n]: its mean return.
+
+        An episode that diverged counts as the worst of all that did not: where rewards are negative, to end early by
+        breaking the physics must not pay.
+        """
+        return np.stack([lower_diverged(row, self.has_diverged) for row in self.returns]).mean(axis=2)
+
+    def add(self, task: EpisodeTask, result: EpisodeResults) -> None:
+        """Enter the result of `task`. The order of these calls is that in which sums of observations are rounded."""
+        place = (task.member, list(task.slots))
+        self.returns[:, task.member, place[1]] = result.returns
+        self.score[place], self.success[place] = result.score, result.success
+        self.steps[place] = result.steps
+        self.has_terminated[place], self.has_diverged[place] = result.has_terminated, result.has_diverged
+        self.goals_reached[place], self.final_position[place] = result.goals_reached, result.final_position
+        self.environment_returns[place] = result.environment_returns
+        self.seconds[:] += result.seconds
+        self.log.extend(result.log)
+        if result.moments is None:
+            return
+        if not self.moments:
+            self.moments.extend(
+                LevelMoments(count=m.count[:1] * 0, total=m.total[0] * 0, total_squares=m.total_squares[0] * 0)
+                for m in result.moments
+            )
+        for mine, new in zip(self.moments, result.moments, strict=True):
+            mine.count[0] += new.count.sum()
+            for k in range(len(new.count)):
+                mine.total[:] += new.total[k]
+                mine.total_squares[:] += new.total_squares[k]
+
+    def merge_statistics(self, levels: Sequence[LevelState], learns: Sequence[bool]) -> tuple[LevelState, ...]:
+        """Return `levels` with these observations in the statistics of those that learn."""
+        if not self.moments:
+            return tuple(levels)
+        return tuple(
+            replace(level, statistics=level.statistics.merge(int(m.count[0]), m.total, m.total_squares))
+            if is_learning
+            else level
+            for level, m, is_learning in zip(levels, self.moments, learns, strict=True)
+        )

@@ -1,0 +1,189 @@
+"""Generations without physics: members are paid by a formula. And what the numbers of a run are, to the bit."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from shes.algorithm import Settings, evolve
+from shes.backends.backend import Backend
+from shes.es.level import LevelState, TrainState, UpdateRule
+from shes.es.schedules import Constant, make_schedule
+from shes.es.statistics import ObservationStatistics
+from shes.hierarchy.episodes import EpisodeResults, LevelMoments
+from tests.es.textbook import TextbookES
+
+DIMS = (3, 5)
+EPISODES = 3
+
+
+def constant(quantity, value):
+    return Constant(quantity=quantity, start=value, end=value, generations=1)
+
+
+def changing(quantity, start, end, generations, kind="linear"):
+    return make_schedule(quantity, kind, start, end, generations)
+
+
+SETTINGS = Settings(
+    population_size=8,
+    episodes_per_policy=constant("episodes_per_policy", EPISODES),
+    sigma=constant("sigma", 0.1),
+    learning_rate=constant("learning_rate", 0.02),
+    updates=(UpdateRule(weight_decay=0.005),) * 2,
+    learns=(True, True),
+)
+
+
+def start_state(thetas, sizes, *, seed=3, settings=SETTINGS, names=("controller", "primitive")):
+    levels = tuple(
+        LevelState(
+            name=name, theta=theta, optimizer=rule.optimizer.start(len(theta)),
+            statistics=ObservationStatistics.empty(size),
+        )
+        for name, theta, size, rule in zip(names, thetas, sizes, settings.updates, strict=True)
+    )  # fmt: skip
+    novelty = None if settings.novelty is None else settings.novelty.start()
+    return TrainState(seed=seed, generation=0, env_steps=0, levels=levels, novelty=novelty)
+
+
+_DRIFT_M = ((0.0, 0.0), (0.1, 0.3), (0.5, -0.2), (0.3, 0.6))  # lopsided, or mirrored members would tie
+
+
+class FormulaBackend(Backend):
+    """Pays each member by a formula of its parameters, and remembers what it was asked."""
+
+    num_workers = 3
+
+    def __init__(self, table, diverging=()):
+        """Let the episodes in `diverging`, pairs of member and slot, diverge: they are paid a million."""
+        self.table = table
+        self.diverging = set(diverging)
+        self.generations = []
+        self.tasks = []
+
+    def broadcast(self, state):
+        self.generations.append(state)
+        self.tasks.append([])
+
+    def map(self, tasks):
+        for task in tasks:
+            self.tasks[-1].append(task)
+            generation = self.generations[-1]
+            controller, primitive = (
+                level.theta + sign * generation.sigma * self.table.slice(index, len(level.theta))
+                for level, sign, index in zip(generation.levels, task.signs, task.noise_index, strict=True)
+            )
+            k = len(task.slots)
+            moments = tuple(
+                LevelMoments(
+                    count=np.full(k, 7), total=np.full((k, size), 14.0), total_squares=np.full((k, size), 63.0)
+                )
+                for size in DIMS
+            )
+            # Each episode pays a little more or less, so that fitness is a mean over episodes.
+            luck = np.array(task.slots) - (generation.episodes_per_policy - 1) / 2
+            has_diverged = np.array([(task.member, slot) in self.diverging for slot in task.slots])
+            returns = np.array(formula(controller, primitive))[:, None] + luck
+            yield EpisodeResults(
+                returns=np.where(has_diverged, 1e6, returns),
+                score=luck,
+                success=luck > 0,
+                steps=100 + np.array(task.slots),
+                has_terminated=luck > 0,
+                has_diverged=has_diverged,
+                goals_reached=np.array(task.slots),
+                final_position=end_of(controller, task.slots),
+                environment_returns=returns[0] + 5,
+                moments=moments if task.records_statistics else None,
+            )
+
+    def close(self):
+        pass
+
+
+def end_of(controller, slots):
+    """Return the made-up ends [K, 2] of a controller's episodes in `slots`, all in their own direction."""
+    return np.asarray(controller, float)[:2] * 3 + [_DRIFT_M[slot] for slot in slots]
+
+
+def formula(controller, primitive):
+    """Return the made-up fitness of a pair at both levels: they need each other, and are paid differently."""
+    controller, primitive = np.asarray(controller, float), np.asarray(primitive, float)
+    return -((controller - primitive[:3] - 1) ** 2).sum(), -((primitive - 2) ** 2).sum() + controller[0]
+
+
+def formula_state(settings=SETTINGS):
+    rng = np.random.default_rng(0)
+    return start_state([rng.normal(size=dim).astype(np.float32) for dim in DIMS], DIMS, settings=settings)
+
+
+def formula_run(table, generations, settings=SETTINGS, state=None, pool=None, diverging=()):
+    backend = FormulaBackend(table, diverging)
+    state = formula_state(settings) if state is None else state
+    return backend, list(itertools.islice(evolve(state, settings, table, backend, pool), generations))
+
+
+def noise_of(report, table):
+    return [[table.slice(i, dim) for i in row.tolist()] for row, dim in zip(report.noise_index, DIMS, strict=True)]
+
+
+def check_against_textbook(table, settings, generations=5, **options):
+    """Compare a run with the textbook's; return its reports."""
+    backend, reports = formula_run(table, generations, settings)
+    book = TextbookES(
+        [level.theta for level in backend.generations[0].levels],
+        mirrored=settings.mirrored, sigma=0.1, rate=0.02, weight_decay=0.005, learns=settings.learns, **options,
+    )  # fmt: skip
+    for generation, report in enumerate(reports):
+        book.sigma, book.rate = settings.sigma.value(generation), settings.learning_rate.value(generation)
+        noise = noise_of(report, table)
+        expected = np.array([formula(*pair) for pair in book.candidates(noise)]).T
+        assert report.results.fitness == pytest.approx(expected, rel=1e-4, abs=1e-4)
+        book.update(report.results.fitness.tolist(), noise)
+        for level, theta in zip(report.state.levels, book.thetas, strict=True):
+            assert level.theta == pytest.approx(theta, abs=1e-5)
+    return reports
+
+
+def state_bits(state):
+    arrays = [
+        a
+        for level in state.levels
+        for a in (level.theta, *level.optimizer.slots.values(), level.statistics.total, level.statistics.total_squares)
+    ]
+    counts = [(level.name, level.optimizer.steps, level.statistics.count) for level in state.levels]
+    search = state.novelty
+    if search is not None:
+        counts.append((len(search.archive), search.weight, search.best_return, search.stalled))
+        arrays.append(search.archive)
+    return [a.tobytes() for a in arrays], counts, state.generation, state.env_steps, state.seed
+
+
+def run_bits(reports):
+    return [
+        (
+            state_bits(report.state),
+            *(
+                a.tobytes()
+                for a in (
+                    report.results.returns, report.results.score, report.results.success, report.results.steps,
+                    report.results.has_terminated, report.results.has_diverged, report.results.goals_reached,
+                    report.results.final_position, report.results.environment_returns, report.noise_index,
+                )
+            ),
+            report.sigma,
+            report.learning_rate,
+            [repr((u.gradient_norm, u.halves_cosine, u.update_ratio)) for u in report.updates],
+        )
+        for report in reports
+    ]  # fmt: skip
+
+
+def same_level(one, other):
+    """Tell whether parameters and optimizer of two levels are the same to the bit."""
+    return (
+        one.theta.tobytes() == other.theta.tobytes()
+        and one.optimizer.steps == other.optimizer.steps
+        and all(slot.tobytes() == other.optimizer.slots[name].tobytes() for name, slot in one.optimizer.slots.items())
+    )
