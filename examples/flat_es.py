@@ -1,6 +1,7 @@
 """A flat evolution strategy: one network from observation to action, no hierarchy, no worker processes.
 
-A generation's policies play at once: one batch of simulations, one stacked product of matrices per layer and step.
+A generation's policies play at once: one batch of simulations, one stacked product of matrices per layer and step. This
+is the library by hand; `shes train point-gather --algorithm es` does it with workers, checkpoints and evaluations.
 """
 
 import numpy as np

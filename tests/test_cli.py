@@ -86,8 +86,8 @@ def test_aliases_and_both_ways_to_write_a_value(shes, tmp_path):
 
 def test_switches_can_be_turned_off(shes, tmp_path):
     path = tmp_path / "run"
-    shes("train", "point-gather", *TINY, "--generations", 1, "--no-common-random-numbers", "--out", path)
-    assert RunFolder.open(path).read_config().common_random_numbers is False
+    shes("train", "point-gather", *TINY, "--generations", 1, "--no-minimum-goal-distance", "--out", path)
+    assert RunFolder.open(path).read_config().minimum_goal_distance is False
 
 
 def test_minutes_end_a_call_and_resume_goes_on(shes, tmp_path, tiny_run):

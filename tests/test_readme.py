@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from shes.cli.commands import SUMMARIES
-from shes.experiments.config import TrainConfig, flag
+from shes.experiments.config import TrainConfig
+from shes.experiments.settings import flag
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -39,8 +40,10 @@ def test_python_example_runs(tmp_path, monkeypatch, capsys):
 
 def test_flags_and_commands_exist():
     known = {flag(name) for name in TrainConfig.__dataclass_fields__}
-    known |= {"--checkpoint", "--episodes", "--help", "--import", "--json", "--no-common-random-numbers", "--out"}
-    known |= {"--size", "--steps"}
+    known |= {
+        "--no-" + flag(name)[2:] for name, field in TrainConfig.__dataclass_fields__.items() if field.type == "bool"
+    }
+    known |= {"--checkpoint", "--episodes", "--help", "--import", "--json", "--out", "--size", "--steps"}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README)) <= known
     assert set(re.findall(r"^shes ([a-z]+)", README, flags=re.MULTILINE)) <= set(SUMMARIES)
 

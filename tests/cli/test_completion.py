@@ -9,7 +9,8 @@ from shes.cli import main
 from shes.cli.commands import SUMMARIES
 from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
-from shes.experiments.config import WITHOUT_FLAG, TrainConfig, flag
+from shes.experiments.config import WITHOUT_FLAG, TrainConfig
+from shes.experiments.settings import flag
 
 ANTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("ant-")]
 POINTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("point-")]
@@ -60,9 +61,9 @@ def test_bash_completes_commands_flags_environments_presets_and_choices(complete
         "shes --ver": ["--version"],
         "shes train ": [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS],
         "shes train po": POINTS,
-        "shes train --sig": ["--sigma"],
+        "shes train --sig": ["--sigma", "--sigma-end", "--sigma-schedule"],
         "shes train point-gather --work": ["--workers"],
-        "shes train --no-c": ["--no-common-random-numbers"],
+        "shes train --no-m": ["--no-minimum-goal-distance"],
         "shes train --hidden 8 8 ant": ANTS,
         "shes train --preset ": ["paper", "laptop", "smoke"],
         "shes train --preset=la": ["laptop"],

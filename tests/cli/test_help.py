@@ -16,8 +16,9 @@ from shes.cli.parsing import parse
 from shes.cli.settings import setting_groups
 from shes.envs.registry import ENVIRONMENTS
 from shes.experiments import plot, render
-from shes.experiments.config import EXECUTION_FIELDS, HEADINGS, WITHOUT_FLAG, TrainConfig, flag
+from shes.experiments.config import EXECUTION_FIELDS, HEADINGS, WITHOUT_FLAG, TrainConfig
 from shes.experiments.presets import PRESETS, make_config
+from shes.experiments.settings import flag
 
 SETTINGS = [field.name for field in fields(TrainConfig) if field.name not in WITHOUT_FLAG]
 
@@ -51,7 +52,18 @@ def test_help_names_every_command(shes, words):
 def test_the_commands_are_the_files_in_their_folder():
     files = {path.stem for path in Path(commands.__file__).parent.glob("[!_]*.py")}
     assert files == set(SUMMARIES) == {load_command(name).name for name in SUMMARIES}
-    assert {"envs", "train", "resume", "evaluate", "plot", "render", "watch", "bench", "completion"} == files
+    assert {
+        "envs",
+        "train",
+        "resume",
+        "evaluate",
+        "plot",
+        "render",
+        "watch",
+        "bench",
+        "experiment",
+        "completion",
+    } == files
 
 
 @pytest.mark.parametrize("command", SUMMARIES)

@@ -94,4 +94,4 @@ def _length(vector):
 def register():
     register_environment("puck-corner", Puck, Corner)
     register_primitive_reward("nearness", Nearness)
-    register_goal_encoding("vector", Vector)
+    register_goal_encoding("own-vector", Vector)

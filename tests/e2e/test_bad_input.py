@@ -83,8 +83,8 @@ WORDS = {
     "flag_without_a_value": ([*TRAIN, "--sigma", "--seed", "1"], r"--sigma needs a value: --sigma FLOAT\."),
     "last_flag_without_a_value": ([*TRAIN, "--mirrored"], r"--mirrored needs a value: --mirrored \{quad,pair,none\}"),
     "switch_with_a_value": (
-        [*TRAIN, "--common-random-numbers=no"],
-        r"--common-random-numbers takes no value, got .*=no\. Write --common-random-numbers or --no-common-random-num",
+        [*TRAIN, "--minimum-goal-distance=no"],
+        r"--minimum-goal-distance takes no value, got .*=no\. Write --minimum-goal-distance or --no-minimum-goal-dist",
     ),
     "flag_of_another_kind": ([*TRAIN, "-s", "1"], r"unknown flag -s\."),
     "flag_before_the_command": (
@@ -121,6 +121,107 @@ WORDS = {
     "noise_table_too_small": (
         [*TRAIN, "--noise-table-size", "100"],
         r"noise_table_size is 100, but a level has [\d,]+ parameters and needs at least [\d,]+\. Raise --noise-table-s",
+    ),
+    "unknown_algorithm": (
+        [*TRAIN, "--algorithm", "se"],
+        r"unknown algorithm 'se'\. Did you mean 'shes'\? Known: shes, es\. Set --algorithm",
+    ),
+    "unknown_novelty": (
+        [*TRAIN, "--novelty", "nsraa"],
+        r"unknown novelty 'nsraa'\. Did you mean 'nsra'\? Known: nsra, .*none.*Set --novelty",
+    ),
+    "unknown_perturbation": (
+        [*TRAIN, "--perturbation", "one-to-many"],
+        r"unknown perturbation 'one-to-many'\. Did you mean 'one_to_many'\?.*Set --perturbation",
+    ),
+    "unknown_optimizer": ([*TRAIN, "--optimizer", "adm"], r"unknown optimizer 'adm'\. Did you mean 'adam'\?.*--optim"),
+    "unknown_shaping": (
+        [*TRAIN, "--fitness-shaping", "zscore"],
+        r"unknown fitness shaping 'zscore'\. Did you mean 'z_score'\?.*Set --fitness-shaping",
+    ),
+    "unknown_controller_output": (
+        [*TRAIN, "--controller-output", "onehot"],
+        r"unknown controller output 'onehot'\. Did you mean 'one_hot'\?.*Set --controller-output.*--import MODULE",
+    ),
+    "unknown_schedule": (
+        [*TRAIN, "--sigma-schedule", "line", "--sigma-end", "1"],
+        r"unknown sigma schedule 'line'\. Did you mean 'linear'\?.*Set --sigma-schedule",
+    ),
+    "schedule_without_an_end": (
+        [*TRAIN, "--learning-rate-schedule", "cosine"],
+        r"learning_rate_schedule is 'cosine', but nothing says where to\. Set --learning-rate-end",
+    ),
+    "end_without_a_schedule": (
+        [*TRAIN, "--episodes-end", "5"],
+        r"episodes_end is 5, but episodes_per_policy is constant\. Set --episodes-schedule to linear.*-end away",
+    ),
+    "end_of_half_an_episode": (
+        [*TRAIN, "--episodes-schedule", "linear", "--episodes-end", "2.5"],
+        r"--episodes-end takes a whole number or none, got '2\.5'",
+    ),
+    "sharing_as_it_was_called_before": (
+        [*TRAIN, "--no-common-random-numbers"],
+        r"unknown flag --no-common-random-numbers\. Did you mean --common-random-numbers\?",
+    ),
+    "sharing_without_a_value": (
+        [*TRAIN, "--common-random-numbers"],
+        r"--common-random-numbers needs a value: --common-random-numbers \{off,group,population\}",
+    ),
+    "momentum_of_one": (
+        [*TRAIN, "--optimizer", "sgd", "--momentum", "1"],
+        r"momentum must be at least 0 and less than 1, got 1\.0\. Set --momentum",
+    ),
+    "the_top_of_everything": (
+        [*TRAIN, "--fitness-shaping", "top_fraction", "--top-fraction", "1"],
+        r"top_fraction must be more than 0 and less than 1, got 1\.0\. Set --top-fraction",
+    ),
+    "clock_that_stands": (
+        [*TRAIN, "--clock-frequency", "0"],
+        r"clock_frequency must be a positive number, got 0\.0\. Set --clock-frequency",
+    ),
+    "no_neighbours": (
+        [*TRAIN, "--novelty", "ns", "--novelty-neighbours", "0"],
+        r"novelty_neighbours must be a whole number of at least 1, got 0\. Set --novelty-neighbours",
+    ),
+    "novelty_of_a_primitive": (
+        ["train", "point-flagrun", *TRAIN[2:], "--novelty", "ns"],
+        r"novelty is 'ns', but it concerns what the environment pays, and point-flagrun trains a primitive alone",
+    ),
+    "halves_that_are_none": (
+        [*TRAIN, "--perturbation", "one_to_many_halves", "--population-size", "10"],
+        r"population_size must be a positive multiple of 4 .*a share of it for each of 2 .*got 10\. .*size 8 or 12",
+    ),
+    "goals_of_a_flat_run": (
+        [*TRAIN, "--algorithm", "es", "--goal-encoding", "angle"],
+        r"goal_encoding does nothing in a run of point-gather with algorithm 'es', whose one level is the policy",
+    ),
+    "controller_of_a_primitive_alone": (
+        ["train", "point-flagrun", *TRAIN[2:], "--controller-output", "one_hot"],
+        r"controller_output does nothing in a run of point-flagrun .*whose one level is the primitive; got 'one_hot'",
+    ),
+    "freezing_nothing": (
+        [*TRAIN, "--no-freeze-primitive"],
+        r"freeze_primitive is False, but no run is named whose primitive it would be\. Set --primitive RUN, or leave",
+    ),
+    "checkpoint_of_no_primitive": (
+        [*TRAIN, "--primitive-checkpoint", "last"],
+        r"primitive_checkpoint is 'last', but no run is named .*leave --primitive-checkpoint away",
+    ),
+    "missing_primitive": (
+        [*TRAIN, "--primitive", "gone"],
+        r"gone does not exist\. Give the folder that `shes train` printed",
+    ),
+    "nameless_primitive": (
+        [*TRAIN, "--primitive="],
+        r"primitive must be the path of a run folder, got ''\. Set --prim",
+    ),
+    "flags_too_near": (
+        ["train", "point-flagrun", *TRAIN[2:], "--goal-distance", "0.5"],
+        r"goal_range must be at least 1 m.*, got 0\.5\. Set --goal-distance",
+    ),
+    "hidden_layer_of_nothing": (
+        [*TRAIN, "--primitive-hidden", "0"],
+        r"primitive_hidden must be positive whole numbers, e\.g\. --primitive-hidden 64 64, got \(0,\)",
     ),
     "resume_without_a_run": (["resume"], r"shes resume needs a run folder first: shes resume RUN\."),
     "missing_run": (["resume", "gone"], r"gone does not exist\. Give the folder that `shes train` printed"),

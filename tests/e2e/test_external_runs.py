@@ -18,6 +18,7 @@ from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.experiments.bench import bench_rollout
 from shes.experiments.presets import make_config
 from shes.experiments.render import render
+from shes.experiments.run_folder import RunFolder
 from shes.experiments.watch import watch
 from tests.e2e import runs
 from tests.envs.external_envs import CAR, register
@@ -184,6 +185,41 @@ def test_a_wrong_file_is_one_line_and_leaves_no_folder(tmp_path, capsys, name, t
     assert main(["train", str(tmp_path / name), *WORDS, "--out", str(tmp_path / "run")]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "run").exists()
+
+
+def test_a_position_that_the_primitive_does_not_see_cannot_be_hidden(tmp_path):
+    shes.register_external_environment("blind-car", **{**CAR, "primitive_view": "target"})
+    message = r"hide_position: a primitive in blind-car sees no absolute position that could be .*Leave --hide-position"
+    with pytest.raises(ConfigError, match=message):
+        shes.train("blind-car", out=tmp_path / "run", **TINY, hide_position=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "sizes"),
+    [
+        ({"algorithm": "es"}, [12]),
+        ({"hide_position": True}, [12, 3 + 6 - 2]),  # goal; gear and pose, of which two are the position
+        ({"primitive_view": "proprioception", "clock_frequency": 1.0}, [12, 3 + 2 + 3]),
+    ],
+)
+def test_the_levels_of_a_run_see_what_they_are_told_to(tmp_path, settings, sizes):
+    tiny = {name: value for name, value in TINY.items() if name != "controller_interval"}
+    path = shes.train("car", out=tmp_path / "run", **tiny, **settings).path
+    levels = RunFolder.open(path).load("last").state.levels
+    assert [len(level.statistics.total) for level in levels] == sizes
+
+
+def test_a_primitive_that_learned_there_serves_there_again(run, tmp_path):
+    path = shes.train("car", out=tmp_path / "run", primitive=run.path, **TINY).path
+    before, after = (
+        RunFolder.open(each).load(name).state.levels[1] for each, name in ((run.path, "best"), (path, "last"))
+    )
+    assert before.theta.tobytes() == after.theta.tobytes()
+    with pytest.raises(
+        ConfigError, match=r"It was trained on car: 9 inputs .*tests/Car-v0\[0\], .*\nHere there is: 28 "
+    ):
+        shes.train("point-gather", out=tmp_path / "other", primitive=run.path, goal_encoding="angle", **TINY)
 
 
 def test_bench_rollout_has_no_bare_loop_of_it():

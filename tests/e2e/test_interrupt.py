@@ -10,7 +10,7 @@ from shes.errors import ShesError
 from shes.experiments import train as training
 from shes.experiments.checkpoint import load_checkpoint
 from shes.experiments.train import resume
-from shes.hierarchy.episodes import PopulationResults
+from shes.hierarchy.results import PopulationResults
 from tests.e2e import runs
 
 INTERRUPTED = 130

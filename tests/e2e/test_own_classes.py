@@ -22,7 +22,7 @@ import shes
 
 register()
 settings = json.loads(SETTINGS)
-run = shes.train("puck-corner", primitive_reward="nearness", goal_encoding="vector", **settings)
+run = shes.train("puck-corner", primitive_reward="nearness", goal_encoding="own-vector", **settings)
 shes.resume(run.path, generations=settings["generations"] + 1)
 agent = shes.load(run.path)
 action = agent.act([0.1, 0.2, 0.0, 0.0, 1.0, -1.0])
@@ -92,7 +92,7 @@ def test_the_run_used_the_own_classes(reference):
     path, said = reference
     record = json.loads((path / "config.json").read_text())["config"]
     assert [record[name] for name in ("env", "primitive_reward", "goal_encoding")] == [
-        "puck-corner", "nearness", "vector",
+        "puck-corner", "nearness", "own-vector",
     ]  # fmt: skip
     assert said["primitive_return_mean"] < -20  # `progress` is never far below 0
 

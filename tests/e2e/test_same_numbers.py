@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import shes
+from shes.experiments.run_folder import RunFolder
+from shes.experiments.settings import NAMES, choices
 from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
 
@@ -92,6 +94,134 @@ def test_neither_workers_nor_a_resume_change_the_numbers_of_any_task(tmp_path, v
     assert "progress.csv/env_steps" in runs.numbers(one)
 
 
+# Every variant of the method.
+
+METHOD = {
+    "generations": 3,
+    "evaluation_interval": 1,
+    "keep_checkpoints": 1,
+    "population_size": 12,
+    "schedule_generations": 2,
+}
+SCHEDULES = {
+    "learning_rate_schedule": {"learning_rate_end": 0.001},
+    "sigma_schedule": {"sigma_end": 0.3},
+    "episodes_schedule": {"episodes_end": 3},
+}
+"""Where a schedule leads: with these, 1, 2 and 3 episodes of a policy in the three generations."""
+SCHEDULES_OF_ALL = dict.fromkeys(SCHEDULES, "linear") | {k: v for ends in SCHEDULES.values() for k, v in ends.items()}
+NO_CHOICES = {"backend", "preset", "primitive_checkpoint"}
+"""Names that say how and from what, not what is done: backends are what is compared here."""
+SOURCE = "the run of the fixture `source`"
+BY_CHOICE = {
+    f"{name}={choice}": {name: choice, **(SCHEDULES.get(name, {}) if choice != "constant" else {})}
+    for name in NAMES
+    for choice in choices(name)
+    if name not in NO_CHOICES
+}
+BY_HAND = {
+    "clock": {"clock_frequency": 1.5},
+    "hidden position": {"hide_position": True},
+    "hidden position, clock, robot alone": {
+        "hide_position": True, "clock_frequency": 0.7, "primitive_view": "proprioception",
+    },
+    "goals anywhere": {"minimum_goal_distance": False},
+    "layers of its own": {"primitive_hidden": (3, 5)},
+    "linear": {"hidden": ()},
+    "decay of its own": {"controller_weight_decay": 0.3},
+    "some statistics": {"statistics_fraction": 0.4},
+    "momentum": {"optimizer": "sgd", "momentum": 0.5},
+    "most of them": {"fitness_shaping": "top_fraction", "top_fraction": 0.7},
+    "few neighbours": {"novelty": "nsr", "novelty_neighbours": 2, "episodes_per_policy": 2},
+    "fewer episodes": {"episodes_per_policy": 3, "episodes_schedule": "cosine", "episodes_end": 1},
+    "novelty in turns": {"novelty": "nsr", "perturbation": "one_to_many"},
+    "flat with clock": {"algorithm": "es", "clock_frequency": 1.5},
+    "flat with novelty": {"algorithm": "es", "novelty": "nsra_reset"},
+    "flat, all schedules": {"algorithm": "es", **SCHEDULES_OF_ALL},
+    "frozen": {"primitive": SOURCE},
+    "frozen in turns": {"primitive": SOURCE, "perturbation": "one_to_many", "mirrored": "none"},
+    "frozen with novelty": {"primitive": SOURCE, "novelty": "nsr"},
+    "unfrozen": {"primitive": SOURCE, "freeze_primitive": False},
+    "unfrozen by halves": {
+        "primitive": SOURCE, "freeze_primitive": False, "perturbation": "one_to_many_halves", "optimizer": "clipup",
+    },
+    "everything": {
+        "perturbation": "one_to_many", "mirrored": "pair", "fitness_shaping": "top_fraction", "optimizer": "clipup",
+        "novelty": "nsra_reset", "common_random_numbers": "population", "controller_output": "one_hot",
+        "goal_encoding": "unit_vector", "primitive_reward": "cosine", "primitive_view": "proprioception",
+        "clock_frequency": 1.5, "hide_position": True, "primitive_hidden": (3,), "controller_weight_decay": 0.1,
+        **SCHEDULES_OF_ALL,
+    },
+}  # fmt: skip
+BY_ENVIRONMENT = {
+    "point-flagrun": {
+        "alone": {},
+        "alone with clock": {"clock_frequency": 1.5, "hide_position": True, "goal_encoding": "vector"},
+        "alone, all schedules": {**SCHEDULES_OF_ALL, "optimizer": "sgd", "fitness_shaping": "z_score"},
+        "flat": {"algorithm": "es"},
+    },
+    "ant-flagrun": {"alone": {}, "flat": {"algorithm": "es"}},
+    "ant-maze": {"everything": BY_HAND["everything"]},
+    # Many members are paid the same here, so that it matters how ties rank.
+    "point-gather": {"ties by index": {"rank_ties": "index"}, "novelty": {"novelty": "ns"}},
+}
+METHODS = [
+    *(("point-maze", name, settings) for name, settings in {**BY_CHOICE, **BY_HAND}.items()),
+    *((env, name, settings) for env, cases in BY_ENVIRONMENT.items() for name, settings in cases.items()),
+]
+QUICK = {("point-maze", "everything"), ("point-maze", "algorithm=es"), ("point-maze", "frozen")}
+"""These share enough with the others for every day."""
+SAME_AS_USUAL = {"integrator=euler", "integrator=implicitfast"}
+"""Point Maze is Euler's already, and the point has no damping that an implicit step would treat otherwise."""
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """Folder of a run that trained a point's primitive alone."""
+    path = tmp_path_factory.mktemp("source") / "run"
+    return runs.train_tiny(path, "point-flagrun", generations=2, clock_frequency=0.5, hidden=(3,))
+
+
+@pytest.mark.parametrize(
+    ("env", "settings"),
+    [
+        pytest.param(env, settings, id=f"{env}-{name}", marks=[] if (env, name) in QUICK else [pytest.mark.slow])
+        for env, name, settings in METHODS
+    ],
+)
+def test_neither_workers_nor_a_resume_change_the_numbers_of_any_method(tmp_path, source, env, settings):
+    if settings.get("primitive") == SOURCE:
+        settings = {**settings, "primitive": str(source)}
+    one = runs.train_tiny(tmp_path / "one", env, **{**METHOD, **settings})
+    two = runs.train_tiny(tmp_path / "two", env, **{**METHOD, **settings, "generations": 1})
+    shes.resume(two, generations=3, backend="processes", num_workers=2, chunk_size=5)
+    assert runs.differences(one, two) == []
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    """Folder of a run of Point Maze without a choice."""
+    return runs.train_tiny(tmp_path_factory.mktemp("usual") / "run", "point-maze", **METHOD)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BY_CHOICE)
+def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
+    path = runs.train_tiny(tmp_path / "run", "point-maze", **{**METHOD, **BY_CHOICE[name]})
+    field, _, choice = name.partition("=")
+    is_usual = getattr(RunFolder.open(usual).read_config(), field) == choice or name in SAME_AS_USUAL
+    found = {each for each in runs.differences(usual, path) if not each.endswith("/settings")}
+    assert (not found) is is_usual
+
+
+def test_every_choice_of_every_name_is_compared():
+    tried = {item for _, _, settings in METHODS for item in settings.items() if isinstance(item[1], str)}
+    every = {(name, choice) for name in NAMES if name not in NO_CHOICES for choice in choices(name)}
+    assert every <= tried
+    assert {name for name in NAMES if not choices(name)} <= NO_CHOICES
+    assert {(env, name) for env, name, _ in METHODS} >= QUICK
+
+
 def test_the_comparison_sees_every_kind_of_number(tiny_run):
     names = runs.numbers(tiny_run)
     files = {name.split("/")[0] for name in names}
@@ -104,7 +234,11 @@ def test_the_comparison_sees_every_kind_of_number(tiny_run):
         "last.npz",
         "progress.csv",
     }
-    assert {"last.npz/controller/theta", "last.npz/primitive/adam_second", "progress.csv/env_steps"} <= names.keys()
+    assert {
+        "last.npz/controller/theta",
+        "last.npz/primitive/optimizer_second",
+        "progress.csv/env_steps",
+    } <= names.keys()
     assert not any(name.endswith("_s") for name in names)
     assert runs.differences(tiny_run, tiny_run) == []
 

@@ -119,7 +119,7 @@ def test_it_converges_to_the_optimum(mirrored):
 )
 def test_it_converges_with_every_shaping_and_optimizer(options, tolerance):
     es = _make(**options)
-    for _ in range(300):
+    for _ in range(150):
         es.tell(_quadratic(es.ask()))
     assert es.mean == pytest.approx(OPTIMUM, abs=tolerance)
 
@@ -127,7 +127,7 @@ def test_it_converges_with_every_shaping_and_optimizer(options, tolerance):
 @pytest.mark.parametrize("perturbation", ["many_to_many", "one_to_many", "one_to_many_halves"])
 def test_two_levels_converge_each_by_its_own_fitness(perturbation):
     es = _make((2, 3), perturbation=perturbation)
-    for _ in range(400 if perturbation == "one_to_many" else 200):
+    for _ in range(240 if perturbation == "one_to_many" else 120):
         first, second = es.ask()
         es.tell([-((first - 1) ** 2).sum(axis=1), -((second + 2) ** 2).sum(axis=1)])
     assert es.mean[0] == pytest.approx([1, 1], abs=0.1)

@@ -10,10 +10,19 @@ from shes.experiments.presets import make_config
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10}
 
 
-@pytest.mark.parametrize("env", ["point-gather", "ant-gather"])
-def test_the_rollout_bench_compares_whole_generations_with_bare_physics(env, monkeypatch):
+@pytest.mark.parametrize(
+    ("env", "settings"),
+    [
+        ("point-gather", {}),
+        ("ant-gather", {}),
+        ("point-flagrun", {}),
+        ("point-gather", {"algorithm": "es"}),
+        ("point-gather", {"novelty": "nsr", "perturbation": "one_to_many", "clock_frequency": 1.0}),
+    ],
+)
+def test_the_rollout_bench_compares_whole_generations_with_bare_physics(env, settings, monkeypatch):
     monkeypatch.setattr("shes.experiments.bench._REPLAY_S", 0.02)  # how exact it is does not matter here
-    config = make_config(env, "smoke", {**TINY, "backend": "serial"})
+    config = make_config(env, "smoke", {**TINY, "backend": "serial", **settings})
     found = bench_rollout(config, repeats=2)
     assert list(found) == [
         "env",
@@ -39,7 +48,7 @@ def test_the_update_bench_tells_the_parts():
         "total_ms",
         "rank_ms",
         "gradient_ms",
-        "adam_ms",
+        "optimizer_ms",
         "checkpoint_ms",
     ]
     assert found["noise_vectors"] == 2

@@ -10,7 +10,7 @@ from shes.experiments.records import read_csv
 from shes.experiments.run_folder import RunFolder
 from tests.e2e import runs
 
-ARRAYS = ("scores", "returns", "primitive_returns", "successes", "steps", "diverged")
+ARRAYS = ("scores", "returns", "primitive_returns", "goals_reached", "successes", "steps", "diverged")
 
 
 def same(one, other):
@@ -79,6 +79,7 @@ def test_a_summary_holds_means_and_deviations():
         scores=np.array([0.0, 4.0]),
         returns=np.array([-1.0, 3.0]),
         primitive_returns=np.array([5.0, 6.0]),
+        goals_reached=np.array([2.0, 1.0]),
         successes=np.array([0.0, 1.0]),
         steps=np.array([10.0, 20.0]),
         diverged=np.array([1.0, 0.0]),
@@ -90,10 +91,33 @@ def test_a_summary_holds_means_and_deviations():
         "return_mean": 1.0,
         "return_std": 2.0,
         "primitive_return_mean": 5.5,
+        "goals_reached_mean": 1.5,
         "success_rate": 0.5,
         "episode_steps_mean": 15.0,
         "diverged_episodes": 1,
     }
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "has_primitive"),
+    [("point-gather", {"algorithm": "es"}, False), ("point-flagrun", {}, True)],
+)
+def test_a_run_of_one_level_is_evaluated_by_what_it_has(tmp_path, env, settings, has_primitive):
+    path = runs.train_tiny(tmp_path / "run", env, generations=1, **settings)
+    found = evaluate(path, episodes=3, num_workers=1)
+    assert (found.primitive_returns is not None) is has_primitive
+    of_primitive = {name for name in found.summary() if name.startswith(("primitive", "goals"))}
+    assert of_primitive == ({"primitive_return_mean", "goals_reached_mean"} if has_primitive else set())
+    assert found.returns.shape == found.scores.shape == (3,)
+    table = read_csv(path / "evaluation.csv")
+    assert set(found.summary()) == set(table) - {"generation", "env_steps", "wall_time_s"}
+
+
+def test_a_primitive_alone_is_paid_as_flagrun_pays(tmp_path):
+    """The task pays by the same formula, in code of its own."""
+    path = runs.train_tiny(tmp_path / "run", "point-flagrun", generations=1, controller_interval=7)
+    found = evaluate(path, episodes=3, num_workers=1)
+    np.testing.assert_allclose(found.primitive_returns, found.returns, rtol=1e-9)
 
 
 def test_evaluation_has_its_own_horizon(tmp_path):

@@ -6,8 +6,12 @@ import gymnasium
 import numpy as np
 import pytest
 
+from shes.envs.registration import gymnasium_id
 from shes.errors import CheckpointError, ConfigError, RunFolderError, ShapeError
+from shes.es.level import TrainState
+from shes.es.streams import Purpose
 from shes.experiments.build import build_task
+from shes.experiments.evaluate import evaluate, evaluation_seeds
 from shes.experiments.play import load
 from shes.experiments.run_folder import RunFolder
 from tests.e2e import runs
@@ -157,3 +161,107 @@ def test_an_agent_plays_in_gymnasiums_environments_single_and_vector(tiny_run):
 def test_an_environment_that_there_is_not_cannot_begin(tiny_run, wrong):
     with pytest.raises(ConfigError, match=f"env must be from 0 to 1, got {wrong}"):
         load(tiny_run, num_envs=2).reset(wrong)
+
+
+# Runs of one level, and what else an agent may observe.
+
+PLAYED = {
+    "flat": ("point-gather", {"algorithm": "es"}),
+    "flat with clock": ("point-maze", {"algorithm": "es", "clock_frequency": 0.8}),
+    "flat on flags": ("point-flagrun", {"algorithm": "es", "controller_interval": 7}),
+    "primitive alone": ("point-flagrun", {"controller_interval": 7, "goal_distance": 2.5}),
+    "primitive with clock": (
+        "point-flagrun",
+        {"clock_frequency": 0.8, "hide_position": True, "goal_encoding": "unit_vector"},
+    ),
+    "ant's primitive": ("ant-flagrun", {"controller_interval": 7, "population_size": 4}),
+    "one-hot controller": ("point-maze", {"controller_output": "one_hot", "primitive_view": "proprioception"}),
+    "controller and clock": ("point-push", {"clock_frequency": 0.8, "controller_interval": 6}),
+}
+ALONE = ("primitive alone", "primitive with clock")
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """Return a function that returns the folder of a tiny run of one of `PLAYED`."""
+    made = {}
+
+    def make(kind):
+        if kind not in made:
+            env, settings = PLAYED[kind]
+            made[kind] = runs.train_tiny(tmp_path_factory.mktemp("played") / "run", env, generations=2, **settings)
+        return made[kind]
+
+    return make
+
+
+def gymnasium_env(config):
+    """Return Gymnasium's environment under the conditions of the run's evaluation."""
+    goals = {"goal_interval": config.controller_interval, "goal_range": config.goal_distance}
+    return gymnasium.make(
+        gymnasium_id(config.env),
+        max_episode_steps=config.evaluation_horizon,
+        evaluation=True,
+        **(goals if config.env.endswith("flagrun") else {}),
+    )
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=[] if kind in ("flat with clock", *ALONE) else [pytest.mark.slow]) for kind in PLAYED],
+)
+def test_an_agent_earns_in_gymnasium_what_its_evaluation_says(played, kind):
+    path = played(kind)
+    expected = evaluate(path, episodes=3, num_workers=1, seed=11)
+    draws = TrainState(seed=11, generation=0, env_steps=0, levels=())
+    agent = load(path)
+    env = gymnasium_env(agent.config)
+    for seed, earned in zip(evaluation_seeds(draws, 3, Purpose.FRESH_EPISODES), expected.returns, strict=True):
+        agent.reset()
+        observation, _ = env.reset(seed=seed)
+        total, is_over = 0.0, False
+        while not is_over:
+            observation, reward, terminated, truncated, _ = env.step(agent.act(observation))
+            total, is_over = total + float(reward), terminated or truncated
+        assert total == pytest.approx(earned, rel=1e-6, abs=1e-6)
+    assert len(set(expected.returns)) > 1 or kind == "flat"  # whose reward is sparse
+
+
+@pytest.mark.parametrize("kind", ["flat", "flat with clock", "flat on flags"])
+def test_a_flat_agent_holds_no_goal(played, kind):
+    agent = load(played(kind), num_envs=2)
+    actions = agent.act(np.zeros((2, agent.observation_size)))
+    assert agent.goal is None
+    assert actions.shape == (2, 2)
+
+
+@pytest.mark.parametrize("kind", [*ALONE, "ant's primitive"])  # the ant turns, the point does not
+def test_a_primitive_alone_reads_the_goal_that_its_environment_sets(played, kind):
+    agent = load(played(kind))
+    env = gymnasium_env(agent.config)
+    observation, _ = env.reset(seed=3)
+    task, goals = env.unwrapped._adapter.task, set()
+    for _ in range(agent.config.evaluation_horizon):
+        action = agent.act(observation)
+        np.testing.assert_allclose(agent.goal, task.goal, atol=1e-9)
+        goals.add(tuple(task.goal[0]))
+        observation = env.step(action)[0]
+    assert len(goals) == -(-agent.config.evaluation_horizon // agent.config.controller_interval)
+
+
+@pytest.mark.parametrize("kind", ["flat with clock", "primitive with clock", "controller and clock"])
+def test_the_clock_runs_with_the_calls_and_begins_anew_at_a_reset(played, kind):
+    agent = load(played(kind), num_envs=2)
+    seen = np.full((2, agent.observation_size), 0.3)
+    first, second = agent.act(seen), agent.act(seen)
+    assert not np.array_equal(first, second)  # nothing else has changed
+    agent.reset(1)
+    third = agent.act(seen)
+    np.testing.assert_array_equal(third[1], first[1])
+    assert not np.array_equal(third[0], first[0])
+
+
+def test_without_a_clock_a_flat_agent_does_not_know_the_time(played):
+    agent = load(played("flat"))
+    seen = np.full(agent.observation_size, 0.3)
+    assert np.array_equal(agent.act(seen), agent.act(seen))

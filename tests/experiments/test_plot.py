@@ -76,6 +76,60 @@ def test_runs_of_other_settings_are_other_curves_with_their_own_names(seeds, tmp
     assert labels == ["point-gather smoke: 5", "point-gather smoke: other"]
 
 
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    """A run of flat S-ES."""
+    return runs.train_tiny(tmp_path_factory.mktemp("flat") / "run", algorithm="es")
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """A run that trained a primitive alone."""
+    return runs.train_tiny(tmp_path_factory.mktemp("alone") / "run", "point-flagrun")
+
+
+def panels(figure):
+    """Return the title of each panel with the columns y of its curves."""
+    return {axis.get_title(): [line.get_ydata().tolist() for line in axis.lines] for axis in figure.axes}
+
+
+@pytest.mark.parametrize(("kind", "level"), [("flat", "policy"), ("alone", "primitive")])
+def test_a_run_of_one_level_has_two_panels(request, tmp_path, drawn, kind, level):
+    path = request.getfixturevalue(kind)
+    plot([path], tmp_path / "a.png")
+    assert panels(drawn[0]) == {
+        "evaluation score": [read_csv(path / "evaluation.csv")["score_mean"]],
+        f"{level} return (training)": [read_csv(path / "progress.csv")[f"{level}_return_mean"]],
+    }
+
+
+def test_runs_of_other_levels_share_a_picture_and_each_is_drawn_where_it_has_something(
+    seeds, flat, alone, tmp_path, drawn
+):
+    plot([flat, seeds[0], alone], tmp_path / "a.png")
+    tables = {path: read_csv(path / "progress.csv") for path in (flat, seeds[0], alone)}
+    found = panels(drawn[0])
+    assert len(found.pop("evaluation score")) == 3
+    assert found == {
+        "policy return (training)": [tables[flat]["policy_return_mean"]],
+        "controller return (training)": [tables[seeds[0]]["controller_return_mean"]],
+        "primitive return (training)": [tables[path]["primitive_return_mean"] for path in (seeds[0], alone)],
+    }
+    legend = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
+    assert len(set(legend)) == 3
+
+
+@pytest.mark.slow
+def test_a_curve_has_the_same_colour_in_every_panel(seeds, flat, alone, tmp_path, drawn):
+    """The legend is in the first panel alone, and speaks for all."""
+    plot([flat, seeds[0], alone], tmp_path / "a.png")
+    score, _, controller, primitive = drawn[0].axes
+    colours = {line.get_label(): line.get_color() for line in score.lines}
+    for axis in (controller, primitive):
+        for line in axis.lines:
+            assert line.get_color() == colours[line.get_label()]
+
+
 def test_execution_does_not_part_repetitions(seeds, tmp_path, drawn):
     other = runs.train_tiny(tmp_path / "other", seed=9, keep_checkpoints=3)
     plot([seeds[0], other], tmp_path / "a.png")

@@ -87,7 +87,7 @@ def test_a_terminal_shows_everything_within_its_width(clock, width):
     for fact in (
         "generation         12 / 40",
         "controller return  -1.23 (best 3.00)",
-        "primitive return   -12.3 (best 98.8)",
+        "primitive return   -12.34 (best 98.76)",
         "evaluation score   5.00 ± 0.50",
         "env steps/s        23,457 (0.1 M so far)",
         "time left          56 s",
@@ -107,7 +107,7 @@ def test_lines_without_a_terminal_come_first_last_and_every_ten_seconds(clock):
     shown = [int(line.split()[1]) for line in lines if line.startswith("generation")]
     assert shown == [1, 6, 11, 16, 21, 26, 31, 36, 40]
     assert lines[0] == (
-        "generation 1 / 40  controller return -1.23 (best 3.00)  primitive return -12.3 (best 98.8)  "
+        "generation 1 / 40  controller return -1.23 (best 3.00)  primitive return -12.34 (best 98.76)  "
         "evaluation score 0.50 ± 0.50  env steps/s 23,457 (0.0 M so far)  time left -"
     )
     assert lines[-1].endswith("time left 0 s")
@@ -130,6 +130,20 @@ def test_a_run_in_this_process_and_after_a_resume_says_so(clock):
     first, second = console.export_text().splitlines()
     assert first == "Training point-gather (smoke) on this process after generation 17. Run folder: runs/a"
     assert "on 1 worker. Run" in second
+
+
+@pytest.mark.parametrize("name", ["policy", "primitive"])
+def test_a_run_of_one_level_shows_the_return_of_that_level_alone(clock, name):
+    console = plain()
+    display = ProgressDisplay(console)
+    display.on_start(Path("runs/a"), CONFIG, 0, 2)
+    one = {column: value for column, value in row(1).items() if not column.startswith(("controller", "primitive"))}
+    display.on_evaluation(evaluation(1.5))
+    display.on_generation({**one, f"{name}_return_mean": -0.5, f"{name}_return_max": 7.25})
+    assert console.export_text().splitlines()[1] == (
+        f"generation 1 / 40  {name} return -0.50 (best 7.25)  evaluation score 1.50 ± 0.50  "
+        "env steps/s 23,457 (0.0 M so far)  time left -"
+    )
 
 
 def test_a_folder_with_brackets_is_shown_as_it_is(clock):

@@ -14,6 +14,7 @@ from shes.experiments.evaluate import evaluate
 from shes.experiments.playback import Playback
 from shes.experiments.render import render
 from shes.experiments.video import FRAMES_PER_SECOND, write_video
+from tests.e2e import runs
 
 HELD_FRAMES = 14
 
@@ -97,6 +98,23 @@ def test_the_goal_and_the_trail_are_shown(tiny_run):
         assert goal.shape == "disc"
     assert moments[0].markers[-1].position == moments[1].markers[-1].position  # held
     assert moments[0].caption.startswith("best (generation ")
+
+
+def test_of_a_flat_agent_there_is_a_trail_but_no_goal(tmp_path):
+    """The spot under the robot comes last: no line leads from it, and no disc lies where nobody goes."""
+    playback = Playback(runs.train_tiny(tmp_path / "run", algorithm="es", generations=1), "best", steps=5)
+    moments = list(playback.play(playback.seed_of(0)))
+    assert [len(moment.markers) for moment in moments] == [16 + 1 + trail for trail in range(6)]
+    for moment in moments:
+        assert moment.markers[-1].position[:2] == pytest.approx(moment.pose[:2])
+    assert playback._agent.goal is None
+
+
+def test_of_a_primitive_alone_the_goal_is_where_its_flag_is(tmp_path):
+    playback = Playback(runs.train_tiny(tmp_path / "run", "point-flagrun", generations=1), "best", steps=5)
+    for moment in playback.play(playback.seed_of(0)):
+        flag, *_, goal = moment.markers
+        assert goal.position[:2] == pytest.approx(flag.position[:2])
 
 
 def test_the_caption_says_how_the_episode_ended(tiny_run, monkeypatch):

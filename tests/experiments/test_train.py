@@ -24,6 +24,7 @@ def find(monkeypatch):
                 scores=zeros + score,
                 returns=zeros + mean_return,
                 primitive_returns=zeros,
+                goals_reached=zeros,
                 successes=zeros,
                 steps=zeros,
                 diverged=zeros,

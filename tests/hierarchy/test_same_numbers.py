@@ -259,14 +259,6 @@ def test_the_number_of_members_in_lockstep_changes_no_bit(table, case, chunk_siz
         assert run_bits(_run(case, table, backend)) == run_bits(expected(case))
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_a_run_goes_on_from_any_generation_as_if_it_had_not_stopped(table, case, serial, expected):
-    whole = expected(case)
-    for stop in range(1, GENERATIONS):
-        rest = _run(case, table, serial, whole[stop - 1].state, GENERATIONS - stop)
-        assert run_bits(rest) == run_bits(whole[stop:])
-
-
 # What the runs above do, so that they say something -------------------------------------------------------------------
 
 

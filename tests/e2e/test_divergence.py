@@ -1,0 +1,138 @@
+"""Breaking the physics must not pay, though it ends an episode: where every step costs, that would be the best way."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.spaces import Box
+
+import shes
+from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
+from shes.es.novelty import NSRA
+from shes.experiments.evaluate import evaluate
+from shes.experiments.records import read_csv
+from shes.experiments.run_folder import RunFolder
+from shes.hierarchy.fitness import advance_novelty
+from shes.hierarchy.results import PopulationResults, lower_diverged
+from tests.e2e import runs
+
+STEPS = 20
+TINY = {**runs.TINY, "horizon": STEPS, "evaluation_horizon": STEPS, "evaluation_interval": 1, "keep_checkpoints": 1}
+
+
+class Glass(gymnasium.Env):
+    """Every step costs 1 and a little for the distance gone; who pushes too hard to the right sees NaN from then on."""
+
+    observation_space = Box(-np.inf, np.inf, (3,), np.float64)
+    action_space = Box(-1, 1, (2,), np.float32)
+
+    def __init__(self, breaks_at=0.0, render_mode=None):
+        self.breaks_at, self.render_mode = breaks_at, render_mode
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.place = self.np_random.uniform(-1, 1, 3)
+        return self.place.copy(), {}
+
+    def step(self, action):
+        self.place[:2] += 0.01 * action
+        cost = 1 + abs(float(action[1])) / 10
+        seen = self.place.copy() if action[0] <= self.breaks_at else np.full(3, np.nan)
+        return seen, -cost, False, False, {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registries():
+    """The registries with the glass in them, as it is and in two other kinds; afterwards all is forgotten."""
+    known, described = dict(gymnasium.registry), dict(EXTERNAL_ENVIRONMENTS)
+    gymnasium.register("tests/Glass-v0", entry_point=Glass)
+    for name, breaks_at in (("glass", 0.0), ("steel", 2.0), ("dust", -2.0)):
+        shes.register_external_environment(name, id="tests/Glass-v0", position=[0, 1], kwargs={"breaks_at": breaks_at})
+    yield
+    for registry, before in ((gymnasium.registry, known), (EXTERNAL_ENVIRONMENTS, described)):
+        registry.clear()
+        registry.update(before)
+
+
+@pytest.fixture(scope="module", params=["shes", "es"])
+def glass(request, tmp_path_factory, registries):
+    """A run in which some episodes diverge and others do not."""
+    path = tmp_path_factory.mktemp(request.param) / "run"
+    return runs.train_tiny(path, "glass", **{**TINY, "population_size": 40, "sigma": 0.3}, algorithm=request.param)
+
+
+def test_no_member_earns_more_than_the_worst_of_those_that_stay_whole(glass):
+    """Undivided, a step before the end costs 1 to 1.1: all that broke would rank above all that did not."""
+    table = read_csv(glass / "progress.csv")
+    assert all(0 < rate < 1 for rate in table["diverged_rate"])
+    assert all(mean < STEPS for mean in table["episode_steps_mean"])
+    level = "policy" if "policy_return_max" in table else "controller"
+    assert max(table[f"{level}_return_max"]) <= -STEPS
+    assert max(table[f"{level}_return_mean"]) <= -STEPS
+
+
+def test_the_ties_of_those_that_broke_are_in_the_table(glass):
+    table = read_csv(glass / "progress.csv")
+    level = "policy" if "policy_return_max" in table else "controller"
+    broken, worst = np.array(table["diverged_rate"]), 1 / 40  # all that broke, and the one that they share the rank of
+    np.testing.assert_allclose(table[f"{level}_rank_ties"], broken + worst)
+
+
+def set_bias(run, push, slope=0.0):
+    """Write checkpoint `best` of a flat run without hidden layers: it pushes right by `push`, plus `slope` times x."""
+    path = RunFolder.open(run).checkpoint_path("best")
+    with np.load(path) as file:
+        arrays = dict(file)
+    theta = np.zeros((4, 2), np.float32)  # three observations and the bias, two actions
+    theta[3, 0], theta[0, 0] = push, slope
+    arrays["policy/theta"] = theta.ravel()
+    arrays["policy/observation_count"] = np.int64(0)
+    np.savez(path, **arrays)
+
+
+def test_an_evaluation_that_diverges_does_not_beat_one_that_does_not(tmp_path):
+    flat = {**TINY, "generations": 1, "algorithm": "es", "hidden": ()}
+    run = runs.train_tiny(tmp_path / "run", "glass", **flat)
+    found = {}
+    for name, push, slope in (("whole", -1, 0), ("some", 0, 1), ("all", 1, 0)):
+        set_bias(run, push, slope)
+        found[name] = evaluate(run, episodes=12, num_workers=1)
+    assert found["whole"].diverged.sum() == 0
+    assert 0 < found["some"].diverged.sum() < 12
+    assert found["all"].diverged.sum() == 12
+    whole, some = found["whole"].summary(), found["some"].summary()
+    assert some["score_mean"] <= whole["score_mean"] == -STEPS
+    assert some["return_mean"] <= whole["return_mean"] == -STEPS
+    assert some["score_std"] == some["return_std"] == 0  # which says nothing better of the broken ones
+    assert some["episode_steps_mean"] < STEPS
+    assert some["diverged_episodes"] == found["some"].diverged.sum()
+
+
+@pytest.mark.parametrize("algorithm", ["shes", "es"])
+def test_an_evaluation_in_which_everything_broke_is_never_the_best(tmp_path, algorithm):
+    """Its score, 0 for each broken episode, is above all scores of whole ones."""
+    run = runs.train_tiny(tmp_path / "dust", "dust", **TINY, algorithm=algorithm)
+    assert set(read_csv(run / "evaluation.csv")["diverged_episodes"]) == {3}
+    assert RunFolder.open(run).load("last").best.generation == -1
+    assert RunFolder.open(run).load("best").state.generation == 0
+    whole = runs.train_tiny(tmp_path / "steel", "steel", **TINY, algorithm=algorithm)
+    assert RunFolder.open(whole).load("last").best.generation >= 1
+
+
+def test_breaking_resets_no_patience_of_the_search_for_novelty():
+    results = PopulationResults.empty(1, 3, 2)
+    results.environment_returns[:] = [[-20, -21], [-22, -23], [-1, -25]]
+    results.has_diverged[2, 0] = True  # of the mean policy, which is the last member
+    rule = NSRA()
+    state = advance_novelty(rule.start(), rule, results, 2)
+    assert state is not None
+    assert state.best_return == -25  # the mean of -25 and of the worst of the others, -25
+    assert len(state.archive) == 2
+
+
+def test_lowering_takes_the_least_of_those_that_did_not_diverge():
+    values, has_diverged = np.array([[3.0, -1.0], [5.0, -7.0]]), np.array([[False, False], [True, True]])
+    kept = values.copy()
+    assert lower_diverged(values, has_diverged).tolist() == [[3, -1], [-1, -7]]
+    assert values.tolist() == kept.tolist()
+    for same in (np.zeros((2, 2), bool), np.ones((2, 2), bool)):
+        assert lower_diverged(values, same).tolist() == kept.tolist()

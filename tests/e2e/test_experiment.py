@@ -1,0 +1,175 @@
+"""`shes experiment ablation`: small ones to their end, stopped and gone on with; flags that make no sense."""
+
+import csv
+import json
+import os
+import re
+import signal
+
+import pytest
+
+from shes.cli import main
+from shes.experiments import ablation as ablations
+from shes.experiments.study import Cell, Study
+from tests.e2e import runs
+
+TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}
+SOME = ("--scale", "smoke", "--only", "horizon", "transfer", "--workers", "2")
+
+
+def table(path):
+    """Return a table's rows without the column of seconds."""
+    with path.open(newline="") as file:
+        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Let the ablation be two seeds of two variants, of which one cannot be run at all."""
+
+    def make(scale="laptop", seeds=None):
+        kinds = {"base": TINY, "mirrored-none": {**TINY, "mirrored": "none"}}
+        cells = [
+            Cell(group="choices", variant=variant, env="point-gather", seed=seed, settings=settings, preset="smoke")
+            for variant, settings in kinds.items()
+            for seed in (1, 2)
+        ]
+        broken = {**TINY, "noise_table_size": 3}
+        cells.append(
+            Cell(group="choices", variant="goal-vector", env="point-gather", seed=1, settings=broken, preset="smoke")
+        )
+        return Study(cells=tuple(cells[: 4 if scale == "smoke" else 5]), episodes=2)
+
+    monkeypatch.setattr(ablations, "ablation", make)
+
+
+def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small, tmp_path, capsys):
+    words = ["experiment", "ablation", "--scale", "smoke", "--out", str(tmp_path), "--workers", "2"]
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out.startswith("4 runs, 0.0 M environment steps. About 0 s at 30,000 steps a second on each of 2 cores;")
+    assert "[1/4] point-gather/choices/base/seed-1: score " in out
+    assert "[4/4] point-gather/choices/mirrored-none/seed-2: score " in out
+    assert "no mirroring" in out
+    assert [row["seed"] for row in table(tmp_path / "runs.csv")] == ["1", "1", "2", "2"]
+    assert len(table(tmp_path / "curves.csv")) == 4 * 3
+    assert [row["against"] for row in table(tmp_path / "comparison.csv")] == ["", "base"]
+    assert (tmp_path / "choices.png").stat().st_size > 10_000
+    before = (tmp_path / "runs.csv").read_bytes()
+
+    # Again, now with a cell that fails: what is done is not done again, and the others count.
+    assert main(["experiment", "ablation", "--out", str(tmp_path), "--json"]) == 1
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert (found["cells"], list(found["failed"])) == (5, ["point-gather/choices/goal-vector/seed-1"])
+    assert "point-gather/choices/goal-vector/seed-1 failed: noise_table_size is 3" in err
+    assert "1 of 5 runs failed" in err
+    assert (tmp_path / "runs.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["ablatoin"], r"unknown experiment 'ablatoin'\. Did you mean 'ablation'\?"),
+        (["ablation", "--scale", "large"], r"unknown scale 'large'\. Known: laptop, smoke\. Set --scale\."),
+        (["ablation", "--only", "sweeps"], r"unknown group 'sweeps'\. Did you mean 'sweep'\?"),
+        (["ablation", "--only"], "--only needs at least one group: choices, sweep, transfer, horizon"),
+        (["ablation", "--seeds", "0"], r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."),
+        (["ablation", "--workers", "-1"], r"workers must be a whole number of at least 0, got -1\. Set --workers\."),
+        (["ablation", "--seeds", "many"], "--seeds takes a whole number or none, got 'many'"),
+    ],
+)
+def test_flags_that_make_no_sense_are_refused(words, message, tmp_path, capsys):
+    assert main(["experiment", words[0], "--out", str(tmp_path / "a"), *words[1:]]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert re.search(message, err)
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_folder_that_is_a_file_or_a_run_is_refused(tmp_path, tiny_run, capsys):
+    (tmp_path / "file").touch()
+    assert main(["experiment", "ablation", "--scale", "smoke", "--out", str(tmp_path / "file")]) == 2
+    assert "is a file, not a folder" in capsys.readouterr().err
+    assert main(["experiment", "ablation", "--scale", "smoke", "--out", str(tiny_run)]) == 2
+    assert "is a run folder" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """Folder of a part of the smoke ablation that nothing happened to."""
+    out = tmp_path_factory.mktemp("undisturbed") / "study"
+    code, printed, err = runs.run("experiment", "ablation", *SOME, "--out", out)
+    assert (code, err) == (0, ""), printed
+    return out
+
+
+def go_on(out, undisturbed):
+    """Fail if the study that goes on has other numbers than one that nothing happened to."""
+    code, printed, err = runs.run("experiment", "ablation", *SOME, "--out", out)
+    assert (code, err) == (0, ""), printed
+    for name in ("runs.csv", "curves.csv", "comparison.csv"):
+        assert table(out / name) == table(undisturbed / name)
+    for row in table(out / "runs.csv"):
+        path = f"{row['env']}/{row['group']}/{row['variant']}/seed-{row['seed']}"
+        different = [name for name in runs.differences(out / path, undisturbed / path) if "settings" not in name]
+        assert different == []  # settings hold the path of the primitive
+
+
+def start_and_wait(out):
+    """Start the study, wait until some cells are done; return the process and its workers."""
+    process = runs.start("experiment", "ablation", *SOME, "--out", out)
+    runs.wait_until(lambda: len(list(out.glob("*/*/*/*/summary.json"))) >= 4 or process.poll() is not None, "4 cells")
+    workers = runs.workers_of(process.pid)
+    assert process.poll() is None
+    return process, workers
+
+
+@pytest.mark.slow
+@pytest.mark.extras
+def test_ctrl_c_ends_the_study_and_the_same_command_goes_on(tmp_path, undisturbed):
+    process, workers = start_and_wait(tmp_path / "study")
+    os.killpg(process.pid, signal.SIGINT)
+    code, out, err = runs.finish(process)
+    assert code == 130
+    assert out.endswith("Stopped; nothing that is done is lost. Go on with the same command.\n")
+    assert err == "Interrupted.\n"
+    runs.assert_gone(process.pid, workers)
+    go_on(tmp_path / "study", undisturbed)
+
+
+@pytest.mark.slow
+@pytest.mark.extras
+def test_kill_9_of_the_study_leaves_no_worker_and_the_same_command_goes_on(tmp_path, undisturbed):
+    process, workers = start_and_wait(tmp_path / "study")
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    runs.assert_gone(process.pid, workers)
+    go_on(tmp_path / "study", undisturbed)
+
+
+@pytest.mark.slow
+@pytest.mark.extras
+def test_kill_9_of_a_worker_is_told_and_changes_nothing(tmp_path, undisturbed):
+    process, workers = start_and_wait(tmp_path / "study")
+    os.kill(workers[0], signal.SIGKILL)
+    code, out, err = runs.finish(process)
+    assert (code, err) == (0, "")
+    assert f"worker {workers[0]} died" in out
+    go_on(tmp_path / "study", undisturbed)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_whole_smoke_ablation_has_its_tables_and_figures(tmp_path):
+    process = runs.start("experiment", "ablation", "--scale", "smoke", "--out", tmp_path, "--json")
+    out, err = process.communicate(timeout=500)
+    assert (process.returncode, err) == (0, "")
+    found = json.loads(out)
+    assert [path.rpartition("/")[2] for path in found["figures"]] == ["choices.png", "sweep.png", "transfer.png"]
+    assert found["cells"] == len(table(tmp_path / "runs.csv")) == len(ablations.ablation("smoke").cells)
+    assert found["failed"] == {}
+    # A base, 9 choices, 20 of the sweep, 2 transfers and a pair of them, on both tasks; 2 horizons and their pair.
+    assert len(found["comparisons"]) == len(table(tmp_path / "comparison.csv")) == 2 * (1 + 9 + 20 + 3) + 3

@@ -1,0 +1,363 @@
+"""Studies: order of the cells, resumption, cells that fail; what the ablation consists of, and its statistics."""
+
+import csv
+import math
+import shutil
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from shes.backends.serial import SerialBackend
+from shes.cli.commands import experiment
+from shes.errors import ConfigError, RunFolderError, UnknownNameError
+from shes.experiments import ablation as ablations
+from shes.experiments import study as studies
+from shes.experiments import train as training
+from shes.experiments.ablation import ablation, choose, compare, holm, permutation_test
+from shes.experiments.checkpoint import load_checkpoint
+from shes.experiments.evaluate import evaluate
+from shes.experiments.study import (
+    Cell,
+    Study,
+    Summary,
+    cell_steps,
+    check_study,
+    read_summaries,
+    run_cell,
+    run_study,
+    write_tables,
+)
+from tests.e2e import runs
+
+TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}
+FAILING = {**TINY, "noise_table_size": 3}  # allowed, but no level fits: it shows when the run begins
+
+
+def cell(variant="base", seed=5, env="point-gather", group="choices", primitive=None, settings=TINY):
+    return Cell(
+        group=group, variant=variant, env=env, seed=seed, settings=settings, primitive=primitive, preset="smoke"
+    )
+
+
+def rows(path):
+    """Return a table's rows without the column of seconds."""
+    with path.open(newline="") as file:
+        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+
+
+def without_seconds(summary):
+    return replace(summary, row={**summary.row, "seconds": 0})
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Folder of a study with one finished cell, and its summary. Not to be changed."""
+    out = tmp_path_factory.mktemp("study")
+    return out, run_cell(cell(), out, 3)
+
+
+# A study.
+
+
+def test_seeds_come_first_and_a_primitive_before_what_begins_with_it():
+    alone = [cell("a", seed) for seed in (1, 2)] + [cell("b", seed) for seed in (1, 2)]
+    first = [cell("primitive", seed) for seed in (1, 2)]
+    after = [cell("after", seed, primitive=first[seed - 1].name) for seed in (1, 2)]
+    stages = Study(cells=(*alone, *after, *first)).stages()
+    assert [[(c.variant, c.seed) for c in stage] for stage in stages] == [
+        [("primitive", 1), ("primitive", 2)],
+        [("a", 1), ("b", 1), ("after", 1), ("a", 2), ("b", 2), ("after", 2)],
+    ]
+
+
+def test_a_chain_of_primitives_has_a_stage_for_every_link():
+    first = cell("first")
+    second = cell("second", primitive=first.name)
+    third = cell("third", primitive=second.name)
+    assert Study(cells=(third, second, first)).stages() == ((first,), (second,), (third,))
+
+
+def test_cells_of_one_name_and_primitives_of_no_cell_are_refused():
+    with pytest.raises(ConfigError, match="two cells of the study are called point-gather/choices/base/seed-5"):
+        Study(cells=(cell(), cell(settings={})))
+    with pytest.raises(ConfigError, match="begins with the primitive of nowhere, which is no cell"):
+        Study(cells=(cell(primitive="nowhere"),))
+
+
+def test_steps_of_a_cell_are_those_of_training_and_of_every_evaluation():
+    # 4 generations of 8 members; after generations 1, 2 and 4 three episodes; then 10 each, thrice.
+    assert cell_steps(cell(), 10) == 20 * (4 * 8 + 3 * 3 + 3 * 10)
+    unfrozen = cell(primitive="other", settings={**TINY, "freeze_primitive": False})
+    assert cell_steps(unfrozen, 10) == cell_steps(cell(), 10)  # no run is needed to know
+
+
+# A cell.
+
+
+def test_a_cell_is_an_ordinary_run_and_a_row(finished, tiny_run):
+    out, summary = finished
+    path = out / "point-gather" / "choices" / "base" / "seed-5"
+    assert runs.differences(tiny_run, path) == []
+    found = evaluate(path, episodes=3, checkpoint="last").summary()
+    row = summary.row
+    assert [row[name] for name in ("group", "variant", "env", "seed")] == ["choices", "base", "point-gather", 5]
+    assert (row["generations"], row["env_steps"]) == (4, 4 * 8 * 20)
+    assert (row["last_score"], row["last_return"]) == (found["score_mean"], found["return_mean"])
+    assert row["best_goals_reached"] >= 0
+    assert [point["env_steps"] for point in summary.curve] == [160, 320, 640]
+
+
+def test_a_finished_cell_is_not_run_again(finished, monkeypatch):
+    for name in ("start_run", "resume", "evaluate"):
+        monkeypatch.setattr(studies, name, None)
+    out, summary = finished
+    assert run_cell(cell(), out, 3) == summary
+
+
+def test_a_cell_that_was_stopped_goes_on_as_if_it_had_not(finished, tmp_path, monkeypatch):
+    evaluations = []
+
+    def evaluate(*arguments):
+        evaluations.append(arguments)
+        if len(evaluations) == 2:
+            signal.raise_signal(signal.SIGINT)
+        return original(*arguments)
+
+    original = training.evaluate_levels
+    monkeypatch.setattr(training, "evaluate_levels", evaluate)
+    with pytest.raises(KeyboardInterrupt):
+        run_cell(cell(), tmp_path, 3)
+    assert read_summaries(Study(cells=(cell(),)), tmp_path) == {}
+    monkeypatch.undo()
+    whole, summary = finished
+    assert without_seconds(run_cell(cell(), tmp_path, 3)) == without_seconds(summary)
+    assert runs.differences(whole / cell().name, tmp_path / cell().name) == []
+
+
+def test_a_cell_whose_evaluation_alone_is_missing_is_not_trained_again(finished, tmp_path, monkeypatch):
+    shutil.copytree(finished[0], tmp_path / "copy")
+    (tmp_path / "copy" / cell().name / "summary.json").unlink()
+    monkeypatch.setattr(studies, "resume", None)
+    assert run_cell(cell(), tmp_path / "copy", 3) == finished[1]
+
+
+@pytest.mark.parametrize(
+    ("other", "what"),
+    [({"sigma": 0.5}, r"sigma is 0\.07 there and 0\.5 in the study"), ({"generations": 9}, "generations is 4 there")],
+)
+def test_a_folder_with_a_run_of_other_settings_is_refused_and_named(finished, other, what):
+    changed = cell(settings={**TINY, **other})
+    match = f"seed-5 holds a run of other settings than cell point-gather/choices/base/seed-5: {what}"
+    with pytest.raises(RunFolderError, match=match):
+        check_study(Study(cells=(changed,)), finished[0])
+    with pytest.raises(RunFolderError, match="of other settings"):
+        next(run_study(Study(cells=(changed,)), finished[0], num_workers=1))
+
+
+def test_the_folder_of_a_run_is_no_place_for_a_study(finished):
+    with pytest.raises(RunFolderError, match="is a run folder: the runs of a study need one of their own"):
+        check_study(Study(cells=()), finished[0] / cell().name)
+
+
+def test_settings_that_are_not_allowed_show_before_anything_is_run(tmp_path):
+    study = Study(cells=(cell(), cell("b", settings={**TINY, "population_size": 7})))
+    with pytest.raises(ConfigError, match="population_size must be a positive multiple of 4"):
+        next(run_study(study, tmp_path, num_workers=1))
+    assert [path.name for path in tmp_path.iterdir()] == [".lock"]
+
+
+def test_a_damaged_summary_says_what_to_do(finished, tmp_path):
+    copy = shutil.copytree(finished[0], tmp_path / "copy")
+    (copy / cell().name / "summary.json").write_text("{")
+    with pytest.raises(RunFolderError, match=r"summary.json cannot be read: .*Remove it to have it made again"):
+        read_summaries(Study(cells=(cell(),)), copy)
+
+
+def test_tables_have_a_row_for_every_run_and_every_evaluation(finished, tmp_path):
+    write_tables({"a": finished[1]}, tmp_path)
+    (row,) = rows(tmp_path / "runs.csv")
+    assert {name: row[name] for name in ("variant", "env", "seed", "generations")} == {
+        "variant": "base",
+        "env": "point-gather",
+        "seed": "5",
+        "generations": "4",
+    }
+    assert float(row["best_return"]) == finished[1].row["best_return"]
+    curve = rows(tmp_path / "curves.csv")
+    assert [float(point["env_steps"]) for point in curve] == [160, 320, 640]
+    assert float(curve[2]["return_mean"]) == finished[1].curve[2]["return_mean"]
+
+
+# All cells.
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Let a study work here: its processes have their tests in tests/e2e, and take their time to start."""
+    monkeypatch.setattr(studies, "ProcessesBackend", lambda factory, _: SerialBackend(factory))
+    monkeypatch.setattr(studies.signal, "pthread_sigmask", lambda *_: None)
+
+
+def test_a_cell_that_fails_is_named_and_stops_only_what_begins_with_it(tmp_path, finished, in_this_process):
+    bad, good = cell("bad", settings=FAILING), cell()
+    follower = cell("follower", primitive=bad.name)
+    study = Study(cells=(follower, good, bad), episodes=3)
+    outcomes = {outcome.cell.name: outcome for outcome in run_study(study, tmp_path, num_workers=2)}
+    assert list(outcomes) == [bad.name, follower.name, good.name]
+    assert "noise_table_size is 3" in outcomes[bad.name].error
+    assert outcomes[follower.name].error == f"not run: it begins with the primitive of {bad.name}, which failed."
+    assert without_seconds(outcomes[good.name].summary) == without_seconds(finished[1])
+    assert list(read_summaries(study, tmp_path)) == [good.name]
+
+
+def test_an_error_nobody_expected_is_an_outcome_with_its_traceback(monkeypatch, tmp_path, in_this_process):
+    def fail(*arguments):
+        raise ZeroDivisionError("nothing to divide by")
+
+    monkeypatch.setattr(studies, "run_cell", fail)
+    ((number, outcome),) = studies.StudyWorker(tmp_path, 3).run(iter([(4, cell())]), 1)
+    assert (number, outcome.summary) == (4, None)
+    assert outcome.error.endswith("ZeroDivisionError: nothing to divide by\n")
+
+
+def test_a_transferred_primitive_comes_from_its_cell_wherever_the_study_lies(tmp_path, monkeypatch, in_this_process):
+    source = cell("base", env="point-flagrun", group="transfer")
+    frozen = cell("frozen", primitive=source.name, settings={**TINY, "freeze_primitive": True})
+    study = Study(cells=(frozen, source), episodes=3)
+    assert [outcome.error for outcome in run_study(study, tmp_path / "a", num_workers=2)] == ["", ""]
+    one = load_checkpoint(tmp_path / "a" / source.name / "checkpoints" / "best.npz").state.levels[0]
+    other = load_checkpoint(tmp_path / "a" / frozen.name / "checkpoints" / "last.npz").state.levels[1]
+    assert (one.name, one.theta.tobytes()) == (other.name, other.theta.tobytes())
+    (tmp_path / "a").rename(tmp_path / "b")
+    monkeypatch.chdir(tmp_path)
+    assert list(run_study(study, tmp_path / "b", num_workers=2)) == []
+    (tmp_path / "b" / frozen.name / "summary.json").unlink()
+    assert [outcome.error for outcome in run_study(study, tmp_path / "b", num_workers=2)] == [""]
+
+
+# The ablation.
+
+
+@pytest.mark.parametrize("scale", ablations.SCALES)
+def test_every_cell_of_the_ablation_has_settings_that_are_allowed(scale, tmp_path):
+    check_study(ablation(scale), tmp_path)
+
+
+def test_the_ablation_has_the_seeds_that_were_asked_for():
+    counts = {}
+    for found in ablation().cells:
+        counts.setdefault((found.env, found.group, found.variant), set()).add(found.seed)
+    for (_, group, _), seeds in counts.items():
+        assert seeds == set(range(1, 6 if group == "sweep" else 11))
+    for env in ablations.ENVS:
+        groups = [group for where, group, _ in counts if where == env]
+        assert [groups.count(group) for group in ("choices", "sweep", "transfer")] == [10, 20, 2]
+    assert sorted(variant for _, group, variant in counts if group == "horizon") == ["horizon-1000", "horizon-500"]
+    assert {found.seed for found in ablation(seeds=3).cells} == {1, 2, 3}
+
+
+def test_every_variant_makes_as_many_environment_steps_as_the_base():
+    for scale, tolerance in (("laptop", 0.07), ("smoke", 0.3)):  # whole generations, and few of them
+        steps = {}
+        for found in ablation(scale).cells:
+            factors = (found.settings[name] for name in ("generations", "population_size", "horizon"))
+            steps[found.env, found.variant] = math.prod(factors)
+        for (env, variant), number in steps.items():
+            assert number == pytest.approx(steps[env, "base"], rel=tolerance), (scale, env, variant)
+
+
+def test_the_laptop_scale_takes_at_most_four_hours_on_two_cores():
+    study = ablation()
+    steps = sum(cell_steps(found, study.episodes) for found in study.cells)
+    assert steps / ablations.STEPS_PER_S / 2 <= 4 * 3600
+
+
+def test_a_sweep_multiplies_the_base_and_rounds_whole_numbers():
+    cells = {(found.env, found.variant): found.settings for found in ablation(seeds=1).cells}
+    base = cells["point-maze", "base"]
+    for name in ablations.SWEPT:
+        for factor in ablations.FACTORS:
+            value = cells["point-maze", ablations.sweep_name(name, factor)][name]
+            assert type(value) is type(base[name])
+            assert value == pytest.approx(factor * base[name], abs=2 if isinstance(value, int) else 1e-9)
+    assert all(settings["population_size"] % 4 == 0 for settings in cells.values())
+
+
+def test_some_groups_alone_come_with_the_base_and_the_primitives():
+    study = choose(ablation("smoke"), ["horizon", "transfer"])
+    found = {(c.env, c.group, c.variant) for c in study.cells}
+    both = [(env, group, name) for env in ablations.ENVS for group, name in (("choices", "base"),)]
+    transfers = [(env, "transfer", name) for env in ablations.ENVS for name in ("frozen", "unfrozen")]
+    longer = [("point-maze", "horizon", f"horizon-{steps}") for steps in ablations.SCALES["smoke"].horizons]
+    assert found == {*both, *transfers, *longer, ("point-flagrun", "transfer", "base")}
+    assert choose(ablation("smoke"), ()) == ablation("smoke")
+    with pytest.raises(UnknownNameError, match=r"unknown group 'choice'\. Did you mean 'choices'"):
+        choose(ablation("smoke"), ["choice"])
+
+
+def test_the_command_offers_the_groups_and_scales_there_are():
+    assert set(experiment._GROUPS) == set(ablations.GROUPS)
+    assert set(experiment._SCALES) == set(ablations.SCALES)
+
+
+# Statistics.
+
+
+def test_the_permutation_test_agrees_with_the_exact_number():
+    low, high = np.arange(5.0), np.arange(5.0, 10.0)
+    assert permutation_test(low, high) == pytest.approx(2 / 252, abs=0.003)  # both ways to part all from all
+    mixed = permutation_test(np.array([1.0, 4.0, 6.0]), np.array([2.0, 3.0, 9.0]))
+    # Of the 20 ways to take 3 of the 6 values, 16 have sums at least 1.5 away from 12.5.
+    assert mixed == pytest.approx(16 / 20, abs=0.02)
+
+
+def test_the_permutation_test_is_symmetric_seeded_and_never_zero():
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=10), rng.normal(size=10) + 20
+    assert permutation_test(first, second) == permutation_test(first, second)
+    assert permutation_test(first, second) == pytest.approx(permutation_test(second, first), abs=1e-3)
+    assert permutation_test(first, second) > 0
+    assert permutation_test(np.full(5, 0.1), np.full(10, 0.1)) == 1
+
+
+def test_holm_corrects_as_the_textbook_does():
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
+    assert holm([0.02]) == [0.02]
+    assert holm([]) == []
+
+
+def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_their_group():
+    study = ablation()
+
+    def score(found):
+        is_worse = found.variant in ("mirrored-none", "frozen") and found.env == "point-maze"
+        return 0.1 * (found.seed % 5) - (2 if is_worse else 0)
+
+    summaries = {
+        found.name: Summary(row={**found.identity, ablations.METRICS[found.env][0]: score(found)}, curve=())
+        for found in study.cells
+        if found.env in ablations.ENVS
+    }
+    found = {(c.env, c.group, c.variant, c.against): c for c in compare(study, summaries)}
+    base = found["point-maze", "choices", "base", None]
+    assert (base.seeds, base.score_mean, base.p, base.p_holm) == (10, pytest.approx(0.2), None, None)
+    assert base.score_low < 0.2 < base.score_high
+    worse = found["point-maze", "choices", "mirrored-none", "base"]
+    assert worse.difference == pytest.approx(-2)
+    assert (worse.p, worse.p_holm) == (pytest.approx(1e-4, rel=2), pytest.approx(9 * worse.p))
+    assert found["point-gather", "choices", "mirrored-none", "base"].p_holm == 1
+    assert found["point-maze", "transfer", "unfrozen", "frozen"].difference == pytest.approx(2)
+    assert found["point-maze", "horizon", "horizon-1000", "horizon-500"].p == 1
+    assert all(c.env in ablations.ENVS for c in found.values())
+
+
+def test_what_is_not_finished_is_not_compared():
+    study = ablation("smoke")
+    some = next(found for found in study.cells if found.variant == "sigma-x2")
+    summaries = {some.name: Summary(row={**some.identity, ablations.METRICS[some.env][0]: 1.0}, curve=())}
+    (found,) = compare(study, summaries)  # there is no base yet
+    assert (found.variant, found.against, found.p) == ("sigma-x2", None, None)
+    assert compare(study, {}) == []

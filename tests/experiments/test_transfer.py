@@ -1,0 +1,278 @@
+"""Transfer: what a primitive brings, what stays as it was, and what does not fit."""
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+import shes
+from shes.cli import main
+from shes.errors import CheckpointError, ConfigError, RunFolderError
+from shes.experiments.records import read_csv
+from shes.experiments.run_folder import RunFolder
+from tests.e2e import runs
+
+ANT = {
+    "generations": 3,
+    "evaluation_interval": 1,
+    "keep_checkpoints": 1,
+    "population_size": 4,
+    "evaluation_episodes": 2,
+}
+POINT = {**ANT, "hidden": (3, 2)}
+BROUGHT = {"goal_encoding": "unit_vector", "clock_frequency": 1.5, "hide_position": True}
+ROBOT = {"ant": 29, "point": 4}
+
+
+@pytest.fixture(scope="module")
+def ant(tmp_path_factory):
+    """A run that trained an ant's primitive alone. Not to be changed."""
+    return runs.train_tiny(tmp_path_factory.mktemp("ant") / "flagrun", "ant-flagrun", **ANT, hidden=(5,))
+
+
+@pytest.fixture(scope="module")
+def point(tmp_path_factory):
+    """A run that trained a point's primitive alone, with settings of its own. Not to be changed."""
+    return runs.train_tiny(tmp_path_factory.mktemp("point") / "flagrun", "point-flagrun", **POINT, **BROUGHT)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """The same with the settings that nobody has to say. Not to be changed."""
+    return runs.train_tiny(tmp_path_factory.mktemp("plain") / "flagrun", "point-flagrun", **ANT)
+
+
+def primitive(path, checkpoint):
+    """Return the primitive of a checkpoint."""
+    (found,) = [level for level in RunFolder.open(path).load(checkpoint).state.levels if level.name == "primitive"]
+    return found
+
+
+def same(one, other):
+    """Tell whether two primitives have the same parameters and statistics, to the bit."""
+    return (
+        one.theta.tobytes() == other.theta.tobytes()
+        and one.statistics.count == other.statistics.count
+        and one.statistics.total.tobytes() == other.statistics.total.tobytes()
+        and one.statistics.total_squares.tobytes() == other.statistics.total_squares.tobytes()
+    )
+
+
+TASKS = [
+    pytest.param(task, spec, id=f"{task}-{spec}", marks=[] if spec == "shes" else [pytest.mark.slow])
+    for task in ("gather", "maze", "push", "fall")
+    for spec in ("shes", "hiro")
+]
+
+
+@pytest.mark.parametrize(("task", "spec"), TASKS)
+def test_one_primitive_serves_every_task_of_its_robot_and_stays_as_it_was(ant, tmp_path, task, spec):
+    """Two policies are a whole population: only the controller is mirrored."""
+    path = runs.train_tiny(
+        tmp_path / "run", f"ant-{task}", primitive=str(ant), generations=2, population_size=2, spec=spec
+    )
+    config = RunFolder.open(path).read_config()
+    assert (config.primitive_view, config.primitive_hidden, config.hidden) == ("proprioception", (5,), (4,))
+    brought = primitive(ant, "best")
+    assert brought.statistics.count > 0
+    assert len(brought.statistics.total) == 3 + ROBOT["ant"]
+    for checkpoint in ("0", "2", "last"):
+        assert same(primitive(path, checkpoint), brought)
+        assert primitive(path, checkpoint).optimizer.steps == 0
+    controllers = [RunFolder.open(path).load(name).state.levels[0] for name in ("0", "last")]
+    assert not np.array_equal(controllers[0].theta, controllers[1].theta) or task == "gather"  # which pays nothing yet
+    assert [level.statistics.count > 0 for level in controllers] == [False, True]
+    assert np.isnan(read_csv(path / "progress.csv")["primitive_gradient_norm"]).all()
+
+
+def test_an_unfrozen_primitive_learns_on_from_where_it_was(point, tmp_path):
+    path = runs.train_tiny(tmp_path / "run", primitive=str(point), freeze_primitive=False, generations=2)
+    brought, start, end = primitive(point, "best"), primitive(path, "0"), primitive(path, "last")
+    assert same(start, brought)
+    assert not np.array_equal(end.theta, brought.theta)
+    assert end.statistics.count == brought.statistics.count + 2 * 8 * 20
+    assert (start.optimizer.steps, end.optimizer.steps) == (0, 2)
+    assert not np.isnan(read_csv(path / "progress.csv")["primitive_gradient_norm"]).any()
+
+
+def test_an_unfrozen_primitive_needs_whole_groups_of_both_levels(point, tmp_path):
+    with pytest.raises(ConfigError, match="population_size must be a positive multiple of 4"):
+        runs.train_tiny(tmp_path / "run", primitive=str(point), freeze_primitive=False, population_size=2)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_the_controller_begins_as_it_would_without(plain, tmp_path):
+    alone = runs.train_tiny(tmp_path / "alone", generations=1)
+    path = runs.train_tiny(tmp_path / "run", primitive=str(plain), generations=1)
+    one, other = (RunFolder.open(run).load("0").state.levels[0] for run in (alone, path))
+    assert one.theta.tobytes() == other.theta.tobytes()
+
+
+def test_a_primitive_brings_what_it_was_trained_with(point, tmp_path):
+    path = runs.train_tiny(tmp_path / "run", primitive=str(point), generations=1)
+    record = json.loads((path / "config.json").read_text())["config"]
+    assert {name: record[name] for name in BROUGHT} == BROUGHT
+    assert (record["primitive_hidden"], record["primitive_view"]) == ([3, 2], "proprioception")
+    assert (record["primitive"], record["primitive_checkpoint"], record["freeze_primitive"]) == (
+        str(point),
+        "best",
+        True,
+    )
+    # Goal 3, clock 2, robot 4 without x and y.
+    assert len(primitive(path, "last").statistics.total) == 3 + 2 + ROBOT["point"] - 2
+
+
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [
+        ("goal_encoding", "angle"),
+        ("clock_frequency", 2.0),
+        ("clock_frequency", None),
+        ("hide_position", False),
+        ("primitive_hidden", (3,)),
+        ("primitive_hidden", None),
+        ("primitive_view", "observation"),
+    ],
+)
+def test_what_contradicts_the_primitive_is_refused(point, tmp_path, name, other):
+    trained = {**BROUGHT, "primitive_hidden": (3, 2), "primitive_view": "proprioception"}[name]
+    message = f"{name} is {other!r}, but the primitive of {point} was trained with {trained!r}. Leave --"
+    with pytest.raises(ConfigError, match=re.escape(message + name.replace("_", "-") + " away")):
+        runs.train_tiny(tmp_path / "run", primitive=str(point), **{name: other})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_agrees_with_the_primitive_may_be_said(point, tmp_path):
+    path = runs.train_tiny(
+        tmp_path / "run", primitive=point, **BROUGHT, primitive_hidden=[3, 2], generations=1, controller_interval=5
+    )
+    config = RunFolder.open(path).read_config()
+    assert (config.primitive, config.controller_interval) == (str(point), 5)  # the interval is the controller's affair
+
+
+@pytest.mark.parametrize("checkpoint", ["last", "1"])
+def test_any_checkpoint_of_the_run_may_be_brought(plain, tmp_path, checkpoint):
+    path = runs.train_tiny(tmp_path / "run", primitive=str(plain), primitive_checkpoint=checkpoint, generations=1)
+    assert same(primitive(path, "last"), primitive(plain, checkpoint))
+    assert not same(primitive(plain, "last"), primitive(plain, "1"))
+
+
+def test_the_command_line_brings_a_primitive(plain, tmp_path, capsys):
+    words = ["train", "point-push", *runs.flags(**runs.TINY), "--generations", "1", "--out", str(tmp_path / "run")]
+    assert main([*words, "--primitive", str(plain), "--primitive-checkpoint", "last", "--no-freeze-primitive"]) == 0
+    config = RunFolder.open(tmp_path / "run").read_config()
+    assert (config.primitive, config.primitive_checkpoint, config.freeze_primitive) == (str(plain), "last", False)
+    assert same(primitive(tmp_path / "run", "0"), primitive(plain, "last"))
+
+
+# Runs with a controller as sources.
+
+
+@pytest.fixture(scope="module")
+def hierarchy(tmp_path_factory):
+    """A run with a controller whose primitive sees all of its observation. Not to be changed."""
+    return runs.train_tiny(tmp_path_factory.mktemp("hierarchy") / "run", "point-push", primitive_hidden=(3,))
+
+
+def test_the_primitive_of_a_run_with_a_controller_serves_the_same_task(hierarchy, tmp_path):
+    path = runs.train_tiny(tmp_path / "run", "point-push", primitive=str(hierarchy), generations=2)
+    config = RunFolder.open(path).read_config()
+    assert (config.primitive_view, config.primitive_hidden) == ("observation", (3,))
+    assert same(primitive(path, "last"), primitive(hierarchy, "best"))
+
+
+def test_what_it_saw_of_one_task_does_not_fit_another(hierarchy, tmp_path):
+    with pytest.raises(ConfigError, match=r"does not fit point-gather\.\n.*trained on point-push: .*\nHere there is: "):
+        runs.train_tiny(tmp_path / "run", "point-gather", primitive=str(hierarchy))
+
+
+@pytest.mark.slow
+def test_one_that_saw_the_robot_alone_serves_every_task(tmp_path):
+    source = runs.train_tiny(tmp_path / "source", "point-push", primitive_view="proprioception", generations=1)
+    chain = source
+    for task in ("point-gather", "point-maze"):  # and a run that was begun with it can be the next one's source
+        path = runs.train_tiny(tmp_path / task, task, primitive=str(chain), generations=1)
+        assert same(primitive(path, "last"), primitive(source, "best"))
+        chain = path
+
+
+# What cannot be.
+
+
+def test_a_primitive_that_does_not_fit_is_refused_with_both_layouts(ant, tmp_path):
+    with pytest.raises(ConfigError) as error:
+        runs.train_tiny(tmp_path / "run", "point-gather", primitive=str(ant))
+    first, theirs, ours, fix = str(error.value).splitlines()
+    assert first == f"the primitive of {ant} does not fit point-gather."
+    assert theirs.startswith("It was trained on ant-flagrun: 32 inputs (goal angle 0, goal angle 1, goal angle 2, ")
+    assert theirs.endswith(") and 8 controls of up to 30.")
+    assert ours.startswith("Here there is: 7 inputs (goal angle 0, goal angle 1, goal angle 2, torso_x, torso_y, ")
+    assert ours.endswith(") and 2 controls of up to 1.")
+    assert theirs.count(",") == 31
+    assert "trained by shes train ant-flagrun or point-flagrun" in fix
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_without_a_primitive_is_refused(tmp_path):
+    source = runs.train_tiny(tmp_path / "source", algorithm="es", generations=1)
+    with pytest.raises(
+        ConfigError, match=rf"{source} has no primitive: its levels are policy\. Name a run with --prim"
+    ):
+        runs.train_tiny(tmp_path / "run", primitive=str(source))
+    assert [path.name for path in tmp_path.iterdir()] == ["source"]
+
+
+@pytest.mark.parametrize("command", ["python", "shes"])
+def test_a_source_that_is_not_there_or_damaged_is_refused(plain, tmp_path, command, capsys):
+    source = shutil.copytree(plain, tmp_path / "source")
+
+    def refused(kind, message, *more, **settings):
+        if command == "python":
+            with pytest.raises(kind, match=message):
+                runs.train_tiny(tmp_path / "run", **settings)
+        else:
+            words = ["train", "point-gather", *runs.flags(**runs.TINY, **settings), "--out", str(tmp_path / "run")]
+            assert main(words) == 2
+            assert re.search(message, " ".join(capsys.readouterr().err.split()))
+        assert not (tmp_path / "run").exists()
+
+    refused(RunFolderError, "gone does not exist", primitive=str(tmp_path / "gone"))
+    refused(RunFolderError, "is not a run folder: it has no config.json", primitive=str(tmp_path))
+    refused(
+        CheckpointError,
+        r"there is no checkpoint .*77\.npz\. There are: best, generation_000000",
+        primitive=str(source),
+        primitive_checkpoint="77",
+    )
+    best = source / "checkpoints" / "best.npz"
+    best.write_bytes(best.read_bytes()[:500])
+    refused(CheckpointError, r"best\.npz is not a whole SHES checkpoint", primitive=str(source))
+    (source / "config.json").write_text("{")
+    refused(RunFolderError, r"config\.json cannot be read", primitive=str(source))
+
+
+# Afterwards.
+
+
+def test_a_run_needs_the_folder_of_its_primitive_no_more(plain, tmp_path):
+    source = shutil.copytree(plain, tmp_path / "source")
+    settings = {"primitive": str(source), "freeze_primitive": False, "evaluation_interval": 1}
+    whole = runs.train_tiny(tmp_path / "whole", **settings, generations=3)
+    half = runs.train_tiny(tmp_path / "half", **settings, generations=1)
+    before = shes.evaluate(half, episodes=2, num_workers=1).summary()
+    shutil.rmtree(source)
+    assert shes.evaluate(half, episodes=2, num_workers=1).summary() == before
+    agent = shes.load(half)
+    assert agent.act(np.zeros(agent.observation_size)).shape == (2,)
+    shes.resume(half, generations=3)
+    assert runs.differences(whole, half) == []
+
+
+def test_a_resume_cannot_bring_another_primitive(plain, tmp_path):
+    path = runs.train_tiny(tmp_path / "run", generations=1)
+    for settings in ({"primitive": str(plain)}, {"freeze_primitive": False}, {"algorithm": "es"}):
+        with pytest.raises(ConfigError, match="would change the numbers of the run"):
+            shes.resume(path, generations=2, **settings)
