@@ -158,11 +158,15 @@ def test_every_setting_is_in_a_group_under_the_heading_of_its_section(shes):
     assert headings == ["examples", "environment", *HEADINGS.values(), "everywhere"]
 
 
+@pytest.fixture(scope="module")
+def setting_options():
+    return options_in(setting_groups(None, SETTINGS))
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("setting", SETTINGS)
-def test_the_value_of_every_setting_can_be_written_on_the_command_line(setting, preset):
-    value = getattr(make_config("ant-gather", preset), setting)
-    options = options_in(setting_groups(None, SETTINGS))
+def test_the_value_of_every_setting_can_be_written_on_the_command_line(setting_options, setting, preset):
+    options, value = setting_options, getattr(make_config("ant-gather", preset), setting)
     if isinstance(value, bool):
         words = [flag(setting) if value else flag(setting).replace("--", "--no-")]
     else:

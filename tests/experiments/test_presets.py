@@ -87,3 +87,20 @@ def test_wrong_names_are_refused():
         make_config("ant-gather", "papper")
     with pytest.raises(ConfigError, match=r"unknown setting 'lerning_rate'\. Did you mean 'learning_rate'\?"):
         make_config("ant-gather", "smoke", {"lerning_rate": 1})
+
+
+@pytest.mark.parametrize(
+    ("settings", "fix"),
+    [
+        ({"momentum": 0.5}, "momentum does nothing with optimizer 'adam'.*Set --optimizer to sgd or clipup"),
+        ({"top_fraction": 0.5}, "top_fraction does nothing with fitness_shaping 'centred_rank'.*--fitness-shaping"),
+        ({"rank_ties": "index", "fitness_shaping": "z_score"}, "rank_ties does nothing with fitness_shaping 'z_score'"),
+        ({"novelty_neighbours": 3}, "novelty_neighbours does nothing with novelty 'none'.*leave --novelty-neighbours"),
+    ],
+)
+def test_a_setting_that_would_do_nothing_beside_another_is_refused(settings, fix):
+    with pytest.raises(ConfigError, match=fix):
+        make_config("point-gather", "laptop", settings)
+    helped = {"momentum": {"optimizer": "sgd"}, "novelty_neighbours": {"novelty": "ns"}}.get(next(iter(settings)))
+    if helped is not None:
+        make_config("point-gather", "laptop", {**settings, **helped})

@@ -9,6 +9,7 @@ from typing import Any
 from shes.envs.external.description import is_description_file, read_description
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError, UnknownNameError
+from shes.es.novelty import NOVELTY_RULES
 from shes.experiments.config import TrainConfig, check_fields
 from shes.experiments.settings import flag
 from shes.experiments.transfer import brought_settings
@@ -106,6 +107,14 @@ _OF_PRIMITIVES = frozenset(
 _OF_RANDOM_CONTROLLERS = frozenset({"controller_interval", "goal_distance"})
 """Settings of goals that an environment heeds which sets them itself."""
 
+_NEEDS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "momentum": ("optimizer", ("sgd", "clipup")),
+    "novelty_neighbours": ("novelty", tuple(NOVELTY_RULES)),
+    "rank_ties": ("fitness_shaping", ("centred_rank", "top_fraction")),
+    "top_fraction": ("fitness_shaping", ("top_fraction",)),
+}
+"""Settings that concern some choices of another one only."""
+
 
 def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
     """Refuse settings that somebody asked for, and that would do nothing in this run.
@@ -118,6 +127,12 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
             raise ConfigError(
                 f"{name} is {overrides[name]!r}, but no run is named whose primitive it would be. "
                 f"Set --primitive RUN, or leave {flag(name)} away."
+            )
+    for name, (other, needed) in _NEEDS.items():
+        if name in overrides and getattr(config, other) not in needed:
+            raise ConfigError(
+                f"{name} does nothing with {other} {getattr(config, other)!r}, got {overrides[name]!r}. "
+                f"Set {flag(other)} to {' or '.join(needed)}, or leave {flag(name)} away."
             )
     unheeded = frozenset[str]()
     if config.level_names == ("primitive",):

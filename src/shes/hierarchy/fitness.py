@@ -22,7 +22,7 @@ def advance_novelty(
 ) -> NoveltyState | None:
     """Return the search for novelty with what the mean policies, run as member number `member`, came to.
 
-    The archive knows them before the population is measured by it, so it is never empty.
+    The archive knows them before the population is measured by it, but for those that diverged.
     """
     if state is None or rule is None:
         return None
@@ -30,7 +30,7 @@ def advance_novelty(
     mean_return, population_return = float(returns[member].mean()), float(returns[:member].mean())
     weight, best_return, stalled = rule.next(state, mean_return, population_return)
     ahead = replace(state, weight=weight, best_return=best_return, stalled=stalled)
-    return extend(ahead, results.final_position[member])
+    return extend(ahead, results.final_position[member][~results.has_diverged[member]])
 
 
 def shaped_fitness(
@@ -58,6 +58,7 @@ def shaped_fitness(
         worth = rule.shaping(fitness)
         if level == 0 and search is not None:
             novel = novelty(results.final_position, search.archive, neighbours)
+            novel[results.has_diverged.any(axis=1)] = 0  # where blown-up physics ends says nothing
             worth = blend(worth, rule.shaping(select_fitness(novel, signs[:, :, level])), search.weight)
         shaped.append(worth)
     return shaped
