@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shes.errors import CheckpointError, ConfigError, PolicyError, RunFolderError
+from shes.errors import CheckpointError, ConfigError, PolicyError, RunFolderError, UnknownNameError
 from shes.es.streams import Purpose
 from shes.experiments.evaluate import Evaluation, evaluate, evaluation_seeds
 from shes.experiments.records import read_csv
@@ -40,6 +40,17 @@ def test_a_seed_chooses_other_episodes(tiny_run):
     assert same(one, again)
     assert not same(one, two)
     assert not same(default, one)
+
+
+def test_targets_of_training_may_be_asked_for(tmp_path):
+    # Evaluation's target is near, training's far: nobody comes nearer than 200 m to it, or further than 50 from the other.
+    run = runs.train_tiny(tmp_path / "run", "point-maze", target=(0.0, 300.0), evaluation_target=(0.0, 1.0))
+    one, other = (evaluate(run, episodes=4, num_workers=1, targets=targets) for targets in ("evaluation", "training"))
+    assert other.returns.max() < 20 * -200
+    assert one.returns.min() > 20 * -50
+    assert same(one, evaluate(run, episodes=4, num_workers=1))
+    with pytest.raises(UnknownNameError, match=r"unknown targets 'train'.*Did you mean 'training'.*Set --targets"):
+        evaluate(run, targets="train")
 
 
 def test_checkpoints_are_evaluated_apart(tiny_run):
