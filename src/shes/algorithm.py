@@ -80,6 +80,8 @@ class GenerationReport:
     """Returns, steps and flags of every episode of the population."""
     updates: tuple[LevelUpdate, ...]
     """What there is to know of the update of each level."""
+    signs: Signs
+    """Signs of every member at each level [G, M, L]; 0 where it was not perturbed."""
     noise_index: IntArray
     """Start of the noise slice of each group [L, G]."""
     sigma: float
@@ -127,6 +129,7 @@ def evolve(
             state=state,
             results=population,
             updates=updates,
+            signs=signs,
             noise_index=noise_index,
             sigma=generation.sigma,
             learning_rate=alpha,

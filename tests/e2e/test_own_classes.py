@@ -76,7 +76,7 @@ def in_a_module_of_the_working_directory(folder, script):
 
 PLACES = [
     in_the_script,
-    in_a_module_beside_the_script,
+    pytest.param(in_a_module_beside_the_script, marks=pytest.mark.extras),
     pytest.param(in_a_module_of_the_working_directory, marks=pytest.mark.extras),
 ]
 

@@ -105,3 +105,12 @@ def test_the_last_slice_of_the_table_counts_whole():
     assert weighted_noise_sum(NoiseTable(values), np.array([90]), np.ones(1, np.float32), 10).tolist() == list(
         range(90, 100)
     )
+
+
+@pytest.mark.parametrize("values", [(0.1, 0.2), (1e-17, 1.0), (-0.3, 0.7)])
+def test_equal_fitness_on_both_sides_of_a_vector_cancels_exactly(values):
+    # An optimizer that does not heed the gradient's length would take what rounding leaves for a direction.
+    one, other = values
+    signs = np.array([[1, 1, 1, -1, -1, -1]] * 3, np.int8)
+    shaped = np.array([[one, other, 0.6, 0.6, one, other], [0.6, other, one, one, other, 0.6], [one] * 6])
+    assert group_weights(shaped.ravel(), signs).tolist() == [0, 0, 0]

@@ -43,7 +43,7 @@ def test_a_seed_chooses_other_episodes(tiny_run):
 
 
 def test_targets_of_training_may_be_asked_for(tmp_path):
-    # Evaluation's target is near, training's far: nobody comes nearer than 200 m to it, or further than 50 from the other.
+    # Training's target is far: nobody comes nearer than 200 m to it, or further than 50 m from evaluation's.
     run = runs.train_tiny(tmp_path / "run", "point-maze", target=(0.0, 300.0), evaluation_target=(0.0, 1.0))
     one, other = (evaluate(run, episodes=4, num_workers=1, targets=targets) for targets in ("evaluation", "training"))
     assert other.returns.max() < 20 * -200

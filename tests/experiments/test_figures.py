@@ -110,7 +110,7 @@ def test_the_sweep_has_the_base_in_the_middle_and_values_as_labels(drawn):
 
 def test_curves_are_means_over_seeds_of_transfer_and_horizon(drawn):
     gather, maze, horizon = drawn[0]["transfer"].axes
-    words = ["base (3 seeds)", "transfer, frozen (3 seeds)", "transfer, learning on (3 seeds)"]
+    words = ["no transfer, same view (3 seeds)", "transfer, frozen (3 seeds)", "transfer, learning on (3 seeds)"]
     assert [line.get_label() for line in gather.lines] == [line.get_label() for line in maze.lines] == words
     assert [line.get_label() for line in horizon.lines] == [f"{steps} steps (3 seeds)" for steps in (150, 500, 1000)]
     assert len(horizon.collections) == 3

@@ -30,7 +30,7 @@ from shes.worker import RolloutWorker
 from tests.e2e import runs
 
 
-def report(noise_index, novelty=None):
+def report(noise_index, novelty=None, signs=None):
     """A generation of two members with two episodes each; the last episode diverged."""
     results = PopulationResults.empty(2, 2, 2)
     results.returns[:] = [[[1, 3], [5, 7]], [[-1, -3], [0, 0]]]
@@ -50,6 +50,7 @@ def report(noise_index, novelty=None):
         state=TrainState(seed=0, generation=9, env_steps=1000, levels=levels, novelty=novelty),
         results=results,
         updates=updates,
+        signs=np.ones((2, 1, 2), np.int8) if signs is None else signs,
         noise_index=np.array(noise_index),
         sigma=0.0625,
         learning_rate=0.03125,
@@ -66,7 +67,7 @@ def level(name, theta):
 
 
 def test_a_row_holds_what_the_generation_saw():
-    row = progress_row(report([[0, 2, 2], [0, 4, 100]]), wall_time_s=12.3456, generation_s=2.0)
+    row = progress_row(report([[2, 2], [0, 4]]), wall_time_s=12.3456, generation_s=2.0)
     nothing = {name for name, value in row.items() if math.isnan(value)}
     assert nothing == {f"primitive_{name}" for name in ("gradient_norm", "halves_cosine", "update_ratio")}
     assert {name: value for name, value in row.items() if name not in nothing} == {
@@ -88,14 +89,14 @@ def test_a_row_holds_what_the_generation_saw():
         "sigma": 0.0625,
         "learning_rate": 0.03125,
         "goals_reached_mean": 1.25,
-        "controller_noise_distinct": 2,
-        "controller_noise_overlapping": 2,  # twice the same place; 0 and 2 only touch
+        "controller_noise_distinct": 1,
+        "controller_noise_overlapping": 2,  # twice the same place
         "controller_rank_ties": 0.0,
         "controller_gradient_norm": 0.25,
         "controller_halves_cosine": -0.5,
         "controller_update_ratio": 0.125,
         "controller_theta_norm": 5.0,
-        "primitive_noise_distinct": 3,
+        "primitive_noise_distinct": 2,
         "primitive_noise_overlapping": 2,  # 0 and 4 share a normal in vectors of 5
         "primitive_rank_ties": 0.0,
         "primitive_theta_norm": 0.0,
@@ -109,7 +110,7 @@ def test_a_row_holds_what_the_generation_saw():
 
 def test_a_row_tells_how_the_search_for_novelty_stands():
     search = NoveltyState(archive=np.zeros((7, 2)), weight=0.75, best_return=-2.5, stalled=3)
-    noise = [[0, 2, 2], [0, 4, 100]]
+    noise = [[2, 2], [0, 4]]
     plain, row = (progress_row(report(noise, novelty), 1.0, 1.0) for novelty in (None, search))
     assert {name: row[name] for name in row.keys() - plain.keys()} == {
         "novelty_weight": 0.75,
@@ -130,11 +131,23 @@ def test_a_row_tells_how_the_search_for_novelty_stands():
     ],
 )
 def test_rank_ties_are_the_share_of_members_whose_fitness_another_one_has(returns, share):
-    made = report([[0], [0]])
+    made = report([[0], [0]], signs=np.ones((1, 4, 2), np.int8))
     results = PopulationResults.empty(2, 4, 1)
     results.returns[0, :, 0] = returns
     row = progress_row(replace(made, results=results), 1.0, 1.0)
     assert (row["controller_rank_ties"], row["primitive_rank_ties"]) == (share, 1.0)
+
+
+def test_a_level_that_only_some_members_perturb_has_noise_and_ties_of_these_alone():
+    signs = np.zeros((4, 1, 2), np.int8)
+    signs[:2, :, 0] = 1  # half of the members perturb the controller, nobody the primitive
+    made = report([[0, 9, 9, 9], [7, 7, 7, 7]], signs=signs)
+    results = PopulationResults.empty(2, 4, 1)
+    results.returns[0, :, 0] = [1, 2, 2, 2]
+    row = progress_row(replace(made, results=results), 1.0, 1.0)
+    assert (row["controller_noise_distinct"], row["controller_rank_ties"]) == (2, 0.0)
+    assert (row["primitive_noise_distinct"], row["primitive_noise_overlapping"]) == (0, 0)
+    assert math.isnan(row["primitive_rank_ties"])
 
 
 # The columns of real runs, computed once more by other means.

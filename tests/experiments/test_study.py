@@ -253,7 +253,7 @@ def test_the_ablation_has_the_seeds_that_were_asked_for():
         assert seeds == set(range(1, 6 if group == "sweep" else 11))
     for env in ablations.ENVS:
         groups = [group for where, group, _ in counts if where == env]
-        assert [groups.count(group) for group in ("choices", "sweep", "transfer")] == [10, 20, 2]
+        assert [groups.count(group) for group in ("choices", "sweep", "transfer")] == [10, 20, 3]
     assert sorted(variant for _, group, variant in counts if group == "horizon") == ["horizon-1000", "horizon-500"]
     assert {found.seed for found in ablation(seeds=3).cells} == {1, 2, 3}
 
@@ -289,7 +289,7 @@ def test_some_groups_alone_come_with_the_base_and_the_primitives():
     study = choose(ablation("smoke"), ["horizon", "transfer"])
     found = {(c.env, c.group, c.variant) for c in study.cells}
     both = [(env, group, name) for env in ablations.ENVS for group, name in (("choices", "base"),)]
-    transfers = [(env, "transfer", name) for env in ablations.ENVS for name in ("frozen", "unfrozen")]
+    transfers = [(env, "transfer", name) for env in ablations.ENVS for name in ("scratch", "frozen", "unfrozen")]
     longer = [("point-maze", "horizon", f"horizon-{steps}") for steps in ablations.SCALES["smoke"].horizons]
     assert found == {*both, *transfers, *longer, ("point-flagrun", "transfer", "base")}
     assert choose(ablation("smoke"), ()) == ablation("smoke")

@@ -27,7 +27,11 @@ def group_weights(shaped: F64Array, signs: NDArray[np.int8]) -> F32Array:
         shaped: Shaped fitness [n] of the population, group after group.
         signs: Signs [G, M] that the members of each group give to this level's noise vector.
     """
-    return (shaped.reshape(signs.shape) * signs).sum(axis=1).astype(np.float32)  # no BLAS: the same bits anywhere
+    values = shaped.reshape(signs.shape)
+    # In order of size, so that equal values on both sides cancel exactly: what rounding left of nothing would be taken
+    # for a direction by an optimizer that does not heed the gradient's length.
+    plus, minus = (np.sort(np.where(side, values, 0.0), axis=1).sum(axis=1) for side in (signs > 0, signs < 0))
+    return (plus - minus).astype(np.float32)  # no BLAS: the same bits anywhere
 
 
 def weighted_noise_sum(

@@ -196,6 +196,9 @@ class AuthorsNSRA(WeightRule):
 
     The more novelty weighs, the longer a stall is borne: more than `patience + (1 - weight) * extra` generations.
 
+    Deviation: the weight already counts in the generation that earned it (their code: from the next one on), as that of
+    the other rules does, which the mean policy's own episodes decide.
+
     Source: ScalableES.jl, `src/novelty/Novelty.jl`, `weight_schedule`, in its order; its runs have a `min_weight` of
     0.8 (`ScalableNsEs.jl`).
     """

@@ -111,14 +111,18 @@ _CHOICES: dict[str, tuple[str, dict[str, Any]]] = {
     "goal-angle-metres": ("goal: distance in metres", {"goal_encoding": "angle_metres"}),
 }
 """Variants of the choices, with their words and what they change."""
+_SCRATCH = "scratch"
 _TRANSFERS: dict[str, tuple[str, dict[str, Any]]] = {
+    # A transferred primitive sees less than the base's: what is compared with it must, too.
+    _SCRATCH: ("no transfer, same view", {"primitive_view": "proprioception"}),
     "frozen": ("transfer, frozen", {"freeze_primitive": True}),
     "unfrozen": ("transfer, learning on", {"freeze_primitive": False}),
 }
 LABELS: dict[str, str] = {BASE: "base"} | {name: words for name, (words, _) in (_CHOICES | _TRANSFERS).items()}
 """Choices and transfers in words."""
-_PAIRED = ("transfer", "horizon")
-"""Groups whose last variant is compared with the first, too: learning on with frozen, the longest with the shortest."""
+_PAIRED = {"transfer": ((_SCRATCH, "frozen"), (_SCRATCH, "unfrozen"), ("frozen", "unfrozen"))}
+"""Variants of a group that are compared with each other, too: first with second. Of `horizon`, the longest with the
+shortest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +203,7 @@ def ablation(scale: str = "laptop", seeds: int | None = None) -> Study:
             for factor in FACTORS:
                 add("sweep", sweep_name(name, factor), env, _swept(bases[env], name, factor), size.sweep_seeds)
         for name, (_, settings) in _TRANSFERS.items():
-            add("transfer", name, env, settings, size.seeds, is_transferred=True)
+            add("transfer", name, env, settings, size.seeds, is_transferred=name != _SCRATCH)
     for steps in size.horizons:
         longer = {"horizon": steps, "evaluation_horizon": steps}
         settings = {**longer, **_equal_steps(bases["point-maze"], longer)}
@@ -312,9 +316,10 @@ def _compare_group(group: str, env: str, variants: dict[str, F64Array], base: F6
     for variant in variants:
         is_base = (group, variant) == ("choices", BASE) or base is None
         pairs.append((variant, None, None) if is_base else (variant, BASE, base))
-    if group in _PAIRED and len(variants) > 1:
-        first, *_, last = variants
-        pairs.append((last, first, variants[first]))
+    extremes = ((next(iter(variants)), next(reversed(variants))),) if group == "horizon" and len(variants) > 1 else ()
+    for first, second in _PAIRED.get(group, extremes):
+        if first in variants and second in variants:
+            pairs.append((second, first, variants[first]))
     tests = [None if other is None else permutation_test(variants[variant], other) for variant, _, other in pairs]
     corrected = iter(holm([p for p in tests if p is not None]))
     found: list[Comparison] = []

@@ -79,11 +79,11 @@ class TrainConfig:
     sigma: float = 0.07
     """Standard deviation of the perturbations (Table I: 0.02)."""
     learning_rate: float = 0.01
-    """Adam's learning rate (Table I: 0.01)."""
+    """Learning rate (Table I, for Adam: 0.01); with clipup the length of a step, at most twice that."""
     weight_decay: float = 0.005
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
     controller_weight_decay: float | None = None
-    """The same for the controller; as for the primitive if none."""
+    """The same for the controller, which a sparse reward leaves to the decay alone; as for the primitive if none."""
     mirrored: str = "quad"
     """How the members of a group mirror its noise: quad (four-way), pair (two-way) or none (section II-F)."""
     perturbation: str = "many_to_many"
@@ -144,7 +144,7 @@ class TrainConfig:
     primitive_view: str = "observation"
     """What the primitive sees beside its goal: the observation, or proprioception (the robot's coordinates)."""
     hide_position: bool = False
-    """Whether the robot's absolute x and y are hidden from the primitive."""
+    """Whether the robot's absolute x and y are hidden from the primitive (as in Gymnasium's Ant by default)."""
     clock_frequency: float | None = None
     """Frequency, in Hz, of a clock that the primitive (with es: the policy) observes; no clock if none."""
 

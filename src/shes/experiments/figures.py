@@ -177,7 +177,7 @@ def _sensitivity(axis: Axes, results: _Results, env: str, setting: str) -> None:
 def _draw_curves(results: _Results) -> Figure:
     """Draw scores over environment steps: transfer on each task, then the maze's horizons."""
     base = ("choices", BASE)
-    transfers = [base, ("transfer", "frozen"), ("transfer", "unfrozen")]
+    transfers = [("transfer", variant) for variant in ("scratch", "frozen", "unfrozen")]
     horizons = [base, *(place[1:] for place in results.cells if place[1] == "horizon")]
     panels = [*((env, _TITLES[env], transfers) for env in ENVS), ("point-maze", "Point Maze, horizon", horizons)]
     figure, axes = plt.subplots(1, len(panels), figsize=(_WIDTH, 3.8), layout="constrained")
@@ -192,7 +192,8 @@ def _draw_curves(results: _Results) -> Figure:
         axis.set_ylabel(CURVES[env][1])
         axis.set_xlabel("thousand environment steps")
         axis.grid(alpha=0.3)
-        axis.legend(fontsize="small", frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.22))
+        if axis.lines:
+            axis.legend(fontsize="small", frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.22))
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Learning curves of runs. The only file that imports matplotlib."""
+"""Learning curves of runs."""
 
 from __future__ import annotations
 

@@ -48,6 +48,9 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
+    # The authors' pre-training of a primitive.
+    ("paper", "ant-flagrun"): {"population_size": 256},
+    ("paper", "point-flagrun"): {"population_size": 256},
     # The point reaches a goal in a second, not in two and a half, and its episodes cost little.
     ("laptop", "point-gather"): {
         "controller_interval": 10,

@@ -16,6 +16,7 @@ from tensorboardX.summary import scalar
 
 from shes.algorithm import GenerationReport
 from shes.errors import RunFolderError
+from shes.es.level import select_fitness
 from shes.experiments.run_folder import RunFolder
 from shes.hierarchy.episodes import PARTS
 from shes.storage import storage_errors, write_atomically
@@ -55,13 +56,13 @@ def progress_row(report: GenerationReport, wall_time_s: float, generation_s: flo
     }
     if any(level.name == "primitive" for level in levels):
         row["goals_reached_mean"] = float(results.goals_reached.mean())
-    for level, update, fitness, indices in zip(
-        levels, report.updates, results.fitness, report.noise_index, strict=True
-    ):
+    for i, (level, update) in enumerate(zip(levels, report.updates, strict=True)):
+        signs = report.signs[:, :, i]
+        indices = report.noise_index[i][signs.any(axis=1)]
         row |= {
             f"{level.name}_noise_distinct": len(np.unique(indices)),
             f"{level.name}_noise_overlapping": _overlapping(indices, len(level.theta)),
-            f"{level.name}_rank_ties": _tied(fitness),
+            f"{level.name}_rank_ties": _tied(select_fitness(results.fitness[i], signs)),
             f"{level.name}_gradient_norm": update.gradient_norm,
             f"{level.name}_halves_cosine": update.halves_cosine,
             f"{level.name}_update_ratio": update.update_ratio,
@@ -78,7 +79,9 @@ def progress_row(report: GenerationReport, wall_time_s: float, generation_s: flo
 
 
 def _tied(fitness: F64Array) -> float:
-    """Return the share of the members whose fitness another one has, too."""
+    """Return the share of the members whose fitness another one has, too; NaN where there are no members."""
+    if not len(fitness):
+        return float("nan")
     _, counts = np.unique(fitness, return_counts=True)
     return float(counts[counts > 1].sum() / len(fitness))
 

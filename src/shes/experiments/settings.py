@@ -98,7 +98,12 @@ _POSITIVE = (
     "sigma",
     "sigma_end",
 )
-_NOT_NEGATIVE = ("controller_weight_decay", "evaluation_reset_noise", "reset_noise", "weight_decay")
+_NOT_NEGATIVE = (
+    "controller_weight_decay",
+    "evaluation_reset_noise",
+    "reset_noise",
+    "weight_decay",
+)
 _BETWEEN: dict[str, tuple[str, Callable[[float], bool]]] = {
     "momentum": ("at least 0 and less than 1", lambda number: 0 <= number < 1),
     "statistics_fraction": ("between 0 and 1", lambda number: 0 <= number <= 1),

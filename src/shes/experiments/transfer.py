@@ -37,7 +37,7 @@ def _read(path: str, checkpoint: str) -> tuple[TrainConfig, LevelState]:
     if "primitive" not in levels:
         raise ConfigError(
             f"{path} has no primitive: its levels are {', '.join(levels)}. Name a run with --primitive that trained "
-            "one: shes train ant-flagrun, or any run with --algorithm shes."
+            "one: shes train ant-flagrun, or a run of two levels with --primitive-view proprioception."
         )
     return config, levels["primitive"]
 
@@ -89,7 +89,9 @@ def transfer_primitive(config: TrainConfig, state: TrainState) -> TrainState:
             f"the primitive of {config.primitive} does not fit {config.env}.\n"
             f"It was trained on {source.env}: {theirs}.\n"
             f"Here there is: {ours}.\n"
-            "Name a primitive of the same robot with --primitive, trained by shes train ant-flagrun or point-flagrun."
+            "Name a primitive of the same robot, trained with the same --spec by shes train ant-flagrun or "
+            "point-flagrun, or by a run of two levels with --primitive-view proprioception (for the point of Fall, "
+            "which has a height)."
         )
     levels = tuple(
         replace(level, theta=primitive.theta, statistics=primitive.statistics) if level.name == "primitive" else level
@@ -103,4 +105,7 @@ def _layout(config: TrainConfig) -> str:
     inputs = primitive_inputs(config)
     task = build_task(config, 1, is_evaluation=False)
     task.close()
-    return f"{len(inputs)} inputs ({', '.join(inputs)}) and {task.action_size} controls of up to {task.control_limit:g}"
+    return (
+        f"{len(inputs)} inputs ({', '.join(inputs)}) of specification {config.spec} and {task.action_size} controls "
+        f"of up to {task.control_limit:g}"
+    )
