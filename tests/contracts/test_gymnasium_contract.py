@@ -119,7 +119,7 @@ def test_without_any_seed_episodes_differ(variant):
     assert len(np.unique(starts, axis=0)) == NUM_ENVS
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("mode", ["NextStep", pytest.param("SameStep", marks=pytest.mark.slow)])
 def test_the_vector_environment_equals_gymnasiums_over_single_ones(variant, mode):
     ours = make_vector(variant, autoreset_mode=mode, max_episode_steps=7)
     theirs = make_vector(

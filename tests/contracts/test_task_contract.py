@@ -130,7 +130,16 @@ def test_an_episode_begins_the_same_whatever_the_object_did_before(variant):
         assert_same_view(left, right)
 
 
-@pytest.mark.parametrize(("num_episodes", "place"), [(2, 1), (7, 0), (7, 3), (8, 7), (33, 20)])
+@pytest.mark.parametrize(
+    ("num_episodes", "place"),
+    [
+        pytest.param(2, 1, marks=pytest.mark.slow),
+        pytest.param(7, 0, marks=pytest.mark.slow),
+        (7, 3),
+        pytest.param(8, 7, marks=pytest.mark.slow),
+        (33, 20),
+    ],
+)
 def test_an_episode_depends_neither_on_the_batch_nor_on_its_place_in_it(variant, num_episodes, place):
     alone = start(variant, 1, seeds=[77])
     seeds = list(range(num_episodes))

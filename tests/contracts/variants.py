@@ -44,7 +44,9 @@ VARIANTS = [Variant(name, spec) for name, environment in ENVIRONMENTS.items() fo
 def _mark(variant):
     """Return the parameter of a test: most hiro variants share all but numbers with what runs anyway."""
     is_slow = variant.spec == "hiro" and variant.name not in ("point-gather", "point-push")
-    return pytest.param(variant, id="-".join(variant), marks=[pytest.mark.slow] if is_slow else [])
+    is_long = variant.spec == "shes" and variant.name in ("ant-maze", "ant-fall", "ant-flagrun")
+    marks = [pytest.mark.slow] if is_slow else [pytest.mark.extras] if is_long else []
+    return pytest.param(variant, id="-".join(variant), marks=marks)
 
 
 over_variants = pytest.mark.parametrize("variant", [_mark(variant) for variant in VARIANTS])

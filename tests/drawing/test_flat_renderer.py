@@ -32,7 +32,7 @@ def make(name="ant-gather"):
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
-@pytest.mark.parametrize("camera", ["follow", "top"])
+@pytest.mark.parametrize("camera", [pytest.param("follow", marks=pytest.mark.slow), "top"])
 def test_every_environment_is_drawn_with_its_robot(name, camera):
     task, renderer = make(name)
     picture = renderer.draw(task.sim.qpos[0], task.markers(0), camera)

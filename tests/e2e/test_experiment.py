@@ -43,6 +43,7 @@ def small(monkeypatch):
     monkeypatch.setattr(ablations, "ablation", make)
 
 
+@pytest.mark.extras
 def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small, tmp_path, capsys):
     words = ["experiment", "ablation", "--scale", "smoke", "--out", str(tmp_path), "--workers", "2"]
     assert main(words) == 0

@@ -23,6 +23,8 @@ from shes.experiments.watch import watch
 from tests.e2e import runs
 from tests.envs.external_envs import CAR, register
 
+pytestmark = pytest.mark.extras  # the fast tests have three minutes
+
 TINY = {**runs.TINY, "horizon": 12, "evaluation_horizon": 15, "generations": 2, "controller_interval": 5}
 WORDS = runs.flags(**{name: value for name, value in TINY.items() if name != "backend"})
 MAZE = """
@@ -149,6 +151,7 @@ def test_an_environment_of_this_script_goes_to_the_workers(tmp_path):
 # On the command line.
 
 
+@pytest.mark.extras
 def test_a_file_is_all_that_the_command_line_needs(tmp_path):
     (tmp_path / "own-maze.toml").write_text(MAZE)
     for kind, settings in (("serial", ["--backend", "serial"]), ("two", ["--workers", "2"])):

@@ -117,6 +117,7 @@ def test_rows_after_the_last_checkpoint_are_dropped(tmp_path, tiny_run):
     assert runs.differences(tiny_run, path) == []
 
 
+@pytest.mark.extras
 def test_a_worker_killed_in_the_last_evaluation_is_told_and_changes_no_number(tmp_path, tiny_run, monkeypatch):
     def evaluate(levels, seeds, backend, episodes_per_policy):
         if evaluate.calls == 2:  # of generation 4, the last

@@ -15,6 +15,8 @@ from shes.errors import ConfigError
 from shes.experiments.play import load
 from tests.e2e import own_classes, runs
 
+pytestmark = pytest.mark.extras  # the fast tests have three minutes
+
 CLASSES = Path(own_classes.__file__).read_text(encoding="utf-8")
 WORK = """
 import json

@@ -11,6 +11,8 @@ from shes.envs.registry import make_task
 from shes.envs.task import TaskOptions
 from tests.envs.reference_gather import ReferenceGather
 
+pytestmark = pytest.mark.extras  # the fast tests have three minutes
+
 
 def draw_independent(rng, num_episodes, size):
     """Yield actions in [-1, 1] that are drawn anew for every step."""
@@ -72,7 +74,7 @@ def launch_among_objects(task, rng):
     task.objects[:] = along * unit[:, None, None, :] + rng.normal(0, 0.7, task.objects.shape)
 
 
-@pytest.mark.parametrize("num_episodes", [15, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("num_episodes", [8, pytest.param(50, marks=pytest.mark.slow)])
 @pytest.mark.timeout(300)
 def test_ant_gather_equals_the_reference_over_random_episodes(num_episodes):
     compare("ant-gather", num_episodes, 500, draw_independent)

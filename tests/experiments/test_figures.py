@@ -12,6 +12,8 @@ from shes.experiments.ablation import CURVES, METRICS, ablation, choose, compare
 from shes.experiments.figures import draw_figures
 from shes.experiments.study import Summary
 
+pytestmark = pytest.mark.extras  # the fast tests have three minutes
+
 STUDY = ablation(seeds=3)
 COMPARED = [column for column, _ in METRICS.values()]
 COURSE = [column for column, _ in CURVES.values()]
@@ -48,6 +50,7 @@ def drawn(tmp_path_factory):
         close(figure)
 
 
+@pytest.mark.extras
 def test_every_figure_is_a_picture_as_wide_as_a_page(drawn):
     _, paths = drawn
     assert [path.name for path in paths] == ["choices.png", "sweep.png", "transfer.png"]

@@ -12,6 +12,8 @@ from shes.experiments.records import read_csv
 from shes.experiments.run_folder import RunFolder
 from tests.e2e import runs
 
+pytestmark = pytest.mark.extras  # the fast tests have three minutes
+
 
 @pytest.fixture(scope="module")
 def seeds(tmp_path_factory):
