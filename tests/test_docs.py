@@ -17,7 +17,7 @@ import shes
 from shes.cli.commands import SUMMARIES
 from shes.envs.registration import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.experiments.config import TrainConfig
 
 ROOT = Path(__file__).parents[1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shes.envs.registry import find_environment, make_task
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.errors import StorageError
 from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable

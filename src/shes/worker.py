@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from shes.envs.registry import EnvironmentMaker
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.episodes import EpisodeResults, Generation

@@ -7,7 +7,7 @@ import pytest
 
 from shes.envs.registration import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 
 
 class Variant(NamedTuple):

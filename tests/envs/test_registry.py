@@ -8,7 +8,8 @@ from shes.envs.body import Body
 from shes.envs.gather import Gather
 from shes.envs.point import Point
 from shes.envs.registry import ENVIRONMENTS, Environment, check_name, find_environment, make_task, register_environment
-from shes.envs.task import Task, TaskOptions
+from shes.envs.task import Task
+from shes.envs.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
 from tests.e2e.own_classes import Corner

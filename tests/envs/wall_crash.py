@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from shes.envs.registry import make_task
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 
 INNER_HALF_WIDTH_M = 12.0
 

@@ -15,7 +15,7 @@ import numpy as np
 from shes.algorithm import Settings, evolve
 from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import Adam

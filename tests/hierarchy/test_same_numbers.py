@@ -11,7 +11,7 @@ from shes.algorithm import evolve
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.novelty import NOVELTY_RULES, NS, NSR, NSRA, AuthorsNSRA

@@ -1,6 +1,6 @@
 """A worker for several designs at once: a few processes serve many runs. Worker processes import this module."""
 
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.worker import RolloutWorker, WorkerPlan
 from tests.hierarchy.fake_task import FakeEnvironment
 

@@ -21,7 +21,7 @@ from shes.envs.body import Body
 from shes.envs.body_reader import BodyReader
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.layout import ObservationElement, elements
-from shes.envs.task_options import SPECS, TARGET_SAMPLINGS, TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.envs.worlds import TIMESTEP_S
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
@@ -31,14 +31,11 @@ from shes.types import BoolArray, F64Array, FloatArray, IntArray
 __all__ = [
     "CONTROL_STEP_S",
     "FRAME_SKIP",
-    "SPECS",
-    "TARGET_SAMPLINGS",
     "TIME_SCALE",
     "VELOCITY_CLIP",
     "SimulatorFactory",
     "Task",
     "TaskDescription",
-    "TaskOptions",
 ]
 
 FRAME_SKIP = 5

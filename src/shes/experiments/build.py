@@ -15,7 +15,7 @@ from shes.backends.serial import SerialBackend
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.registry import EnvironmentMaker, find_environment
-from shes.envs.task import TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.errors import ConfigError, ShapeError
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable

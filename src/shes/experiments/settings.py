@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from shes.envs.task import SPECS, TARGET_SAMPLINGS
+from shes.envs.task_options import SPECS, TARGET_SAMPLINGS
 from shes.envs.worlds import INTEGRATORS
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS

@@ -28,7 +28,7 @@ def _run(values: dict[str, Any]) -> int:
     from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
     from shes.envs.registration import gymnasium_id
     from shes.envs.registry import ENVIRONMENTS, make_task
-    from shes.envs.task import SPECS, TaskOptions
+    from shes.envs.task_options import SPECS, TaskOptions
 
     rows: list[dict[str, Any]] = []
     for name, environment in ENVIRONMENTS.items():
