@@ -7,20 +7,14 @@ import numpy as np
 import pytest
 
 import shes  # registers
-from shes.envs import task
 from shes.envs.registry import make_task
-from shes.envs.task_options import SPECS, TARGET_SAMPLINGS, TaskOptions
+from shes.envs.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 
 assert shes
 
 NAMES = {"spec": "--spec", "integrator": "--integrator", "target_sampling": "--target-sampling"}
 SWITCHES = {"evaluation": "Set evaluation", "fall_penalty": "--fall-penalty", "observe_block": "--observe-block"}
-
-
-def test_the_contract_of_tasks_hands_its_options_on():
-    assert task.TaskOptions is TaskOptions
-    assert (task.SPECS, task.TARGET_SAMPLINGS) == (SPECS, TARGET_SAMPLINGS)
 
 
 @pytest.mark.parametrize("option", NAMES)
