@@ -69,12 +69,12 @@ class Gather(Task):
         """Build the arena for `body` and `num_episodes` simulations of it."""
         super().__init__(body, num_episodes, options, simulator)
         n = num_episodes
-        self.objects: F64Array = np.zeros((n, 2, NUM_OBJECTS, 2))
-        """Places [N, kind, object, xy] in metres: kind 0 is food, kind 1 poison."""
+        # Coordinates first, [xy, N, kind, object]: what is computed of x alone or y alone is contiguous.
+        self._places: F64Array = np.zeros((2, n, 2, NUM_OBJECTS))
         self.present: BoolArray = np.zeros((n, 2, NUM_OBJECTS), dtype=np.bool_)
         """Which objects have not been collected [N, kind, object]."""
         self._best_return: F64Array = np.zeros(n)
-        self._offset: F64Array = np.zeros_like(self.objects)
+        self._offset: F64Array = np.zeros_like(self._places)
         self._squared_distance: F64Array = np.zeros(self.present.shape)
         self._observation: F64Array = np.zeros((n, self.observation_size))
 
@@ -139,6 +139,11 @@ class Gather(Task):
         ]
 
     @property
+    def objects(self) -> F64Array:
+        """Places [N, kind, object, xy] in metres: kind 0 is food, kind 1 poison. A view."""
+        return np.moveaxis(self._places, 0, -1)
+
+    @property
     def food(self) -> IntArray:
         """Pieces of food collected [N]."""
         return NUM_OBJECTS - self.present[:, 0].sum(axis=1)
@@ -150,18 +155,18 @@ class Gather(Task):
 
     def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         draw = _draw_lattice if self.options.spec == "hiro" else _draw_places
-        for i, rng in zip(ids, rngs, strict=True):
-            self.objects[i] = draw(rng, 2 * NUM_OBJECTS).reshape(2, NUM_OBJECTS, 2)
+        drawn = np.stack([draw(rng, 2 * NUM_OBJECTS) for rng in rngs])  # [ids, object of any kind, xy]
+        self._places[:, ids] = np.moveaxis(drawn, -1, 0).reshape(2, len(ids), 2, NUM_OBJECTS)
         self.present[ids] = True
         self._best_return[ids] = 0
         self._measure(ids)
 
     def _measure(self, ids: IntArray | slice) -> None:
         """Measure from the robots of episodes `ids` to their objects."""
-        offset = self.objects[ids] - self.position[ids][:, None, None, :]
-        self._offset[ids] = offset
+        offset = self._places[:, ids] - self.position[ids].T[:, :, None, None]
+        self._offset[:, ids] = offset
         offset *= offset
-        self._squared_distance[ids] = offset[..., 0] + offset[..., 1]
+        self._squared_distance[ids] = offset[0] + offset[1]
 
     def _update_features(self) -> F64Array:
         self._measure(slice(None))
@@ -201,9 +206,9 @@ class Gather(Task):
             intensity = 1 - np.sqrt(squared) / sensor_range
         else:
             intensity = 1 - squared / sensor_range**2
-        offset = self._offset.reshape(-1, 2)[seen]
+        x, y = self._offset.reshape(2, -1).take(seen, axis=1)
         row = seen // NUM_OBJECTS  # an episode's food, then its poison
-        bearing = np.arctan2(offset[:, 1], offset[:, 0]) - self.heading[row // 2]
+        bearing = np.arctan2(y, x) - self.heading[row // 2]
         turn = bearing / (2 * np.pi) + 0.5
         turn -= np.floor(turn)
         bins = np.minimum((turn * NUM_BINS).astype(np.intp), NUM_BINS - 1)
