@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import ModuleType
 from typing import Any, ClassVar
+
+import numpy as np
 
 from shes.drawing.drawer import Drawer, Window
 from shes.drawing.markers import Marker
@@ -68,10 +71,31 @@ class EpisodeBatch(ABC):
     """Sum of the rewards since the reset [N]."""
     step_s: float
     """Simulated time of a control step, in seconds."""
-    physics_s: float = 0.0
-    """Seconds of wall clock spent in the simulation so far."""
+    _physics_s: float = 0.0
     ground_m: ClassVar[float] = 0.0
     """Height of the ground that the robot starts on."""
+
+    @property
+    def xp(self) -> ModuleType:
+        """Array module of every array here: NumPy, or CuPy on a card."""
+        return np
+
+    @property
+    def starts_together(self) -> bool:
+        """Whether episodes had best be reset all together, rather than as lanes become free."""
+        return False
+
+    @property
+    def physics_s(self) -> float:
+        """Seconds of wall clock spent in the simulation so far."""
+        return self._physics_s
+
+    def check_buffers(self) -> None:  # noqa: B027 - only a device has fixed buffers
+        """Refuse physics for which the simulator had too little room; ask once a generation.
+
+        Raises:
+            ConfigError: Contacts or constraints were left out.
+        """
 
     @property
     @abstractmethod

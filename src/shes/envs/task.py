@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from time import perf_counter
+from types import ModuleType
 from typing import ClassVar
 
 import mujoco
@@ -96,6 +96,29 @@ class Task(EpisodeBatch):
         """Reward of the last step [N]; 0 where the simulation diverged."""
         self.running_return: F64Array = np.zeros(num_episodes)
         """Sum of the rewards since the reset [N]."""
+
+    @property
+    def xp(self) -> ModuleType:
+        """Array module of the simulator, and so of every array here."""
+        return self.sim.xp
+
+    @property
+    def starts_together(self) -> bool:
+        """Whether episodes had best be reset all together."""
+        return self.sim.starts_together
+
+    @property
+    def physics_s(self) -> float:
+        """Seconds of wall clock spent in the simulation so far."""
+        return self.sim.physics_s
+
+    def check_buffers(self) -> None:
+        """Refuse physics for which the simulator had too little room; ask once a generation.
+
+        Raises:
+            ConfigError: Contacts or constraints were left out.
+        """
+        self.sim.check_buffers()
 
     @classmethod
     def option_names(cls) -> frozenset[str]:
@@ -279,9 +302,7 @@ class Task(EpisodeBatch):
         Rows that are not in `ids` do not move; what is computed for them means nothing.
         """
         self.sim.ctrl[:] = action
-        start = perf_counter()
         self.sim.step(ids, FRAME_SKIP)
-        self.physics_s += perf_counter() - start
         self._heading = None
         self.time += 1
         self.reward[:] = np.where(self.sim.diverged, 0.0, self._update_features())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from time import perf_counter
 
 import mujoco
 import numpy as np
@@ -75,7 +76,9 @@ class CpuSimulator(Simulator):
 
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""
+        start = perf_counter()
         everybody = len(ids) == self.num_sims  # named none, MuJoCo need not check them
         self._batch.step(None if everybody else ids, nstep=nstep)
+        self.physics_s += perf_counter() - start
         if self._counters.any():
             np.any(self._counters, axis=1, out=self.diverged)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from types import ModuleType
+from typing import ClassVar
 
 import mujoco
 
@@ -15,6 +16,10 @@ __all__ = ["Simulator"]
 class Simulator(ABC):
     """N simulations of one model. The arrays are live: what is written is the state at the next step."""
 
+    starts_together: ClassVar[bool] = False
+    """Whether simulations had best be reset all together: on a device all are computed, whoever runs."""
+    physics_s: float = 0.0
+    """Seconds spent in `step` so far."""
     model: mujoco.MjModel
     """The model that every simulation runs."""
     num_sims: int
@@ -37,3 +42,10 @@ class Simulator(ABC):
     @abstractmethod
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps; the others do not move."""
+
+    def check_buffers(self) -> None:  # noqa: B027 - only a device has fixed buffers
+        """Refuse physics for which there was too little room since the start; ask once a generation.
+
+        Raises:
+            ConfigError: Contacts or constraints were left out.
+        """

@@ -28,6 +28,8 @@ __all__ = ["WarpSimulator"]
 class WarpSimulator(Simulator):
     """N simulations on one device. A simulation's numbers do not depend on what the others do."""
 
+    starts_together = True
+
     def __init__(
         self,
         model: mujoco.MjModel,

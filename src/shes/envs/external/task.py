@@ -155,7 +155,7 @@ class ExternalTask(EpisodeBatch):
             for i in ids.tolist():
                 start = perf_counter()
                 observation, reward, terminated, truncated, info = self._env(i).step(actions[i])
-                self.physics_s += perf_counter() - start
+                self._physics_s += perf_counter() - start
                 self._terminated[i] = terminated or truncated
                 self._take(i, observation, float(reward), info)
                 if self._terminated[i] and not self._diverged[i]:
