@@ -75,7 +75,7 @@ def _agent(design, members, episodes=EPISODES, scale=1.0):
     for place, member in enumerate(members):
         for level, theta in enumerate(_thetas(design, member, scale)):
             agent.theta[level][place] = theta
-        agent.start(place)
+        agent.start(np.array([place]))
     return agent
 
 
@@ -146,7 +146,7 @@ def test_actions_do_not_depend_on_lanes_company_or_when_the_others_began(design,
             shown = []
             for place, (member, delay) in enumerate(zip(members, delays, strict=True)):
                 if step == delay:
-                    agent.start(place)
+                    agent.start(np.array([place]))
                 shown.append(scripts[member][min(max(step - delay, 0), steps - 1)])
             out = _act(agent, _together(shown)).reshape(len(members), -1)
             for place, (member, delay) in enumerate(zip(members, delays, strict=True)):
@@ -168,7 +168,7 @@ def test_an_episode_does_not_depend_on_those_before_it_in_its_lane(design):
         agent.internal_reward(agent.goal if agent.goal is not None else np.zeros((4, 2)))
     for level, theta in enumerate(_thetas(design, 3)):
         agent.theta[level][1] = theta
-    agent.start(1)
+    agent.start(np.array([1]))
     assert agent.clock.tolist() == [STEPS, 0]
     assert not agent.goals_reached[EPISODES:].any()
     assert all(not m.count[EPISODES:].any() and not m.total[EPISODES:].any() for m in agent.moments)
@@ -249,7 +249,7 @@ def test_the_clock_counts_the_steps_of_each_set(design):
     agent = _agent(design, [0, 1])
     for step, seen in enumerate(zip(_script(0), _script(1), strict=True)):
         if step == 3:
-            agent.start(1)
+            agent.start(np.array([1]))
         _act(agent, _together(seen))
     assert agent.clock.tolist() == [STEPS, STEPS - 3]
 
@@ -279,7 +279,7 @@ def test_recording_sums_what_each_level_saw(design):
     steps = [0, 0]
     for number, both in enumerate(zip(_script(0), _script(1), strict=True)):
         if number == 2:  # the second set begins anew, and forgets what it saw
-            agent.start(1)
+            agent.start(np.array([1]))
             steps[1] = 0
             for array in (*sums, *squares, *counts):
                 array[EPISODES:] = 0

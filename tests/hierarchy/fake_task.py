@@ -40,6 +40,8 @@ class FakeTask:
     action_size = 2
     control_limit = 1.0
     physics_s = 0.0
+    xp = np
+    starts_together = False
 
     def __init__(self, num_episodes, on_step=None, goal_interval=0):
         """Make room for `num_episodes`; with a `goal_interval` the task itself sets goals and moves them as often."""

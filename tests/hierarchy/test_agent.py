@@ -54,7 +54,7 @@ def _agent(num_policies=1, num_episodes=1, output=(0.5, 0.25), follows=0.0, sees
         )
     )
     for policy in range(num_policies):
-        agent.start(policy)
+        agent.start(np.array([policy]))
     return agent
 
 
@@ -195,7 +195,7 @@ def test_new_episodes_have_reached_no_goal_and_can_reach_their_first():
     _act(agent)
     at_goal = np.array([[3.0, 0.0]] * 4)
     agent.internal_reward(at_goal)
-    agent.start(1)
+    agent.start(np.array([1]))
     assert agent.goals_reached.tolist() == [1, 1, 0, 0]
     _act(agent)
     agent.internal_reward(at_goal)
@@ -275,7 +275,7 @@ def test_each_pair_keeps_its_own_clock():
     history = []
     for step in range(9):
         if step in (1, 6):
-            agent.start(1)
+            agent.start(np.array([1]))
         _act(agent, position=(step, 0))
         history.append(agent.goal[:, 0].round(4).tolist())
     # Pairs 0 and 2 decide at 0, 4, 8; pair 1, started anew at 1 and at 6, at 0, 1, 5, 6.
@@ -311,7 +311,7 @@ def test_the_bits_of_a_pair_do_not_depend_on_who_else_decides_with_it(hidden, ep
             inputs = np.zeros((len(members), episodes, OBSERVED + 3))
             for place, (member, delay) in enumerate(zip(members, delays, strict=True)):
                 if step == delay:
-                    agent.start(place)
+                    agent.start(np.array([place]))
                 if step >= delay:
                     inputs[place] = seen[step - delay, member]
             rows = inputs.reshape(-1, OBSERVED + 3)
@@ -341,7 +341,7 @@ def test_the_primitive_is_recorded_at_every_step_and_the_controller_when_it_deci
     agent.is_recording = True
     for step in range(2 * INTERVAL + 1):
         if step == 5:
-            agent.start(1)  # forgets what the lane's last episodes saw
+            agent.start(np.array([1]))  # forgets what the lane's last episodes saw
         _act(agent, observation=(step, 1))
     assert agent.moments[PRIMITIVE].count.tolist() == [9, 4]
     assert agent.moments[CONTROLLER].count.tolist() == [3, 1]

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from shes.arrays import to_host
 from shes.es.noise import NoiseTable
 from shes.types import F32Array, F64Array, IntArray
 
@@ -40,21 +41,24 @@ def weighted_noise_sum(
     """Return `sum_g weights[g] * noise(noise_index[g])` [dim].
 
     Columns are cut into fixed blocks, and each block is summed group by group with elementwise operations: the result
-    has the same bits for any number of threads, and on any processor, because no BLAS is involved.
+    has the same bits for any number of threads, and on any processor or card, because no BLAS is involved.
 
     Args:
-        table: The shared noise.
+        table: The shared noise, here or on a device, where the sum is then made.
         noise_index: Start of each group's slice [G].
         weights: Weight of each group [G]; a group of weight zero is not read.
         dim: Parameters of the level.
         pool: Threads that share the blocks; none runs them here.
     """
-    total = np.zeros(dim, dtype=np.float32)
+    total = table.xp.zeros(dim, dtype=np.float32)
     groups = [(int(noise_index[g]), np.float32(weights[g])) for g in np.flatnonzero(weights)]
 
     def sum_block(start: int) -> None:
         _sum_columns(table.values, groups, start, total[start : start + _COLUMNS])
 
+    if table.xp is not np:  # one block: a card has threads of its own, and the pool's would use another stream
+        _sum_columns(table.values, groups, 0, total)
+        return to_host(total)
     starts: Sequence[int] = range(0, dim, _COLUMNS)
     if pool is None:
         for start in starts:

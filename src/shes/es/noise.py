@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from types import ModuleType
 from typing import IO
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -46,11 +48,25 @@ class NoiseTable:
         """Wrap `values` [size]; use `NoiseTable.open` for the shared file."""
         self.values = values
         self.path = path
+        self.xp: ModuleType = np
+        """Array module of the values."""
 
     @property
     def size(self) -> int:
         """Number of normals in the table."""
         return int(self.values.shape[0])
+
+    def on(self, xp: ModuleType) -> NoiseTable:
+        """Return this table with its values in an array of `xp`: itself for NumPy, else the one copy on the device."""
+        if xp is np:
+            return self
+        place = (xp.__name__, self.path or id(self))
+        copy = _COPIES.get(place)
+        if copy is None:
+            copy = NoiseTable(xp.asarray(self.values), self.path)
+            copy.xp = xp
+            _COPIES[place] = copy
+        return copy
 
     def slice(self, index: int, dim: int) -> F32Array:
         """Return the noise vector [dim] that starts at `index`: a view, not a copy."""
@@ -129,3 +145,7 @@ class NoiseTable:
                 f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be kept: {error} "
                 "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
             ) from error
+
+
+_COPIES: WeakValueDictionary[tuple[str, Path | int], NoiseTable] = WeakValueDictionary()
+"""Tables on devices, by module and file: a gigabyte that roll-out and update share."""

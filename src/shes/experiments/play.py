@@ -53,7 +53,7 @@ class Agent:
         if env is not None and not 0 <= env < self.num_envs:
             raise ConfigError(f"env must be from 0 to {self.num_envs - 1}, got {env}: there are {self.num_envs}.")
         for number in range(self.num_envs) if env is None else (env,):
-            self._agent.start(number)
+            self._agent.start(np.array([number]))
 
     def act(self, observation: Any, info: Mapping[str, Any] | None = None) -> FloatArray:
         """Return the action for one step: in [-1, 1], or within the action space's bounds of an external environment.

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from shes.es.level import LevelParameters
 from shes.es.statistics import normalise
 from shes.hierarchy.clock import Clock
 from shes.hierarchy.moments import Moments
-from shes.policies.mlp import MLP, aligned_rows
+from shes.policies.mlp import MLP, Layers, aligned_rows
 from shes.types import F32Array, F64Array, IntArray
 
 __all__ = ["Agent", "AgentDesign", "columns"]
@@ -57,8 +59,8 @@ class AgentDesign(ABC):
         return 1
 
     @abstractmethod
-    def make(self, num_policies: int, num_episodes: int) -> Agent:
-        """Return an agent of `num_policies` sets of policies, each in `num_episodes` episodes."""
+    def make(self, num_policies: int, num_episodes: int, xp: ModuleType = np) -> Agent:
+        """Return an agent of `num_policies` sets of policies, each in `num_episodes` episodes, with arrays of `xp`."""
 
     @property
     def dims(self) -> tuple[int, ...]:
@@ -77,25 +79,34 @@ class AgentDesign(ABC):
 
 
 class Agent(ABC):
-    """P sets of policies acting in E episodes each. Rows [N] are set after set."""
+    """P sets of policies acting in E episodes each. Rows [N] are set after set.
 
-    def __init__(self, design: AgentDesign, num_policies: int, num_episodes: int) -> None:
-        """Make room for `num_policies` sets of `num_episodes` episodes."""
-        self.num_policies, self.num_episodes = num_policies, num_episodes
+    Arrays are those of `xp`, but for the clock, which decides what is to be done: that is NumPy's.
+    """
+
+    def __init__(self, design: AgentDesign, num_policies: int, num_episodes: int, xp: ModuleType = np) -> None:
+        """Make room for `num_policies` sets of `num_episodes` episodes, with arrays of `xp`."""
+        self.num_policies, self.num_episodes, self.xp = num_policies, num_episodes, xp
         rows = num_policies * num_episodes
-        self.theta = tuple(aligned_rows(num_policies, dim) for dim in design.dims)
+        self.theta = tuple(
+            aligned_rows(num_policies, dim) if xp is np else xp.zeros((num_policies, dim), np.float32)
+            for dim in design.dims
+        )
         """Parameters [P, D] of each level: write those of a set before its `start`."""
-        self.moments = tuple(Moments(rows, size) for size in design.observation_sizes)
+        self.moments = tuple(Moments(rows, size, xp) for size in design.observation_sizes)
         self.is_recording = False
         """Whether observations are summed into `moments`."""
         self.clock: IntArray = np.zeros(num_policies, dtype=np.int64)
         """Steps since the start of each set's episodes [P]."""
-        self.goals_reached: IntArray = np.zeros(rows, dtype=np.int64)
+        self.goals_reached: IntArray = xp.zeros(rows, dtype=np.int64)
         """Goals that each episode has reached since its start [N]."""
         self._policies = design.policies
         self._control_limit = np.float32(design.control_limit)
         self._clock = design.clock
-        self._normalisation: list[tuple[F64Array, F64Array]] = [(np.zeros(0), np.ones(0))] * len(design.dims)
+        self._layers: list[Layers] = [
+            policy.layers(theta) for policy, theta in zip(design.policies, self.theta, strict=True)
+        ]
+        self._normalisation: list[tuple[Any, Any]] = [(0.0, 1.0)] * len(design.dims)
 
     @property
     def goal(self) -> F64Array | None:
@@ -104,15 +115,22 @@ class Agent(ABC):
 
     def normalise_by(self, levels: tuple[LevelParameters, ...]) -> None:
         """Use the observation statistics of `levels`; their parameters are not touched."""
-        self._normalisation = [(level.mean, level.inverse_std) for level in levels]
+        xp = self.xp
+        self._normalisation = [(xp.asarray(level.mean), xp.asarray(level.inverse_std)) for level in levels]
 
-    def start(self, policy: int) -> None:
-        """Begin new episodes for set `policy`."""
-        rows = slice(policy * self.num_episodes, (policy + 1) * self.num_episodes)
-        self.clock[policy] = 0
+    def start(self, policies: slice | IntArray) -> None:
+        """Begin new episodes for sets `policies`."""
+        self.clock[policies] = 0
+        rows = self._rows(policies)
         self.goals_reached[rows] = 0
         for moments in self.moments:
             moments.clear(rows)
+        if self.xp is not np:
+            # What a card multiplies must be contiguous, or it is copied in every step.
+            self._layers = [
+                tuple((self.xp.ascontiguousarray(weights), biases) for weights, biases in policy.layers(theta))
+                for policy, theta in zip(self._policies, self.theta, strict=True)
+            ]
 
     @abstractmethod
     def act(
@@ -138,19 +156,27 @@ class Agent(ABC):
 
     def internal_reward(self, position: F64Array) -> F64Array:
         """Return what the agent itself pays [N] for having come to `position` [N, 2]; nothing where it does not pay."""
-        return np.zeros(len(position))
+        return np.zeros_like(position[:, 0], dtype=np.float64)
+
+    def _rows(self, policies: slice | IntArray) -> slice | IntArray:
+        """Return the rows of the episodes of sets `policies`: a slice, where all are meant, is quicker."""
+        if isinstance(policies, slice):
+            assert policies == slice(None)
+            return policies
+        rows = (policies[:, None] * self.num_episodes + np.arange(self.num_episodes)).ravel()
+        return self.xp.asarray(rows)
 
     def _write_clock(self, out: F64Array) -> None:
         """Write the clock's features, if there are any, into `out` [N, clock_size]."""
         if self._clock is not None:
-            self._clock.write(self.clock, out.reshape(self.num_policies, self.num_episodes, -1))
+            self._clock.write(self.xp.asarray(self.clock), out.reshape(self.num_policies, self.num_episodes, -1))
 
     def _control(self, inputs: F64Array, noise: F32Array | None) -> F32Array:
         """Return the controls [N, A] of the acting level, the last one, which observes `inputs` [N, O]."""
         if self.is_recording:
             self.moments[-1].add(slice(None), inputs)
         scaled = normalise(inputs, *self._normalisation[-1])
-        control = self._policies[-1].act(self.theta[-1], self._by_policy(scaled))
+        control = self._policies[-1].forward(self._layers[-1], self._by_policy(scaled))
         control *= self._control_limit
         if noise is not None:
             control += noise

@@ -6,6 +6,7 @@ Source: Salimans et al. 2017; algorithm specification section 4, last line.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
@@ -37,19 +38,19 @@ class FlatDesign(AgentDesign):
         """The environment pays."""
         return None
 
-    def make(self, num_policies: int, num_episodes: int) -> FlatAgent:
+    def make(self, num_policies: int, num_episodes: int, xp: ModuleType = np) -> FlatAgent:
         """Return `num_policies` policies, each in `num_episodes` episodes."""
-        return FlatAgent(self, num_policies, num_episodes)
+        return FlatAgent(self, num_policies, num_episodes, xp)
 
 
 class FlatAgent(Agent):
     """P policies acting in E episodes each. Rows [N] are policy after policy."""
 
-    def __init__(self, design: FlatDesign, num_policies: int, num_episodes: int) -> None:
-        """Make room for `num_policies` policies of `num_episodes` episodes."""
-        super().__init__(design, num_policies, num_episodes)
+    def __init__(self, design: FlatDesign, num_policies: int, num_episodes: int, xp: ModuleType = np) -> None:
+        """Make room for `num_policies` policies of `num_episodes` episodes, with arrays of `xp`."""
+        super().__init__(design, num_policies, num_episodes, xp)
         self._clock_size = design.clock_size
-        self._inputs: F64Array = np.zeros((num_policies * num_episodes, design.observation_sizes[0]))
+        self._inputs: F64Array = xp.zeros((num_policies * num_episodes, design.observation_sizes[0]))
 
     def act(
         self,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
@@ -42,23 +43,24 @@ class GoalReachingDesign(AgentDesign):
 class GoalReachingAgent(Agent):
     """P primitives, each pursuing goals in E episodes. Where the goals come from, a subclass says."""
 
-    def __init__(self, design: GoalReachingDesign, num_policies: int, num_episodes: int) -> None:
-        """Make room for `num_policies` sets of `num_episodes` episodes."""
-        super().__init__(design, num_policies, num_episodes)
+    def __init__(self, design: GoalReachingDesign, num_policies: int, num_episodes: int, xp: ModuleType = np) -> None:
+        """Make room for `num_policies` sets of `num_episodes` episodes, with arrays of `xp`."""
+        super().__init__(design, num_policies, num_episodes, xp)
         rows = num_policies * num_episodes
-        self.goal_origin: F64Array = np.zeros((rows, 2))
+        self.goal_origin: F64Array = xp.zeros((rows, 2))
         """Where the robots stood when their goals were set [N, 2]."""
-        self.goal_start_distance: F64Array = np.ones(rows)
+        self.goal_start_distance: F64Array = xp.ones(rows)
         """Distance to the goal when it was set [N]."""
-        self._way: F64Array = np.zeros((rows, 2))  # from where goals were set to the goals
-        self._goal: F64Array = np.ones((rows, 2))
-        self._has_reached: BoolArray = np.zeros(rows, dtype=np.bool_)
+        self._way: F64Array = xp.zeros((rows, 2))  # from where goals were set to the goals
+        self._goal: F64Array = xp.ones((rows, 2))
+        self._has_reached: BoolArray = xp.zeros(rows, dtype=np.bool_)
         self._interval = design.controller_interval
         self._encoding, self._reward = design.goal_encoding, design.primitive_reward
-        self._view = columns(design.primitive_view)
+        view = columns(design.primitive_view)
+        self._view = view if isinstance(view, slice) else xp.asarray(view)
         self._clock_start = design.goal_encoding.size
         self._view_start = self._clock_start + design.clock_size
-        self._inputs: F64Array = np.zeros((rows, design.observation_sizes[-1]))
+        self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
 
     @property
     def goal(self) -> F64Array:
@@ -68,15 +70,18 @@ class GoalReachingAgent(Agent):
     @abstractmethod
     def _choose_goals(
         self,
-        due: IntArray,
-        rows: IntArray,
+        due: slice | IntArray,
+        rows: slice | IntArray,
         observation: F64Array,
         position: F64Array,
         heading: F64Array,
         goal: F64Array | None,
         noise: F32Array | None,
     ) -> F64Array:
-        """Return new goals in the world [rows, 2] for the episodes `rows` of policies `due`; see `act`."""
+        """Return new goals in the world [rows, 2] for the episodes `rows` of policies `due`; see `act`.
+
+        `due` is NumPy's, `rows` of `xp`; both are a slice where all policies are due.
+        """
 
     def act(
         self,
@@ -89,9 +94,10 @@ class GoalReachingAgent(Agent):
         control_noise: F32Array | None = None,
     ) -> F32Array:
         """Return the controls [N, A] of one step, setting new goals where they are due; see `Agent.act`."""
-        due = np.flatnonzero(self.clock % self._interval == 0)
-        if len(due):
-            rows = (due[:, None] * self.num_episodes + np.arange(self.num_episodes)).ravel()
+        is_due = self.clock % self._interval == 0
+        if is_due.any():
+            due = slice(None) if is_due.all() else np.flatnonzero(is_due)
+            rows = self._rows(due)
             goals = self._choose_goals(due, rows, observation, position, heading, goal, decision_noise)
             self._hold(rows, goals, position)
         inputs = self._inputs
@@ -110,7 +116,7 @@ class GoalReachingAgent(Agent):
         self._has_reached |= near
         return self._reward(distance, self.goal_start_distance, position - self.goal_origin, self._way)
 
-    def _hold(self, rows: IntArray, goals: F64Array, position: F64Array) -> None:
+    def _hold(self, rows: slice | IntArray, goals: F64Array, position: F64Array) -> None:
         """Set the goals of episodes `rows`, whose robots are at `position[rows]`."""
         self.goal_origin[rows] = position[rows]
         self._goal[rows] = goals

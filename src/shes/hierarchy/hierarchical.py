@@ -6,6 +6,7 @@ Source: SHES paper II-A to II-C; algorithm specification sections 1 to 3.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Final
 
 import numpy as np
@@ -53,23 +54,23 @@ class HierarchicalDesign(GoalReachingDesign):
         """Outputs of the controller."""
         return self.controller_output.size
 
-    def make(self, num_policies: int, num_episodes: int) -> HierarchicalAgent:
+    def make(self, num_policies: int, num_episodes: int, xp: ModuleType = np) -> HierarchicalAgent:
         """Return an agent of `num_policies` pairs, each in `num_episodes` episodes."""
-        return HierarchicalAgent(self, num_policies, num_episodes)
+        return HierarchicalAgent(self, num_policies, num_episodes, xp)
 
 
 class HierarchicalAgent(GoalReachingAgent):
     """P policy pairs acting in E episodes each. Rows [N] are pair after pair."""
 
-    def __init__(self, design: HierarchicalDesign, num_policies: int, num_episodes: int) -> None:
-        """Make room for `num_policies` pairs of `num_episodes` episodes."""
-        super().__init__(design, num_policies, num_episodes)
+    def __init__(self, design: HierarchicalDesign, num_policies: int, num_episodes: int, xp: ModuleType = np) -> None:
+        """Make room for `num_policies` pairs of `num_episodes` episodes, with arrays of `xp`."""
+        super().__init__(design, num_policies, num_episodes, xp)
         self._design = design
 
     def _choose_goals(
         self,
-        due: IntArray,
-        rows: IntArray,
+        due: slice | IntArray,
+        rows: slice | IntArray,
         observation: F64Array,
         position: F64Array,
         heading: F64Array,
@@ -82,12 +83,13 @@ class HierarchicalAgent(GoalReachingAgent):
         if self.is_recording:
             self.moments[CONTROLLER].add(rows, seen)
         scaled = normalise(seen, *self._normalisation[CONTROLLER])
-        everyone = len(due) == self.num_policies
-        theta = self.theta[CONTROLLER] if everyone else _aligned_copy(self.theta[CONTROLLER], due)
-        output = design.controller.act(theta, self._by_policy(scaled))
+        layers = self._layers[CONTROLLER]
+        if not isinstance(due, slice):
+            layers = design.controller.layers(_aligned_copy(self.theta[CONTROLLER], due))
+        output = design.controller.forward(layers, self._by_policy(scaled))
         if noise is not None:
             output += noise[due]
-        flat = output.reshape(len(rows), -1)
+        flat = output.reshape(len(scaled), -1)
         vector = design.controller_output.vector(flat.astype(np.float64), heading[rows], design.goal_distance)
         if design.has_minimum_goal_distance:
             vector = _push_outward(vector)

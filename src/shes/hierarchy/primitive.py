@@ -6,6 +6,9 @@ Source: SHES paper II-D; algorithm specification section 6. What it learns goes 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
 
 from shes.hierarchy.goal_reaching import GoalReachingAgent, GoalReachingDesign
 from shes.policies.mlp import MLP
@@ -33,9 +36,9 @@ class PrimitiveDesign(GoalReachingDesign):
         """The primitive is paid as under a controller."""
         return 0
 
-    def make(self, num_policies: int, num_episodes: int) -> PrimitiveAgent:
+    def make(self, num_policies: int, num_episodes: int, xp: ModuleType = np) -> PrimitiveAgent:
         """Return `num_policies` primitives, each in `num_episodes` episodes."""
-        return PrimitiveAgent(self, num_policies, num_episodes)
+        return PrimitiveAgent(self, num_policies, num_episodes, xp)
 
 
 class PrimitiveAgent(GoalReachingAgent):
@@ -43,8 +46,8 @@ class PrimitiveAgent(GoalReachingAgent):
 
     def _choose_goals(
         self,
-        due: IntArray,
-        rows: IntArray,
+        due: slice | IntArray,
+        rows: slice | IntArray,
         observation: F64Array,
         position: F64Array,
         heading: F64Array,

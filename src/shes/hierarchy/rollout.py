@@ -2,7 +2,11 @@
 
 A worker has P lanes; a lane runs the E episodes of one member of the population, each in its own slot. A finished
 episode leaves the physics and the statistics but keeps its row of the policy's matmul, so no result depends on which
-members share a worker (design, One generation).
+members share a worker (design, One generation). Lanes are refilled as they become free; on a device, where an idle lane
+costs as much as a busy one and a transfer more than either, when all are.
+
+Who runs, and for how long, is known here in NumPy's arrays; what is computed of episodes is the task's and the agent's,
+in those of their module `xp`. Every step waits for a device twice: are the actions finite, and who has ended?
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from time import perf_counter
 
 import numpy as np
 
+from shes.arrays import to_host
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import PolicyError
 from shes.es.level import perturb
@@ -58,18 +63,21 @@ class Rollout:
         """
         self.num_episodes, self.horizon = num_episodes, horizon
         self.design = design
-        self.agent = design.make(num_lanes, num_episodes)
         self.task = make_task(num_lanes * num_episodes)
+        self.xp = self.task.xp
+        self.agent = design.make(num_lanes, num_episodes, self.xp)
         self._lanes: list[_Lane | None] = [None] * num_lanes
         rows = num_lanes * num_episodes
         decisions = -(-horizon // design.decision_interval)
-        self._decision_noise: F32Array = np.zeros(
-            (decisions, num_lanes, num_episodes, design.decision_size), np.float32
-        )
-        self._control_noise: F32Array = np.zeros((horizon, num_lanes, num_episodes, self.task.action_size), np.float32)
+        shapes = ((decisions, design.decision_size), (horizon, self.task.action_size))
+        self._drawn: list[F32Array] = [
+            np.zeros((steps, num_lanes, num_episodes, size), np.float32) for steps, size in shapes
+        ]
+        self._decision_noise, self._control_noise = self._drawn  # on a device, copies
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
+        self._running: IntArray = np.zeros(0, dtype=np.int64)
         self._steps: IntArray = np.zeros(rows, dtype=np.int64)
-        self._internal_return: F64Array = np.zeros(rows)
+        self._internal_return: F64Array = self.xp.zeros(rows)
         self._explores = self._has_frozen_control = False
         self._seconds: F64Array = np.zeros(len(PARTS))
 
@@ -91,48 +99,65 @@ class Rollout:
         self.agent.normalise_by(generation.levels)
         self._lanes = [None] * self.num_lanes
         self._is_running[:] = False
+        self._running = np.flatnonzero(self._is_running)
+        means = [self.xp.asarray(level.theta) for level in generation.levels]
         is_exhausted = False
         while True:
-            for place in range(0 if is_exhausted else self.num_lanes):
-                if self._lanes[place] is None:
-                    item = next(work, None)
-                    if item is None:
-                        is_exhausted = True
-                        break
-                    self._start(place, item, generation, table)
-            if not self._is_running.any():
+            free = [place for place, lane in enumerate(self._lanes) if lane is None]
+            if not is_exhausted and free and not (self.task.starts_together and len(free) < self.num_lanes):
+                started = dict(zip(free, work, strict=False))
+                is_exhausted = len(started) < len(free)
+                if started:
+                    self._start(started, means, generation, table)
+            if not len(self._running):
                 return
-            self.agent.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
-            yield from self._step()
+            yield from self._until_one_ends()
 
-    def _start(self, place: int, item: Work, generation: Generation, table: NoiseTable) -> None:
-        """Put a task into lane `place`: perturb the policies, reset the episodes, draw their exploration noise."""
-        number, task = item
-        for level, parameters in enumerate(generation.levels):
-            dim = len(parameters.theta)
-            noise = table.slice(task.noise_index[level], dim)
-            perturb(parameters.theta, noise, generation.sigma * task.signs[level], self.agent.theta[level][place])
-        rows = place * self.num_episodes + np.array(task.slots, dtype=np.int64)
-        self.task.reset(rows, task.seeds)
-        self.agent.start(place)
+    def _start(
+        self, started: dict[int, Work], means: list[F32Array], generation: Generation, table: NoiseTable
+    ) -> None:
+        """Put tasks into free lanes: perturb the policies, reset the episodes, draw their exploration noise."""
+        slots: list[int] = []
+        seeds: list[int] = []
+        for place, (number, task) in started.items():
+            for level, mean in enumerate(means):
+                noise = table.slice(task.noise_index[level], len(mean))
+                perturb(mean, noise, generation.sigma * task.signs[level], self.agent.theta[level][place])
+            slots += [place * self.num_episodes + slot for slot in task.slots]
+            seeds += task.seeds
+            if self._explores:
+                self._draw_exploration(place, task)
+            results = _empty_results(task, self.design.observation_sizes)
+            self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(task.slots))), results=results)
+        rows = np.array(slots)
+        self.task.reset(rows, seeds)
+        # Lanes without work keep the others' time: then what all decide together is quicker.
+        self.agent.start(np.array(list(started)) if len(self._running) else slice(None))
         if self._explores:
-            self._draw_exploration(place, task)
-        self._is_running[rows] = True
+            self._decision_noise, self._control_noise = (self.xp.asarray(noise) for noise in self._drawn)
+        self._internal_return[self.xp.asarray(rows)] = 0
         self._steps[rows] = 0
-        self._internal_return[rows] = 0
-        results = _empty_results(task, self.design.observation_sizes)
-        self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(rows))), results=results)
+        self._is_running[rows] = True
+        self._running = np.flatnonzero(self._is_running)
+        self.agent.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
 
     def _draw_exploration(self, place: int, task: EpisodeTask) -> None:
         """Draw the exploration noise of whole episodes from their seeds: no draw depends on another episode."""
         for slot, seed in zip(task.slots, task.seeds, strict=True):
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
-            for noise in (self._decision_noise, self._control_noise):
+            for noise in self._drawn:
                 drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
-                noise[:, place, slot] = drawn * np.float32(EXPLORATION_STD)
+                np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, place, slot])
 
-    def _step(self) -> Iterator[tuple[int, EpisodeResults]]:
-        """Advance every running episode by one control step; yield the tasks that this finished."""
+    def _until_one_ends(self) -> Iterator[tuple[int, EpisodeResults]]:
+        """Advance every running episode until one of them has ended; yield the tasks that this finished."""
+        ended = np.zeros(0, dtype=np.int64)
+        while not len(ended):
+            ended = self._step()
+        yield from self._finish(ended)
+
+    def _step(self) -> IntArray:
+        """Advance every running episode by one control step; return the rows of those that this ended."""
         task, agent = self.task, self.agent
         start, physics_s = perf_counter(), task.physics_s
         seen = (task.observe(), task.position, task.heading)
@@ -141,19 +166,17 @@ class Rollout:
         if not np.isfinite(action).all():
             self._refuse(action)
         acted = perf_counter()
-        running = np.flatnonzero(self._is_running)
-        task.step(running, action)
-        self._steps[running] += 1
+        task.step(self._running, action)
+        self._steps[self._running] += 1
         stepped = perf_counter()
         if self.design.internal_level is not None:
             # What a diverged simulation is worth is not known: its last step pays nothing.
             self._internal_return += agent.internal_reward(task.position) * ~task.diverged
-        ended = self._is_running & (task.terminated | task.diverged | (self._steps >= self.horizon))
+        ended = self._is_running & (to_host(task.terminated | task.diverged) | (self._steps >= self.horizon))
         physics_s = task.physics_s - physics_s
         policy_s = acted - observed + perf_counter() - stepped
         self._seconds += (physics_s, policy_s, stepped - acted + observed - start - physics_s)
-        if ended.any():
-            yield from self._finish(np.flatnonzero(ended))
+        return np.flatnonzero(ended)
 
     def _exploration(self) -> dict[str, F32Array]:
         """Return this step's noise [P, E, decision_size] and [P, E, A], or none in evaluation."""
@@ -167,28 +190,26 @@ class Rollout:
 
     def _finish(self, rows: IntArray) -> Iterator[tuple[int, EpisodeResults]]:
         """Take the results of the episodes in `rows`; yield the lanes in which none is left."""
-        task = self.task
-        score, success, terminated, position = task.score, task.success, task.terminated, task.position
-        for row in rows.tolist():
+        self._is_running[rows] = False
+        self._running = np.flatnonzero(self._is_running)
+        found, moments = self._outcomes(rows)
+        for i, row in enumerate(rows.tolist()):
             place, slot = divmod(row, self.num_episodes)
             lane = self._lanes[place]
             assert lane is not None
             k = lane.task.slots.index(slot)
-            results = lane.results
-            results.environment_returns[k] = results.returns[:, k] = task.running_return[row]
+            results, outcome = lane.results, found[i]
+            results.environment_returns[k] = results.returns[:, k] = outcome[0]
             if self.design.internal_level is not None:
-                results.returns[self.design.internal_level, k] = self._internal_return[row]
-            results.score[k], results.success[k] = score[row], success[row]
+                results.returns[self.design.internal_level, k] = outcome[1]
+            results.score[k], results.success[k] = outcome[2], outcome[3]
             results.steps[k] = self._steps[row]
-            results.goals_reached[k] = self.agent.goals_reached[row]
-            results.final_position[k] = position[row]
-            results.has_diverged[k] = task.diverged[row]
-            results.has_terminated[k] = terminated[row] and not task.diverged[row]
-            for moments, summed in zip(results.moments or (), self.agent.moments, strict=False):
-                moments.count[k] = summed.count[row]
-                moments.total[k] = summed.total[row]
-                moments.total_squares[k] = summed.total_squares[row]
-            self._is_running[row] = False
+            results.goals_reached[k], results.has_diverged[k] = outcome[4], outcome[5]
+            results.has_terminated[k] = outcome[6] and not outcome[5]
+            results.final_position[k] = outcome[7:]
+            for mine, summed in zip(results.moments or (), moments, strict=False):
+                for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
+                    taken[k] = of_all[i]
             lane.running.discard(k)
             if not lane.running:
                 self._lanes[place] = None
@@ -196,15 +217,33 @@ class Rollout:
                 self._seconds[:] = 0
                 yield lane.number, results
 
+    def _outcomes(self, rows: IntArray) -> tuple[list[list[float]], list[tuple[F64Array, ...]]]:
+        """Return what came of the episodes in `rows`, and what each level has observed in them, in one transfer each.
+
+        An outcome is the environment's return, the internal return, score, success, goals reached, whether it diverged,
+        whether it ended by itself, and the place of the robot, x and y.
+        """
+        task, agent, ids = self.task, self.agent, self.xp.asarray(rows)
+        values = (task.running_return, self._internal_return, task.score, task.success, agent.goals_reached)
+        ended = (task.diverged, task.terminated, *task.position.T)
+        # float64 holds every count that there is exactly.
+        found = np.stack([value[ids].astype(np.float64) for value in (*values, *ended)], axis=1)
+        moments = [
+            tuple(to_host(sums[ids]) for sums in (each.count, each.total, each.total_squares))
+            for each in (agent.moments if agent.is_recording else ())
+        ]
+        return to_host(found).tolist(), moments
+
     def _refuse(self, action: F32Array) -> None:
         """Say whose policy returned what is not finite; a lane without work cannot be the reason."""
+        action = to_host(action)
         for row in np.flatnonzero(~np.isfinite(action).all(axis=1)).tolist():
             lane = self._lanes[row // self.num_episodes]
             if lane is None:
                 continue
             place, slot = divmod(row, self.num_episodes)
             seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
-            bad = [not np.isfinite(theta[place]).all() for theta in self.agent.theta]
+            bad = [not bool(np.isfinite(theta[place]).all()) for theta in self.agent.theta]
             which = " and ".join(name for name, is_bad in zip(self.design.level_names, bad, strict=True) if is_bad)
             raise PolicyError(
                 f"the policy of member {lane.task.member} returned NaN or infinity at step {int(self._steps[row])}"

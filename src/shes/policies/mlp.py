@@ -8,16 +8,20 @@ stays the same; so callers keep a policy's row count E for its whole life.
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 
 from shes.errors import ConfigError, UnknownNameError
 from shes.types import F32Array
 
-__all__ = ["BIAS_INITIALISATIONS", "MLP", "aligned_rows"]
+__all__ = ["BIAS_INITIALISATIONS", "MLP", "Layers", "aligned_rows"]
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
 """`glorot_normal` is the paper's code: a bias vector of n has fan (1, n), so standard deviation sqrt(2 / (1 + n))."""
+
+Layers: TypeAlias = tuple[tuple[F32Array, F32Array], ...]
+"""Weights [P, in, out] and biases [P, 1, out] of each layer of P policies."""
 
 _CACHE_LINE = 64  # bytes
 
@@ -62,16 +66,26 @@ class MLP:
             parts += [weights.astype(np.float32), (biases * (bias_initialisation != "zero")).astype(np.float32)]
         return np.concatenate(parts)
 
-    def act(self, theta: F32Array, observation: F32Array) -> F32Array:
-        """Return the outputs [P, E, A] in [-1, 1] of policies `theta` [P, D] on normalised `observation` [P, E, O]."""
-        policies = theta.shape[0]
-        layer, start = observation, 0
+    def layers(self, theta: F32Array) -> Layers:
+        """Return the layers of policies `theta` [P, D]: views."""
+        policies, start = theta.shape[0], 0
+        found: list[tuple[F32Array, F32Array]] = []
         for fan_in, fan_out in pairwise(self.sizes):
             end = start + fan_in * fan_out
-            weights = theta[:, start:end].reshape(policies, fan_in, fan_out)
-            biases = theta[:, None, end : end + fan_out]
-            layer = np.matmul(layer, weights)
+            found.append((theta[:, start:end].reshape(policies, fan_in, fan_out), theta[:, None, end : end + fan_out]))
+            start = end + fan_out
+        return tuple(found)
+
+    def act(self, theta: F32Array, observation: F32Array) -> F32Array:
+        """Return the outputs [P, E, A] in [-1, 1] of policies `theta` [P, D] on normalised `observation` [P, E, O]."""
+        return self.forward(self.layers(theta), observation)
+
+    @staticmethod
+    def forward(layers: Layers, observation: F32Array) -> F32Array:
+        """Return the outputs of `act` from the `layers` of its policies."""
+        layer = observation
+        for weights, biases in layers:
+            layer = layer @ weights
             layer += biases
             np.tanh(layer, out=layer)
-            start = end + fan_out
         return layer
