@@ -8,6 +8,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from shes.arrays import to_host
 from shes.drawing.markers import TARGET, Marker, ball
 from shes.envs.body import Body
 from shes.envs.body_reader import BodyReader
@@ -63,11 +64,13 @@ class Flagrun(Task):
     ) -> None:
         """Build the arena for `body` and `num_episodes` simulations of it."""
         super().__init__(body, num_episodes, options, simulator)
-        self._goal: F64Array = np.ones((num_episodes, 2))
-        self._start_distance: F64Array = np.ones(num_episodes)
-        self._is_near: BoolArray = np.zeros(num_episodes, dtype=np.bool_)
+        self._goal: F64Array = self.xp.ones((num_episodes, 2))
+        self._start_distance: F64Array = self.xp.ones(num_episodes)
+        self._is_near: BoolArray = self.xp.zeros(num_episodes, dtype=np.bool_)
         self._rngs: list[np.random.Generator | None] = [None] * num_episodes
-        self._observation: F64Array = np.zeros((num_episodes, self.observation_size))
+        # `time` on the host, where goals are drawn: whose are due is known without waiting for a device.
+        self._host_time: IntArray = np.zeros(num_episodes, dtype=np.int64)
+        self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
 
     @classmethod
     def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
@@ -122,34 +125,40 @@ class Flagrun(Task):
 
     def markers(self, episode: int) -> list[Marker]:
         """Return the goal."""
-        return [ball((*self.goal[episode], 0.5), 0.4, TARGET)]
+        return [ball((*to_host(self.goal[episode]), 0.5), 0.4, TARGET)]
 
     def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
-        self._is_near[ids] = False
+        self._is_near[self.xp.asarray(ids)] = False
+        self._host_time[ids] = 0
         for i, rng in zip(ids.tolist(), rngs, strict=True):
             self._rngs[i] = rng
         self._draw_goals(ids)
 
     def _draw_goals(self, ids: IntArray) -> None:
-        """Move the goals of episodes `ids`."""
-        position, half_width = self.position, self.options.goal_range
-        for i in ids.tolist():
-            rng = self._rngs[i]
-            if rng is None:  # an episode that has never begun
-                continue
-            while True:
-                offset = rng.uniform(-half_width, half_width, 2)
-                if offset[0] * offset[0] + offset[1] * offset[1] >= NEAR_M**2:
-                    break
-            self._goal[i] = position[i] + offset
+        """Move the goals of episodes `ids`, but of those that have never begun."""
+        begun = [(i, rng) for i in ids.tolist() if (rng := self._rngs[i]) is not None]
+        if not begun:
+            return
+        rows = self.xp.asarray(np.array([i for i, _ in begun]))
+        offsets = self.xp.asarray(np.array([self._draw_offset(rng) for _, rng in begun]))
+        self._goal[rows] = self.position[rows] + offsets
         # Not the lengths of the offsets: rounding must not make the distance differ from the start distance.
-        self._start_distance[ids] = self.distance[ids]
+        self._start_distance[rows] = self.distance[rows]
+
+    def _draw_offset(self, rng: np.random.Generator) -> F64Array:
+        """Draw where a goal is from the robot [2], in metres."""
+        half_width = self.options.goal_range
+        while True:
+            offset = rng.uniform(-half_width, half_width, 2)
+            if offset[0] * offset[0] + offset[1] * offset[1] >= NEAR_M**2:
+                return offset
 
     def _update_features(self) -> F64Array:
         distance = self.distance
         np.less(distance, NEAR_M, out=self._is_near)
         reward = 1 - distance / self._start_distance + self._is_near
-        due = np.flatnonzero(self.time % self.options.goal_interval == 0)
+        self._host_time += 1
+        due = np.flatnonzero(self._host_time % self.options.goal_interval == 0)
         if len(due):
             self._draw_goals(due)
         return reward

@@ -11,6 +11,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from shes.arrays import to_host
 from shes.drawing.markers import FOOD, POISON, Marker, ball
 from shes.envs.body import Body
 from shes.envs.layout import ObservationElement, elements
@@ -39,7 +40,7 @@ NUM_BINS = 10
 """Sensor bins of each kind over the full circle; bin 0 starts behind the robot."""
 MARKER_RADIUS_M = 0.4
 """Objects are drawn this big; they have no body."""
-VALUES = np.array([1.0, -1.0])
+FOOD_REWARD, POISON_REWARD = 1.0, -1.0
 """Reward of an object of each kind."""
 
 
@@ -68,15 +69,17 @@ class Gather(Task):
     ) -> None:
         """Build the arena for `body` and `num_episodes` simulations of it."""
         super().__init__(body, num_episodes, options, simulator)
-        n = num_episodes
+        n, xp = num_episodes, self.xp
         # Coordinates first, [xy, N, kind, object]: what is computed of x alone or y alone is contiguous.
-        self._places: F64Array = np.zeros((2, n, 2, NUM_OBJECTS))
-        self.present: BoolArray = np.zeros((n, 2, NUM_OBJECTS), dtype=np.bool_)
+        self._places: F64Array = xp.zeros((2, n, 2, NUM_OBJECTS))
+        self.present: BoolArray = xp.zeros((n, 2, NUM_OBJECTS), dtype=np.bool_)
         """Which objects have not been collected [N, kind, object]."""
-        self._best_return: F64Array = np.zeros(n)
-        self._offset: F64Array = np.zeros_like(self._places)
-        self._squared_distance: F64Array = np.zeros(self.present.shape)
-        self._observation: F64Array = np.zeros((n, self.observation_size))
+        # First bin of each kind in the flat readings of all episodes [N, kind, 1].
+        self._first_bin: IntArray = NUM_BINS * xp.arange(2 * n).reshape(n, 2, 1)
+        self._best_return: F64Array = xp.zeros(n)
+        self._offset: F64Array = xp.zeros(self._places.shape)
+        self._squared_distance: F64Array = xp.zeros(self.present.shape)
+        self._observation: F64Array = xp.zeros((n, self.observation_size))
 
     @classmethod
     def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
@@ -132,10 +135,11 @@ class Gather(Task):
 
     def markers(self, episode: int) -> list[Marker]:
         """Return what lies there, as balls."""
+        objects, present = to_host(self.objects[episode]), to_host(self.present[episode])
         return [
             ball((*place, MARKER_RADIUS_M), MARKER_RADIUS_M, color)
             for kind, color in enumerate((FOOD, POISON))
-            for place in self.objects[episode, kind][self.present[episode, kind]]
+            for place in objects[kind][present[kind]]
         ]
 
     @property
@@ -156,28 +160,33 @@ class Gather(Task):
     def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         draw = _draw_lattice if self.options.spec == "hiro" else _draw_places
         drawn = np.stack([draw(rng, 2 * NUM_OBJECTS) for rng in rngs])  # [ids, object of any kind, xy]
-        self._places[:, ids] = np.moveaxis(drawn, -1, 0).reshape(2, len(ids), 2, NUM_OBJECTS)
-        self.present[ids] = True
-        self._best_return[ids] = 0
-        self._measure(ids)
+        places = np.moveaxis(drawn, -1, 0).reshape(2, len(ids), 2, NUM_OBJECTS)
+        rows = self.xp.asarray(ids)
+        self._places[:, rows] = self.xp.asarray(places)
+        self.present[rows] = True
+        self._best_return[rows] = 0
+        self._measure()
 
-    def _measure(self, ids: IntArray | slice) -> None:
-        """Measure from the robots of episodes `ids` to their objects."""
-        offset = self._places[:, ids] - self.position[ids].T[:, :, None, None]
-        self._offset[:, ids] = offset
-        offset *= offset
-        self._squared_distance[ids] = offset[0] + offset[1]
+    def _measure(self) -> None:
+        """Measure from every robot to its objects."""
+        np.subtract(self._places, self.position.T[:, :, None, None], out=self._offset)
+        squares = self._offset * self._offset
+        np.add(squares[0], squares[1], out=self._squared_distance)
 
     def _update_features(self) -> F64Array:
-        self._measure(slice(None))
+        self._measure()
+        reward: F64Array = self.xp.zeros(self.num_episodes)
+        collects_nothing = self.sim.diverged
+        if self.options.spec == "hiro" and self.options.fall_penalty:
+            fallen = self.body.fallen(self.sim.qpos)
+            reward = np.where(fallen, HIRO_FALL_REWARD, reward)
+            collects_nothing = collects_nothing | fallen
         caught = self.present & (self._squared_distance < CATCH_RANGE_M**2)
-        pays_for_falls = self.options.spec == "hiro" and self.options.fall_penalty
-        fallen = self.body.fallen(self.sim.qpos) if pays_for_falls else np.zeros(self.num_episodes, dtype=np.bool_)
-        reward = np.where(fallen, HIRO_FALL_REWARD, 0.0)
-        if caught.any():
-            caught &= ~(self.sim.diverged | fallen)[:, None, None]
+        if self.xp is not np or caught.any():  # asking a device takes longer than doing it
+            caught &= ~collects_nothing[:, None, None]
             self.present ^= caught
-            reward += caught.sum(axis=2) @ VALUES
+            counts = caught.sum(axis=2)
+            reward += counts[:, 0] * FOOD_REWARD + counts[:, 1] * POISON_REWARD
             np.maximum(self._best_return, self.running_return + reward, out=self._best_return)
         return reward
 
@@ -200,21 +209,29 @@ class Gather(Task):
         `1 - d^2 / range^2` in shes, `1 - d / range` in hiro.
         """
         sensor_range = SENSOR_RANGE_M[self.options.spec]
-        seen = np.flatnonzero(self.present & (self._squared_distance < sensor_range**2))
-        squared = self._squared_distance.ravel()[seen]
+        if self.xp is np:
+            seen = np.flatnonzero(self.present & (self._squared_distance < sensor_range**2))
+            squared = self._squared_distance.ravel()[seen]
+            x, y = self._offset.reshape(2, -1).take(seen, axis=1)
+            row = seen // NUM_OBJECTS  # an episode's food, then its poison
+            heading, first_bin = self.heading[row // 2], NUM_BINS * row
+        else:
+            # All objects: a device would be waited for to learn which are seen. At the end of the range they read 0.
+            end = sensor_range**2
+            squared = np.minimum(np.where(self.present, self._squared_distance, end), end)
+            x, y = self._offset[0], self._offset[1]
+            heading, first_bin = self.heading[:, None, None], self._first_bin
         if self.options.spec == "hiro":
             intensity = 1 - np.sqrt(squared) / sensor_range
         else:
             intensity = 1 - squared / sensor_range**2
-        x, y = self._offset.reshape(2, -1).take(seen, axis=1)
-        row = seen // NUM_OBJECTS  # an episode's food, then its poison
-        bearing = np.arctan2(y, x) - self.heading[row // 2]
+        bearing = np.arctan2(y, x) - heading
         turn = bearing / (2 * np.pi) + 0.5
         turn -= np.floor(turn)
         bins = np.minimum((turn * NUM_BINS).astype(np.intp), NUM_BINS - 1)
-        bins += NUM_BINS * row
-        readings = np.zeros(2 * self.num_episodes * NUM_BINS)
-        np.maximum.at(readings, bins, intensity)
+        bins += first_bin
+        readings = self.xp.zeros(2 * self.num_episodes * NUM_BINS)
+        self.xp.maximum.at(readings, bins, intensity)
         return readings.reshape(self.num_episodes, 2 * NUM_BINS)
 
 
@@ -229,12 +246,19 @@ def _sector(kind: str, number: int, spec: str) -> str:
     )
 
 
-def _draw_lattice(rng: np.random.Generator, count: int) -> F64Array:
-    """Draw `count` places [count, 2] with even coordinates, all different, as `_draw_places` does else."""
+def _lattice() -> F64Array:
+    """Return the places [any, 2] with even coordinates that objects of the hiro Gather may lie at."""
     line = np.arange(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, 2.0)
     places = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    places = places[(places**2).sum(axis=1) >= FREE_RADIUS_M**2]
-    return places[rng.permutation(len(places))[:count]]
+    return places[(places**2).sum(axis=1) >= FREE_RADIUS_M**2]
+
+
+_LATTICE = _lattice()
+
+
+def _draw_lattice(rng: np.random.Generator, count: int) -> F64Array:
+    """Draw `count` places [count, 2] with even coordinates, all different, as `_draw_places` does else."""
+    return _LATTICE[rng.permutation(len(_LATTICE))[:count]]
 
 
 def _draw_places(rng: np.random.Generator, count: int) -> F64Array:

@@ -56,11 +56,11 @@ class Point(Body):
 
     def heading(self, qpos: F64Array) -> F64Array:
         """Return zeros [N]."""
-        return np.zeros(qpos.shape[:-1])
+        return np.zeros_like(qpos[..., 0])
 
     def fallen(self, qpos: F64Array) -> BoolArray:
         """Return False [N]."""
-        return np.zeros(qpos.shape[:-1], dtype=np.bool_)
+        return np.zeros_like(qpos[..., 0], dtype=np.bool_)
 
 
 class FallingPoint(Point):

@@ -8,6 +8,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from shes.arrays import to_host
 from shes.drawing.markers import TARGET, Marker, ball, disc
 from shes.envs.body import Body
 from shes.envs.layout import ObservationElement, elements
@@ -47,9 +48,9 @@ class TargetTask(Task):
     ) -> None:
         """Build the world for `body` and `num_episodes` simulations of it."""
         super().__init__(body, num_episodes, options, simulator)
-        self.target: F64Array = np.tile(np.array(self.own_target), (num_episodes, 1))
+        self.target: F64Array = self.xp.tile(self.xp.asarray(self.own_target, dtype=np.float64), (num_episodes, 1))
         """Targets [N, 2] or [N, 3] in metres."""
-        self._observation: F64Array = np.zeros((num_episodes, self.observation_size))
+        self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
 
     @classmethod
     def _check(cls, options: TaskOptions) -> None:
@@ -125,13 +126,13 @@ class TargetTask(Task):
 
     def markers(self, episode: int) -> list[Marker]:
         """Return the target, and the circle that counts."""
-        x, y, *_ = self.target[episode]
+        x, y, *_ = to_host(self.target[episode])
         ring = disc((x, y, self.ground_m + 0.02), SUCCESS_DISTANCE_M, (*TARGET[:3], 0.25), height=0.01)
         return [ring, ball((x, y, self.ground_m + 0.5), 0.5, TARGET)]
 
     def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
-        for i, rng in zip(ids, rngs, strict=True):
-            self.target[i] = self._choose_target(rng)
+        chosen = np.array([self._choose_target(rng) for rng in rngs])
+        self.target[self.xp.asarray(ids)] = self.xp.asarray(chosen)
 
     def _choose_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
         """Return the target of an episode: fixed ones draw nothing."""

@@ -16,6 +16,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from shes.arrays import to_host
 from shes.drawing.drawer import Drawer, Window
 from shes.envs.body import Body
 from shes.envs.body_reader import BodyReader
@@ -89,12 +90,12 @@ class Task(EpisodeBatch):
         self.options = options
         self.num_episodes = num_episodes
         self.sim = simulator(self.build_spec(body, options).compile(), num_episodes)
-        self.time: IntArray = np.zeros(num_episodes, dtype=np.int64)
+        self.time: IntArray = self.xp.zeros(num_episodes, dtype=np.int64)
         """Control steps since the reset [N]."""
         self._heading: F64Array | None = None  # of the present state, once asked for
-        self.reward: F64Array = np.zeros(num_episodes)
+        self.reward: F64Array = self.xp.zeros(num_episodes)
         """Reward of the last step [N]; 0 where the simulation diverged."""
-        self.running_return: F64Array = np.zeros(num_episodes)
+        self.running_return: F64Array = self.xp.zeros(num_episodes)
         """Sum of the rewards since the reset [N]."""
 
     @property
@@ -161,7 +162,7 @@ class Task(EpisodeBatch):
 
     @abstractmethod
     def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
-        """Draw what belongs to the task (targets, objects) for episodes `ids`."""
+        """Draw what belongs to the task (targets, objects) for episodes `ids`; upload it with one write an array."""
 
     @abstractmethod
     def _update_features(self) -> F64Array:
@@ -218,7 +219,7 @@ class Task(EpisodeBatch):
     @property
     def terminated(self) -> BoolArray:
         """Whether the episode has ended by the task's own rule [N]; never by the time limit."""
-        return np.zeros(self.num_episodes, dtype=np.bool_)
+        return self.xp.zeros(self.num_episodes, dtype=np.bool_)
 
     @property
     def diverged(self) -> BoolArray:
@@ -256,8 +257,8 @@ class Task(EpisodeBatch):
         return Viewer(self.build_spec(self.body, self.options), self.step_s)
 
     def pose(self, episode: int) -> F64Array:
-        """Return a copy of the qpos [nq] of episode `episode`."""
-        return self.sim.qpos[episode].copy()
+        """Return a copy of the qpos [nq] of episode `episode`, in NumPy's array."""
+        return to_host(self.sim.qpos[episode]).copy()
 
     def _robot_layout(self) -> tuple[ObservationElement, ...]:
         """Return the elements of the robot's qpos and qvel."""
@@ -291,15 +292,16 @@ class Task(EpisodeBatch):
         ]
         self._place_robots(ids, rngs)
         self._heading = None
-        self.time[ids] = 0
-        self.reward[ids] = 0
-        self.running_return[ids] = 0
+        rows = self.xp.asarray(ids)
+        self.time[rows] = 0
+        self.reward[rows] = 0
+        self.running_return[rows] = 0
         self._reset_features(ids, rngs)
 
     def step(self, ids: IntArray, action: FloatArray) -> None:
         """Apply `action` [N, A] in control units for one control step of episodes `ids` (sorted, unique).
 
-        Rows that are not in `ids` do not move; what is computed for them means nothing.
+        Rows that are not in `ids` do not move; what is computed for them means nothing. A device is not waited for.
         """
         self.sim.ctrl[:] = action
         self.sim.step(ids, FRAME_SKIP)
@@ -319,5 +321,6 @@ class Task(EpisodeBatch):
         if robot.quaternion is not None:
             quaternion = qpos[:, robot.quaternion]
             quaternion /= np.sqrt(np.vecdot(quaternion, quaternion))[:, None]
-        self.sim.qpos[ids, : robot.num_qpos] = qpos
-        self.sim.qvel[ids, : robot.num_qvel] = np.array([velocity for _, velocity in drawn])
+        xp, rows = self.xp, self.xp.asarray(ids)
+        self.sim.qpos[rows, : robot.num_qpos] = xp.asarray(qpos)
+        self.sim.qvel[rows, : robot.num_qvel] = xp.asarray(np.array([velocity for _, velocity in drawn]))

@@ -108,4 +108,5 @@ def _push_outward(vector: F64Array) -> F64Array:
 
     Source: `outer_clamp` of the authors' code, which sends a component of exactly 0 to the positive side.
     """
-    return np.where(np.abs(vector) < MIN_COMPONENT_M, np.where(vector < 0, -MIN_COMPONENT_M, MIN_COMPONENT_M), vector)
+    edge = np.full_like(vector, MIN_COMPONENT_M)
+    return np.where(np.abs(vector) < MIN_COMPONENT_M, np.where(vector < 0, -edge, edge), vector)

@@ -1,0 +1,292 @@
+"""On a card, in one go: does it play the same game, how fast is it, and what does it learn?
+
+`python benchmarks/gpu.py --out OUT` checks, measures and trains; `--only check`, `speed`, `train` do one of it. Every
+stage writes its CSV as it goes, so that what was measured stays when time runs out. `--smoke --device warp-cpu` goes
+through all of it in a few minutes without a card: its numbers mean nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import json
+import statistics
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from shes.algorithm import evolve
+from shes.envs.registry import ENVIRONMENTS, find_environment
+from shes.envs.task import FRAME_SKIP
+from shes.envs.task_options import TaskOptions
+from shes.experiments.build import (
+    build_backend,
+    build_design,
+    build_plan,
+    build_settings,
+    build_state,
+    open_noise_table,
+)
+from shes.experiments.config import TrainConfig
+from shes.experiments.device_check import ALPHA, compare_samples, detectable_shift, sample
+from shes.experiments.presets import make_config
+from shes.sim.cpu import CpuSimulator
+from shes.sim.warp import WarpSimulator
+from shes.sim.warp_device import WarpDevice
+
+INTEGRATORS = ("euler", "rk4")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """How much is done."""
+
+    episodes: int
+    """Episodes of each sample of the check."""
+    check_steps: int
+    worlds: tuple[int, ...]
+    world_steps: int
+    """Control steps of a measurement of the physics alone."""
+    population: int
+    """Policies of a whole generation, five episodes each."""
+    horizon: int
+    hidden: tuple[int, ...]
+    repeats: int
+    envs: tuple[str, ...]
+    train: tuple[str, ...]
+    """Environments to train on, in turn: flagrun's primitive goes into the others."""
+
+
+FULL = Size(
+    episodes=1000,
+    check_steps=500,
+    worlds=(1024, 2048, 4096, 8192, 16384, 32768, 65536, 131072),
+    world_steps=100,
+    population=1000,
+    horizon=500,
+    hidden=(256, 256, 256),
+    repeats=3,
+    envs=tuple(ENVIRONMENTS),
+    train=("ant-flagrun", "ant-gather", "ant-push", "ant-maze"),
+)
+SMOKE = Size(
+    episodes=16,
+    check_steps=5,
+    worlds=(2, 4),
+    world_steps=2,
+    population=4,
+    horizon=5,
+    hidden=(8,),
+    repeats=1,
+    envs=("point-gather", "ant-gather"),
+    train=("point-flagrun", "point-gather"),
+)
+
+
+class Table:
+    """Rows that are printed and written as they come."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._rows: list[dict[str, Any]] = []
+
+    def add(self, **row: Any) -> None:
+        """Add a row."""
+        self._rows.append(row)
+        print({name: f"{value:.4g}" if isinstance(value, float) else value for name, value in row.items()}, flush=True)
+        with self.path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(self._rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self._rows)
+
+
+# Does it play the same game?
+
+
+def check(device: str, size: Size, out: Path) -> None:
+    """Compare return distributions on the device with the CPU's, whose samples other processes make meanwhile."""
+    table = Table(out / "check.csv")
+    simulator = partial(WarpSimulator, device=device)
+    cases = [(env, spec) for env in size.envs for spec in find_environment(env).task.specs]
+    sizes: dict[str, Any] = {"episodes": size.episodes, "horizon": size.check_steps}
+    with ProcessPoolExecutor() as pool:
+        on_cpu: dict[tuple[str, str], Future[Any]] = {
+            case: pool.submit(sample, case[0], CpuSimulator, spec=case[1], seed=0, **sizes) for case in cases
+        }
+        tests, found = 0, []
+        for env, spec in cases:
+            start = perf_counter()
+            on_device = sample(env, simulator, spec=spec, seed=1, **sizes)
+            seconds = perf_counter() - start
+            for comparison in compare_samples(env, spec, on_cpu[env, spec].result(), on_device):
+                tests += 2
+                found.append(min(comparison.p_shift, comparison.p_distance))
+                table.add(**asdict(comparison), device_s=seconds)
+    smallest = min(found)
+    verdict = "no difference found" if smallest > ALPHA / tests else "DIFFERENT"
+    print(f"{verdict}: smallest p {smallest:.2g} of {tests} tests, each at {ALPHA / tests:.2g}; a shift of ", end="")
+    print(f"{detectable_shift(size.episodes, tests):.2f} standard deviations is found with a power of 0.9")
+
+
+# How fast is it?
+
+
+def physics_alone(device: str, size: Size, out: Path) -> None:
+    """Measure the physics against the number of worlds, with random controls and nothing else."""
+    table = Table(out / "worlds.csv")
+    for integrator, worlds in itertools.product(INTEGRATORS, size.worlds):
+        options = TaskOptions(integrator=integrator)
+        task = find_environment("ant-gather").make(worlds, options, partial(WarpSimulator, device=device))
+        opened = WarpDevice(device)
+        ids = np.arange(worlds)
+        task.reset(ids, ids.tolist())
+        controls = np.random.default_rng(0).uniform(-30, 30, (worlds, task.action_size)).astype(np.float32)
+        task.sim.ctrl[:] = task.xp.asarray(controls)
+        task.sim.step(ids, FRAME_SKIP)  # compiles, captures
+        opened.synchronize()
+        start = perf_counter()
+        for _ in range(size.world_steps):
+            task.sim.step(ids, FRAME_SKIP)
+        opened.synchronize()
+        seconds = (perf_counter() - start) / size.world_steps
+        task.check_buffers()
+        peaks = task.sim.peaks()
+        table.add(
+            integrator=integrator,
+            worlds=worlds,
+            step_ms=1e3 * seconds,
+            env_steps_per_s=worlds / seconds,
+            contacts=peaks.contacts,
+            constraints=peaks.constraints,
+            free_bytes=opened.free_bytes(),
+        )
+        del task
+
+
+def generations(device: str, size: Size, out: Path) -> None:
+    """Measure whole generations, and where their time goes; one tiny one shows what the launches alone cost."""
+    table = Table(out / "generations.csv")
+    sizes = [("launches alone", 1, 1), ("generation", size.population, 5)]
+    for env, integrator, (what, population, episodes) in itertools.product(("ant-gather",), INTEGRATORS, sizes):
+        settings = {
+            "population_size": 4 * max(1, population // 4),
+            "episodes_per_policy": episodes,
+            "horizon": size.horizon,
+            "hidden": size.hidden,
+            "integrator": integrator,
+            "device": device,
+        }
+        config = make_config(env, "paper", settings)
+        found = list(itertools.islice(_timed(config), size.repeats + 1))[1:]  # the first one compiles
+        row = {name: statistics.median(each[name] for each in found) for name in found[0]}
+        table.add(what=what, env=env, integrator=integrator, population=population, episodes=episodes, **row)
+
+
+def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
+    """Yield seconds of every generation, by part."""
+    design = build_design(config)
+    table = open_noise_table(config, design)
+    plan = build_plan(config, design, table)
+    opened = WarpDevice(config.device)
+    with build_backend(config, plan) as backend:
+        state, settings = build_state(config, design), build_settings(config)
+        for report in evolve(state, settings, table.on(opened.xp), backend):
+            physics_s, policy_s, task_s = report.results.seconds.tolist()
+            steps = int(report.results.steps.sum())
+            yield {
+                "env_steps": steps,
+                "generation_s": report.rollout_s + report.update_s,
+                "physics_s": physics_s,
+                "policy_s": policy_s,
+                "task_s": task_s,
+                "rest_s": report.rollout_s - physics_s - policy_s - task_s,
+                "update_s": report.update_s,
+                "env_steps_per_s": steps / (report.rollout_s + report.update_s),
+                "policy_and_task_share": (policy_s + task_s) / (report.rollout_s + report.update_s),
+                "weights_mb": 4e-6 * sum(design.dims) * config.population_size,
+                "free_bytes": opened.free_bytes(),
+            }
+
+
+def bandwidth(device: str, size: Size, out: Path) -> None:
+    """Measure what the card's memory does, beside what a step of the paper's size reads of weights."""
+    opened = WarpDevice(device)
+    xp = opened.xp
+    numbers = 2**28 if size is FULL else 2**16
+    a, b = xp.zeros(numbers, np.float32), xp.zeros(numbers, np.float32)
+    times = [_seconds(opened, partial(np.copyto, a, b)) for _ in range(5)]
+    one = xp.zeros(1, np.float32)
+    launches = [_seconds(opened, lambda: [np.add(one, one, out=one) for _ in range(1000)]) for _ in range(5)]
+    Table(out / "limits.csv").add(
+        copy_gb_per_s=8e-9 * numbers / statistics.median(times), launch_us=1e3 * statistics.median(launches)
+    )
+
+
+def _seconds(opened: WarpDevice, work: Callable[[], Any]) -> float:
+    work()
+    opened.synchronize()
+    start = perf_counter()
+    work()
+    opened.synchronize()
+    return perf_counter() - start
+
+
+# What does it learn?
+
+
+def train(device: str, size: Size, out: Path, minutes: float) -> None:
+    """Train Flagrun first, then the tasks with its primitive, an equal part of `minutes` each; runs go on."""
+    primitive = out / size.train[0]
+    for env in size.train:
+        folder = out / env
+        limits = ["--device", device, "--minutes", f"{minutes / len(size.train):.3f}", "--generations", "100000"]
+        if (folder / "config.json").is_file():
+            command = ["resume", str(folder), *limits]
+        else:
+            small = ["--preset", "smoke"] if size is SMOKE else ["--preset", "paper"]
+            transfer = [] if folder == primitive else ["--primitive", str(primitive)]
+            command = ["train", env, *small, *transfer, "--out", str(folder), *limits]
+        print("shes", *command, flush=True)
+        subprocess.run([sys.executable, "-m", "shes.cli", *command], check=True)
+
+
+def describe(device: str) -> dict[str, Any]:
+    """Return the card and the versions."""
+    opened = WarpDevice(device)
+    return {"device": device, "array_module": opened.xp.__name__, **opened.describe()}
+
+
+def main() -> None:
+    """Check, measure, train."""
+    stages = {"check": [check], "speed": [bandwidth, generations, physics_alone], "train": []}
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder for CSV files and runs")
+    parser.add_argument("--device", default="cuda", help="cuda, or warp-cpu to try this script")
+    parser.add_argument("--only", nargs="+", choices=stages, default=list(stages), help="stages to do")
+    parser.add_argument("--minutes", type=float, default=10.0, help="minutes of training")
+    parser.add_argument("--smoke", action="store_true", help="as little as possible of everything")
+    asked = parser.parse_args()
+    size = SMOKE if asked.smoke else FULL
+    asked.out.mkdir(parents=True, exist_ok=True)
+    facts = describe(asked.device)
+    print(json.dumps(facts, indent=1))
+    (asked.out / "machine.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    for stage in asked.only:
+        for measure in stages[stage]:
+            print(f"\n{measure.__name__}", flush=True)
+            measure(asked.device, size, asked.out)
+    if "train" in asked.only:
+        train(asked.device, size, asked.out, asked.minutes)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Tasks whose simulator's arrays lie on a device: the same numbers, and nobody waits.
+
+The device is a stand-in, `strict_arrays`: it computes with NumPy, so that equality is to the bit, and refuses what CuPy
+refuses.
+"""
+
+import numpy as np
+import pytest
+
+from shes.arrays import to_host
+from shes.envs.registry import make_task
+from shes.sim.cpu import CpuSimulator
+from tests.contracts.variants import VARIANTS
+from tests.strict_arrays import DeviceArray, strict_xp
+from tests.strict_simulator import DeviceSimulator
+
+NUM_EPISODES, STEPS = 6, 12
+GOAL_INTERVAL = 5
+SHOWN = (
+    *("time", "reward", "running_return", "terminated", "diverged", "score", "success", "position", "heading"),
+    *("distance", "goal"),
+)
+
+
+def make_pair(variant):
+    """Return a task with NumPy's arrays and the same on the device."""
+    interval = {"goal_interval": GOAL_INTERVAL} if variant.name.endswith("-flagrun") else {}
+    return [
+        make_task(variant.name, NUM_EPISODES, variant.options(**interval), simulator)
+        for simulator in (CpuSimulator, DeviceSimulator)
+    ]
+
+
+def look(task):
+    """Return everything that is to be seen of a task, by name."""
+    seen = {name: getattr(task, name) for name in SHOWN}
+    return {name: array for name, array in seen.items() if array is not None} | task.counts | {"seen": task.observe()}
+
+
+def assert_same(pair):
+    """Hold what the two show against each other, to the bit."""
+    waits = strict_xp.waits
+    shown = look(pair[1])
+    assert strict_xp.waits == waits, "a task waited for the device to show something"
+    for name, expected in look(pair[0]).items():
+        assert isinstance(shown[name], DeviceArray), name
+        found = to_host(shown[name])
+        assert (found.shape, found.dtype) == (expected.shape, expected.dtype), name
+        assert found.tobytes() == expected.tobytes(), name
+
+
+def reset(pair, ids, seeds):
+    for task in pair:
+        task.reset(np.array(ids), seeds)
+    assert_same(pair)
+
+
+def play(pair, steps, ids=tuple(range(NUM_EPISODES))):
+    """Step both with the same actions; the device must not be waited for."""
+    rng = np.random.default_rng(len(ids))
+    for _ in range(steps):
+        action = rng.uniform(-1, 1, (NUM_EPISODES, pair[0].action_size)) * pair[0].control_limit
+        pair[0].step(np.array(ids), action)
+        waits = strict_xp.waits
+        pair[1].step(np.array(ids), strict_xp.asarray(action))
+        assert strict_xp.waits == waits, "a step waited for the device"
+        assert_same(pair)
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids="-".join)
+def test_a_task_on_a_device_gives_the_same_numbers_without_waiting_for_it(variant):
+    pair = make_pair(variant)
+    waits = strict_xp.waits
+    pair[1].reset(np.arange(NUM_EPISODES), range(NUM_EPISODES))
+    assert strict_xp.waits == waits, "a reset waited for the device"
+    reset(pair, range(NUM_EPISODES), range(NUM_EPISODES))
+    play(pair, STEPS // 2)
+    for task in pair:
+        task.sim.qvel[1, 0] = 1e12  # diverges
+        task.sim.qpos[2, task.body.num_qpos - 1] = 1.5
+        if task.body.quaternion is not None:
+            task.sim.qpos[2, 2] = 1.5  # has fallen
+    play(pair, STEPS // 4)
+    assert pair[0].diverged[1]
+    reset(pair, [1, 4], [10, 2**70])
+    play(pair, STEPS // 4, ids=(0, 1, 4))
+
+
+@pytest.mark.parametrize("spec", ["shes", "hiro"])
+def test_gather_on_a_device_pays_the_same(spec):
+    pair = make_pair(next(each for each in VARIANTS if each == ("ant-gather", spec)))
+    reset(pair, range(NUM_EPISODES), range(NUM_EPISODES))
+    objects = pair[0].objects.copy()
+    for number in range(4):
+        for task in pair:
+            for episode in range(NUM_EPISODES):
+                task.sim.qpos[episode, 0], task.sim.qpos[episode, 1] = objects[episode, number % 2, number].tolist()
+            task.sim.qpos[number, 2] = 1.5  # has fallen
+        play(pair, 1)
+    assert pair[0].food.sum() > NUM_EPISODES
+    assert pair[0].poison.sum() > NUM_EPISODES
+    assert pair[0].score.any()
+
+
+@pytest.mark.parametrize("name", ["point-gather", "point-maze", "point-flagrun"])
+def test_what_is_drawn_of_a_task_on_a_device_is_the_same(name):
+    pair = make_pair(next(each for each in VARIANTS if each == (name, "shes")))
+    reset(pair, range(NUM_EPISODES), range(NUM_EPISODES))
+    expected, found = ([task.pose(3).tolist(), task.markers(3)] for task in pair)
+    assert repr(found) == repr(expected)
+
+
+DEVICE = strict_xp.arange(6).reshape(2, 3)
+HOST = np.arange(6).reshape(2, 3)
+
+
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        pytest.param(lambda: DEVICE + HOST, id="adding an array of the host"),
+        pytest.param(lambda: HOST * DEVICE, id="multiplying one with an array of the device"),
+        pytest.param(lambda: np.where(DEVICE > 2, HOST, 0), id="choosing from one"),
+        pytest.param(lambda: np.stack([DEVICE, HOST]), id="stacking both"),
+        pytest.param(lambda: DEVICE[HOST[0, :2]], id="indexing with one"),
+        pytest.param(lambda: DEVICE.__setitem__(0, HOST[0]), id="writing one"),
+        pytest.param(lambda: np.asarray(DEVICE), id="conversion"),
+        pytest.param(lambda: HOST.__setitem__(0, DEVICE[0]), id="conversion by writing"),
+        pytest.param(lambda: DEVICE.T @ HOST, id="matmul with one"),
+        pytest.param(lambda: np.matmul(DEVICE.T, DEVICE), id="NumPy's matmul"),
+        pytest.param(lambda: np.maximum.at(DEVICE, 0, 1), id="NumPy's at"),
+        pytest.param(lambda: np.linalg.norm(DEVICE), id="linalg"),
+        pytest.param(lambda: list(strict_xp.arange(9)), id="iteration"),
+        pytest.param(lambda: np.where(DEVICE > 2, 1.0, 0.0), id="float16"),
+    ],
+)
+def test_the_stand_in_refuses_what_does_not_work_on_a_device(mistake):
+    with pytest.raises(TypeError):
+        mistake()
+
+
+def test_the_stand_in_counts_what_is_waited_for():
+    waiting = (lambda: bool(DEVICE[0, 0]), DEVICE.get, DEVICE.tolist, lambda: float(DEVICE.sum()))
+    for number, wait in enumerate((*waiting, lambda: np.flatnonzero(DEVICE), lambda: DEVICE[DEVICE > 2])):
+        before = strict_xp.waits
+        wait()
+        assert strict_xp.waits == before + 1, number
+    before = strict_xp.waits
+    assert DEVICE.any(axis=0).shape == np.sqrt(DEVICE[0]).shape == (3,)
+    assert strict_xp.waits == before

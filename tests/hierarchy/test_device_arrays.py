@@ -1,0 +1,151 @@
+"""Agents and roll-outs whose arrays lie on a device: the numbers of the CPU, two waits a step, and one place for noise.
+
+The device is a stand-in, `strict_arrays`: it refuses what CuPy refuses. Weights lie elsewhere in memory than the CPU's,
+so that a matmul may round differently: numbers agree to a tolerance, counts exactly.
+"""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from shes.algorithm import evolve, generation_work
+from shes.backends.serial import SerialBackend
+from shes.es.gradient import weighted_noise_sum
+from shes.es.noise import NoiseTable
+from shes.experiments.build import build_design, build_plan, build_settings, build_state, open_noise_table
+from shes.experiments.presets import make_config
+from shes.hierarchy.rollout import Rollout
+from shes.sim.cpu import CpuSimulator
+from tests.strict_arrays import strict_xp
+from tests.strict_simulator import DeviceSimulator
+
+HORIZON = 11
+SETTINGS = {
+    "hidden": (8,),
+    "horizon": HORIZON,
+    "population_size": 8,
+    "episodes_per_policy": 2,
+    "noise_table_size": 20_000,
+    "backend": "serial",
+    "num_workers": 1,
+}
+CHOICES = {
+    "gather": ("point-gather", {}),
+    "ant": ("ant-gather", {}),
+    "clock": ("point-maze", {"clock_frequency": 1.5}),
+    "one-hot": ("point-push", {"controller_output": "one_hot", "minimum_goal_distance": True}),
+    "unit vector": ("point-maze", {"goal_encoding": "unit_vector", "primitive_reward": "cosine"}),
+    "vector": ("point-maze", {"goal_encoding": "vector", "primitive_reward": "negative_distance"}),
+    "metres": ("point-fall", {"goal_encoding": "angle_metres", "minimum_goal_distance": True}),
+    "hidden position": ("point-gather", {"hide_position": True}),
+    "primitive alone": ("point-flagrun", {}),
+    "flat": ("point-gather", {"algorithm": "es"}),
+    "flat with a clock": ("point-gather", {"algorithm": "es", "clock_frequency": 1.5}),
+    "one level in turns": ("point-gather", {"perturbation": "one_to_many"}),
+    "few statistics": ("point-gather", {"statistics_fraction": 0.5}),
+}
+
+
+def make(name):
+    """Return what a roll-out of these settings needs."""
+    env, settings = CHOICES[name]
+    goals = {} if "algorithm" in settings else {"controller_interval": 4}
+    config = make_config(env, "laptop", {**SETTINGS, **goals, **settings})
+    design = build_design(config)
+    table = open_noise_table(config, design)
+    return config, design, table, build_plan(config, design, table)
+
+
+def run(name, simulator, num_lanes, xp=np):
+    """Return the results of a generation, by number, and the waits for the device of every step."""
+    config, design, table, plan = make(name)
+    state, settings = build_state(config, design), build_settings(config)
+    _, tasks, generation = generation_work(state, settings, table.size)
+    rollout = Rollout(design, lambda n: plan.env.make(n, plan.training, simulator), num_lanes, 2, HORIZON)
+    waits, step = [], rollout._step
+
+    def counted():
+        before = strict_xp.waits
+        ended = step()
+        waits.append(strict_xp.waits - before)
+        return ended
+
+    rollout._step = counted
+    found = dict(rollout.run(iter(enumerate(tasks)), generation, table.on(xp)))
+    return found, waits
+
+
+def assert_same(found, expected):
+    assert found.keys() == expected.keys()
+    for number, mine in found.items():
+        theirs = expected[number]
+        for name in ("success", "steps", "has_terminated", "has_diverged", "goals_reached"):
+            assert np.array_equal(getattr(mine, name), getattr(theirs, name)), name
+        for name in ("returns", "score", "final_position", "environment_returns"):
+            assert type(getattr(mine, name)) is np.ndarray
+            np.testing.assert_allclose(getattr(mine, name), getattr(theirs, name), rtol=1e-5, atol=1e-5, err_msg=name)
+        assert (mine.moments is None) == (theirs.moments is None)
+        for level, other in zip(mine.moments or (), theirs.moments or (), strict=True):
+            assert np.array_equal(level.count, other.count)
+            np.testing.assert_allclose(level.total, other.total, rtol=1e-5, atol=1e-4)
+            np.testing.assert_allclose(level.total_squares, other.total_squares, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_a_device_gives_the_numbers_of_the_cpu_with_two_waits_a_step(name):
+    found, waits = run(name, DeviceSimulator, 8, strict_xp)
+    assert_same(found, run(name, CpuSimulator, 8)[0])
+    assert set(waits) == {2}
+
+
+def test_a_population_that_does_not_fit_goes_in_waves():
+    assert_same(run("gather", DeviceSimulator, 3, strict_xp)[0], run("gather", CpuSimulator, 8)[0])
+
+
+def test_lanes_of_a_device_start_together():
+    started = []
+
+    class Watched(DeviceSimulator):
+        def reset(self, ids):
+            started.append(len(ids))
+            super().reset(ids)
+
+    run("gather", Watched, 3, strict_xp)
+    assert started == [6, 6, 4]
+
+
+def test_the_noise_table_has_one_copy_on_a_device():
+    table = NoiseTable(np.random.default_rng(0).standard_normal(1000, dtype=np.float32))
+    assert table.on(np) is table
+    copy = table.on(strict_xp)
+    assert copy is table.on(strict_xp) is not table
+    index, weights = np.array([0, 100, 7]), np.array([0.5, 0, -2], np.float32)
+    on_device = weighted_noise_sum(copy, index, weights, 300)
+    assert on_device.tobytes() == weighted_noise_sum(table, index, weights, 300).tobytes()
+
+
+class Worker:
+    """Runs roll-outs here, on the CPU or on the device."""
+
+    def __init__(self, design, plan, table, simulator):
+        self.rollout = Rollout(design, lambda n: plan.env.make(n, plan.training, simulator), 8, 2, HORIZON)
+        self.table = table
+
+    def receive(self, state):
+        self.generation = state
+
+    def run(self, work, share):
+        return self.rollout.run(work, self.generation, self.table)
+
+
+def test_a_generation_on_a_device_updates_as_on_the_cpu():
+    states = []
+    for simulator, xp in ((CpuSimulator, np), (DeviceSimulator, strict_xp)):
+        config, design, table, plan = make("gather")
+        settings, state = build_settings(config), build_state(config, design)
+        backend = SerialBackend(partial(Worker, design, plan, table.on(xp), simulator))
+        states.append(next(evolve(state, settings, table.on(xp), backend)).state)
+    for mine, theirs in zip(states[1].levels, states[0].levels, strict=True):
+        assert type(mine.theta) is np.ndarray
+        np.testing.assert_allclose(mine.theta, theirs.theta, rtol=1e-5, atol=1e-5)
