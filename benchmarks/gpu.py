@@ -262,7 +262,7 @@ def train(device: str, size: Size, out: Path, minutes: float) -> None:
 def describe(device: str) -> dict[str, Any]:
     """Return the card and the versions."""
     opened = WarpDevice(device)
-    return {"device": device, "array_module": opened.xp.__name__, **opened.describe()}
+    return {"device": device, "array_module": opened.xp.__name__, **opened.facts}
 
 
 def main() -> None:

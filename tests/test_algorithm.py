@@ -151,7 +151,7 @@ def test_tasks_say_who_perturbs_how(table):
     members = {task.member: task for task in backend.tasks[0]}
     assert sorted(members) == list(range(8))
     for member, task in members.items():
-        assert task.signs == signs[member % 4]
+        assert task.signs == (signs[member % 4],)
         assert task.noise_index == tuple(reports[0].noise_index[:, member // 4].tolist())
 
 

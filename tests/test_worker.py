@@ -61,7 +61,7 @@ def _work(count, episodes=2):
         (
             n,
             EpisodeTask(
-                member=n, noise_index=(n, n), signs=(1, 1), slots=slots, seeds=tuple(10 * n + slot for slot in slots)
+                member=n, noise_index=(n, n), signs=((1, 1),), slots=slots, seeds=tuple(10 * n + slot for slot in slots)
             ),
         )
         for n in range(count)
@@ -102,8 +102,8 @@ def test_environments_that_do_not_fit_any_more_are_closed_and_others_kept():
     made, closed = [], []
 
     class Counting:
-        def make(self, num_episodes, options):
-            task = plan.env.make(num_episodes, options)
+        def make(self, num_episodes, options, simulator):
+            task = plan.env.make(num_episodes, options, simulator)
             made.append((num_episodes, options.evaluation))
             task.close = lambda: closed.append(num_episodes)
             return task
@@ -158,7 +158,7 @@ def _logs_of_a_run_in_which_the_simulator_says(message, times):
 
 def test_what_the_simulator_says_comes_with_the_results_once():
     logs = _logs_of_a_run_in_which_the_simulator_says("Nan, Inf or huge value in QACC", 1)
-    assert sorted(logs) == [(), (), (), ("Nan, Inf or huge value in QACC",)]
+    assert sorted(logs) == [(), (), (), ("MuJoCo: Nan, Inf or huge value in QACC",)]
 
 
 def test_a_flood_of_messages_is_cut():

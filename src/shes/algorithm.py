@@ -22,7 +22,7 @@ from shes.es.perturbation import ManyToMany, Perturbation, Signs
 from shes.es.schedules import Schedule
 from shes.hierarchy.episodes import EpisodeTask, Generation, spread
 from shes.hierarchy.fitness import advance_novelty, shaped_fitness
-from shes.hierarchy.population import mean_policy_task, population_tasks
+from shes.hierarchy.population import mean_policy_task, members_per_lane, population_tasks
 from shes.hierarchy.results import PopulationResults
 from shes.types import IntArray
 
@@ -105,7 +105,7 @@ def evolve(
         noise_index, tasks, generation = generation_work(state, settings, table.size)
         # line 3: f = F(theta + epsilon * sigma), for controller and primitive at once.
         backend.broadcast(generation)
-        results = PopulationResults.empty(len(state.levels), len(tasks), generation.episodes_per_policy)
+        results = PopulationResults.of_tasks(tasks, generation)
         work = spread(tasks, backend.num_workers)
         for task, result in zip(work, backend.map(work), strict=True):
             results.add(task, result)
@@ -148,7 +148,8 @@ def generation_work(
     tasks = population_tasks(
         state, signs, noise_index, episodes, settings.common_random_numbers, settings.statistics_fraction
     )
+    shared = members_per_lane(signs.shape[1], episodes)
     if settings.novelty is not None:
-        tasks.append(mean_policy_task(state, len(tasks), episodes))
+        tasks.append(mean_policy_task(state, settings.population_size, episodes, shared))
     sigma = settings.sigma.value(state.generation)
-    return noise_index, tasks, Generation.of_training(state, sigma, episodes, settings.learns)
+    return noise_index, tasks, Generation.of_training(state, sigma, episodes, settings.learns, shared)

@@ -126,7 +126,7 @@ def test_a_design_travels_to_another_process(design):
 def test_an_agent_has_room_for_all_its_policies(design):
     agent = design.make(3, EPISODES)
     assert isinstance(agent, Agent)
-    assert (agent.num_policies, agent.num_episodes) == (3, EPISODES)
+    assert (agent.num_lanes, agent.num_episodes) == (3, EPISODES)
     assert [theta.shape for theta in agent.theta] == [(3, dim) for dim in design.dims]
     assert {theta.dtype for theta in agent.theta} == {np.dtype(np.float32)}
     assert [moments.total.shape for moments in agent.moments] == [(6, size) for size in design.observation_sizes]

@@ -104,7 +104,7 @@ def interrupted(path, **settings):
 def test_ctrl_c_in_a_generation_ends_it_at_once(tmp_path, tiny_run, monkeypatch):
     def add(results, task, result):
         add.calls += 1
-        if add.calls == 8 + 3 + 4:  # after a generation and an evaluation, in the middle of the second generation
+        if add.calls == 2 + 3 + 1:  # after a generation of two groups and an evaluation, in the second generation
             signal.raise_signal(signal.SIGINT)
             raise AssertionError("the generation went on")
         return original(results, task, result)

@@ -30,6 +30,7 @@ def test_the_rollout_bench_compares_whole_generations_with_bare_physics(env, set
         "integrator",
         "population_size",
         "episodes_per_policy",
+        "device",
         "num_workers",
         "env_steps_per_s",
         "bare_steps_per_s",

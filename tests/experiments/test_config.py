@@ -47,6 +47,7 @@ NAMES = [
     "biases",
     "common_random_numbers",
     "controller_output",
+    "device",
     "fitness_shaping",
     "goal_encoding",
     "integrator",
@@ -64,9 +65,11 @@ SCHEDULES = ["episodes_schedule", "learning_rate_schedule", "sigma_schedule"]
 ENDS = ["episodes_end", "learning_rate_end", "sigma_end"]
 SWITCHES = ["fall_penalty", "freeze_primitive", "hide_position", "minimum_goal_distance", "observe_block"]
 PLACES = ["evaluation_target", "target"]
+BUFFERS = ["nconmax", "njmax"]
 LAYERS = ["hidden", "primitive_hidden"]
 OTHERS = ["env", "external", "population_size", "preset", "primitive", "primitive_checkpoint"]
-KINDS = [WHOLE_NUMBERS, POSITIVE, NOT_NEGATIVE, SHARES, NAMES, SCHEDULES, ENDS, SWITCHES, PLACES, LAYERS, OTHERS]
+NUMBERS = [WHOLE_NUMBERS, POSITIVE, NOT_NEGATIVE, SHARES, BUFFERS]
+KINDS = [*NUMBERS, NAMES, SCHEDULES, ENDS, SWITCHES, PLACES, LAYERS, OTHERS]
 
 
 def make(**settings):
@@ -106,10 +109,19 @@ def test_a_number_that_may_be_zero_is_not_negative(name, wrong):
         make(**{name: wrong})
 
 
+@pytest.mark.parametrize("name", BUFFERS)
+@pytest.mark.parametrize("wrong", [0, -1, 1.5, "3", True])
+def test_a_buffer_holds_one_at_least(name, wrong):
+    assert getattr(make(**{name: 1}), name) == 1
+    message = rf"{name} must be a whole number of at least 1, got {wrong!r}\. Set {flag(name)}\."
+    with pytest.raises(ConfigError, match=message):
+        make(**{name: wrong})
+
+
 OPTIONAL = ["clock_frequency", "controller_weight_decay", "evaluation_horizon", "minutes", "observe_block", "primitive"]
 
 
-@pytest.mark.parametrize("name", [*OPTIONAL, *ENDS, *PLACES, "primitive_hidden"])
+@pytest.mark.parametrize("name", [*OPTIONAL, *ENDS, *PLACES, *BUFFERS, "primitive_hidden"])
 def test_what_may_be_none_is_none_unless_said(name):
     assert getattr(make(), name) is None
     assert getattr(make(**{name: None}), name) is None
@@ -237,6 +249,8 @@ def test_numbers_are_the_settings_that_change_numbers():
     numbers = make().numbers()
     assert set(numbers) == {field.name for field in fields(TrainConfig)} - EXECUTION_FIELDS
     other = make(num_workers=3, chunk_size=7, backend="serial", generations=5, minutes=1.0, keep_checkpoints=2)
+    assert other.numbers() == numbers
+    other = make(device="cuda", nconmax=3, njmax=7)
     assert other.numbers() == numbers
     assert make(seed=2).numbers() != numbers
 

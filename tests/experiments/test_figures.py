@@ -10,7 +10,7 @@ from PIL import Image
 from shes.experiments import figures
 from shes.experiments.ablation import CURVES, METRICS, ablation, choose, compare
 from shes.experiments.figures import draw_figures
-from shes.experiments.study import Summary
+from shes.experiments.study_tables import Summary
 
 pytestmark = pytest.mark.extras  # the fast tests have three minutes
 

@@ -212,7 +212,8 @@ def test_the_cosine_is_that_of_the_gradients_of_two_half_populations(every_gener
     class Listening(SerialBackend):
         def map(self, tasks):
             for task, result in zip(tasks, super().map(tasks), strict=True):
-                seen[task.member] = result.returns.mean(axis=1)
+                for slot, returns in zip(task.slots, result.returns.T, strict=True):  # one episode a member
+                    seen[task.member + slot] = returns
                 yield result
 
     design = build_design(config)

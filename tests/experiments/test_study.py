@@ -19,16 +19,14 @@ from shes.experiments.ablation import ablation, choose, compare, holm, permutati
 from shes.experiments.checkpoint import load_checkpoint
 from shes.experiments.evaluate import evaluate
 from shes.experiments.study import (
-    Cell,
     Study,
-    Summary,
     cell_steps,
     check_study,
     read_summaries,
     run_cell,
     run_study,
-    write_tables,
 )
+from shes.experiments.study_tables import Cell, Summary, read_tables, write_tables
 from tests.e2e import runs
 
 TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}
@@ -176,7 +174,7 @@ def test_a_damaged_summary_says_what_to_do(finished, tmp_path):
 
 
 def test_tables_have_a_row_for_every_run_and_every_evaluation(finished, tmp_path):
-    write_tables({"a": finished[1]}, tmp_path)
+    write_tables([cell()], {cell().name: finished[1]}, tmp_path)
     (row,) = rows(tmp_path / "runs.csv")
     assert {name: row[name] for name in ("variant", "env", "seed", "generations")} == {
         "variant": "base",
@@ -188,6 +186,17 @@ def test_tables_have_a_row_for_every_run_and_every_evaluation(finished, tmp_path
     curve = rows(tmp_path / "curves.csv")
     assert [float(point["env_steps"]) for point in curve] == [160, 320, 640]
     assert float(curve[2]["return_mean"]) == finished[1].curve[2]["return_mean"]
+
+
+def test_tables_are_read_back_as_they_were_written(finished, tmp_path):
+    write_tables([cell()], {cell().name: finished[1]}, tmp_path)
+    assert read_tables([cell()], tmp_path) == {cell().name: finished[1]}
+    assert read_summaries(Study(cells=(cell(),)), tmp_path) == {cell().name: finished[1]}
+    for other in (cell(settings={**TINY, "sigma": 0.5}), cell(seed=6), cell(variant="other")):
+        assert read_tables([other], tmp_path) == {}
+    (tmp_path / "runs.csv").write_text("group\nchoices\n", encoding="utf-8")
+    with pytest.raises(RunFolderError, match=r"runs.csv cannot be read as a table of runs"):
+        read_tables([cell()], tmp_path)
 
 
 # All cells.
@@ -238,6 +247,27 @@ def test_a_transferred_primitive_comes_from_its_cell_wherever_the_study_lies(tmp
 
 
 # The ablation.
+
+
+def test_a_study_goes_on_from_its_tables_alone(tmp_path, in_this_process):
+    trained = cell(env="point-flagrun", group="transfer", settings={**TINY})
+    begun = cell(
+        group="transfer", variant="frozen", primitive=trained.name, settings={**TINY, "freeze_primitive": True}
+    )
+    study = Study(cells=(trained, cell(), begun), episodes=2)
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert all(outcome.summary for outcome in run_study(study, first, num_workers=1))
+    whole = read_summaries(study, first)
+    second.mkdir()
+    write_tables(study.ordered(), {name: found for name, found in whole.items() if name != begun.name}, second)
+    outcomes = list(run_study(study, second, num_workers=1))
+    # The primitive is trained again: what begins with it needs more than its row.
+    assert [outcome.cell.name for outcome in outcomes] == [trained.name, begun.name]
+    again = read_summaries(study, second)
+    assert {name: without_seconds(found) for name, found in again.items()} == {
+        name: without_seconds(found) for name, found in whole.items()
+    }
+    assert not list(run_study(study, second, num_workers=1))
 
 
 @pytest.mark.parametrize("scale", ablations.SCALES)

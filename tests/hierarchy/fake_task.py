@@ -119,6 +119,9 @@ class FakeTask:
     def close(self):
         pass
 
+    def check_buffers(self):
+        pass
+
 
 @dataclass(frozen=True)
 class FakeEnvironment:
@@ -126,5 +129,5 @@ class FakeEnvironment:
 
     goal_interval: int = 0
 
-    def make(self, num_episodes, options=None):
+    def make(self, num_episodes, options=None, simulator=None):
         return FakeTask(num_episodes, goal_interval=self.goal_interval)

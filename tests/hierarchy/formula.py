@@ -70,11 +70,15 @@ class FormulaBackend(Backend):
         for task in tasks:
             self.tasks[-1].append(task)
             generation = self.generations[-1]
-            controller, primitive = (
-                level.theta + sign * generation.sigma * self.table.slice(index, len(level.theta))
-                for level, sign, index in zip(generation.levels, task.signs, task.noise_index, strict=True)
-            )
-            k = len(task.slots)
+            policies = [
+                [
+                    level.theta + sign * generation.sigma * self.table.slice(index, len(level.theta))
+                    for level, sign, index in zip(generation.levels, signs, task.noise_index, strict=True)
+                ]
+                for signs in task.signs
+            ]
+            k, episodes = len(task.slots), generation.episodes_per_policy
+            members, slots = np.divmod(task.slots, episodes)
             moments = tuple(
                 LevelMoments(
                     count=np.full(k, 7), total=np.full((k, size), 14.0), total_squares=np.full((k, size), 63.0)
@@ -82,18 +86,21 @@ class FormulaBackend(Backend):
                 for size in DIMS
             )
             # Each episode pays a little more or less, so that fitness is a mean over episodes.
-            luck = np.array(task.slots) - (generation.episodes_per_policy - 1) / 2
-            has_diverged = np.array([(task.member, slot) in self.diverging for slot in task.slots])
-            returns = np.array(formula(controller, primitive))[:, None] + luck
+            luck = slots - (episodes - 1) / 2
+            places = zip((task.member + members).tolist(), slots.tolist(), strict=True)
+            has_diverged = np.array([place in self.diverging for place in places])
+            returns = np.array([formula(*policies[member]) for member in members]).T + luck
             yield EpisodeResults(
                 returns=np.where(has_diverged, 1e6, returns),
                 score=luck,
                 success=luck > 0,
-                steps=100 + np.array(task.slots),
+                steps=100 + slots,
                 has_terminated=luck > 0,
                 has_diverged=has_diverged,
-                goals_reached=np.array(task.slots),
-                final_position=end_of(controller, task.slots),
+                goals_reached=slots,
+                final_position=np.array(
+                    [end_of(policies[m][0], [slot])[0] for m, slot in zip(members, slots, strict=True)]
+                ),
                 environment_returns=returns[0] + 5,
                 moments=moments if task.records_statistics else None,
             )

@@ -14,7 +14,7 @@ def make_task(member, seeds, **changes):
         **{
             "member": member,
             "noise_index": (member, 2 * member),
-            "signs": (1, -1),
+            "signs": ((1, -1),),
             "slots": tuple(range(len(seeds))),
             "seeds": tuple(seeds),
             "records_statistics": member % 2 == 0,

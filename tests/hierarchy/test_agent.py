@@ -34,13 +34,13 @@ def _design(**changes):
     return HierarchicalDesign(**{**design, **changes})
 
 
-def _agent(num_policies=1, num_episodes=1, output=(0.5, 0.25), follows=0.0, sees=None, **changes):
+def _agent(num_lanes=1, num_episodes=1, output=(0.5, 0.25), follows=0.0, sees=None, **changes):
     """Return an agent whose controller says `output` (+ the tanh of `follows` times what it observes).
 
     Its primitive lets us look at the goal's features: the controls are tanh(sin), tanh(cos), tanh(distance).
     """
     design = _design(**changes)
-    agent = design.make(num_policies, num_episodes)
+    agent = design.make(num_lanes, num_episodes)
     weights = follows * np.eye(2).ravel() if sees is None else sees
     controller = np.concatenate([weights, np.arctanh(output)])
     primitive = np.zeros((3 + OBSERVED, 3))
@@ -53,13 +53,13 @@ def _agent(num_policies=1, num_episodes=1, output=(0.5, 0.25), follows=0.0, sees
             for theta, size in zip(agent.theta, design.observation_sizes, strict=True)
         )
     )
-    for policy in range(num_policies):
+    for policy in range(num_lanes):
         agent.start(np.array([policy]))
     return agent
 
 
 def _act(agent, position=(0, 0), heading=0.0, observation=(0, 0), **noise):
-    rows = agent.num_policies * agent.num_episodes
+    rows = agent.num_lanes * agent.num_episodes
     return agent.act(
         np.broadcast_to(np.array(observation, float), (rows, OBSERVED)).copy(),
         np.broadcast_to(np.array(position, float), (rows, 2)).copy(),
@@ -153,7 +153,7 @@ def test_the_primitive_is_paid_for_its_progress_towards_the_goal():
 
 
 def test_a_robot_that_did_not_move_has_made_exactly_no_progress():
-    agent = _agent(num_policies=50, output=(0.3, 0.7))
+    agent = _agent(num_lanes=50, output=(0.3, 0.7))
     position = np.random.default_rng(0).normal(size=(50, 2)) * 10
     agent.act(np.zeros((50, OBSERVED)), position, np.zeros(50))
     assert agent.internal_reward(position).tolist() == [0] * 50
@@ -172,7 +172,7 @@ def test_walking_away_from_a_goal_where_the_robot_stood_is_paid_something_finite
 
 
 def test_a_goal_is_counted_once_when_the_robot_first_comes_near_it():
-    agent = _agent(num_policies=2, output=(0.75, 0.0))  # 3 m to the right of where it is set
+    agent = _agent(num_lanes=2, output=(0.75, 0.0))  # 3 m to the right of where it is set
     _act(agent)
     counts = []
     # Just outside 1 m, inside, further inside, outside and inside again: one goal.
@@ -191,7 +191,7 @@ def test_a_goal_is_counted_once_when_the_robot_first_comes_near_it():
 
 
 def test_new_episodes_have_reached_no_goal_and_can_reach_their_first():
-    agent = _agent(num_policies=2, num_episodes=2, output=(0.75, 0.0))
+    agent = _agent(num_lanes=2, num_episodes=2, output=(0.75, 0.0))
     _act(agent)
     at_goal = np.array([[3.0, 0.0]] * 4)
     agent.internal_reward(at_goal)
@@ -271,7 +271,7 @@ def test_parameters_are_frozen_with_the_normalisation_of_their_statistics():
 
 
 def test_each_pair_keeps_its_own_clock():
-    agent = _agent(num_policies=3, num_episodes=2)
+    agent = _agent(num_lanes=3, num_episodes=2)
     history = []
     for step in range(9):
         if step in (1, 6):
@@ -337,7 +337,7 @@ def test_nothing_is_recorded_unless_asked_for():
 
 
 def test_the_primitive_is_recorded_at_every_step_and_the_controller_when_it_decides():
-    agent = _agent(num_policies=2)
+    agent = _agent(num_lanes=2)
     agent.is_recording = True
     for step in range(2 * INTERVAL + 1):
         if step == 5:

@@ -25,7 +25,7 @@ SETTINGS = {
     "hidden": (8,),
     "horizon": HORIZON,
     "population_size": 8,
-    "episodes_per_policy": 2,
+    "episodes_per_policy": 3,
     "noise_table_size": 20_000,
     "backend": "serial",
     "num_workers": 1,
@@ -47,22 +47,29 @@ CHOICES = {
 }
 
 
-def make(name):
+def make(name, **more):
     """Return what a roll-out of these settings needs."""
     env, settings = CHOICES[name]
     goals = {} if "algorithm" in settings else {"controller_interval": 4}
-    config = make_config(env, "laptop", {**SETTINGS, **goals, **settings})
+    config = make_config(env, "laptop", {**SETTINGS, **goals, **settings, **more})
     design = build_design(config)
     table = open_noise_table(config, design)
     return config, design, table, build_plan(config, design, table)
 
 
-def run(name, simulator, num_lanes, xp=np):
+def run(name, simulator, num_lanes, xp=np, episodes=3):
     """Return the results of a generation, by number, and the waits for the device of every step."""
-    config, design, table, plan = make(name)
+    config, design, table, plan = make(name, episodes_per_policy=episodes)
     state, settings = build_state(config, design), build_settings(config)
     _, tasks, generation = generation_work(state, settings, table.size)
-    rollout = Rollout(design, lambda n: plan.env.make(n, plan.training, simulator), num_lanes, 2, HORIZON)
+    rollout = Rollout(
+        design,
+        lambda n: plan.env.make(n, plan.training, simulator),
+        num_lanes,
+        generation.rows,
+        HORIZON,
+        generation.members_per_lane,
+    )
     waits, step = [], rollout._step
 
     def counted():
@@ -99,6 +106,14 @@ def test_a_device_gives_the_numbers_of_the_cpu_with_two_waits_a_step(name):
     assert set(waits) == {2}
 
 
+@pytest.mark.parametrize("name", ["gather", "flat", "one level in turns"])
+def test_members_that_share_their_noise_do_so_on_a_device(name):
+    found, waits = run(name, DeviceSimulator, 2, strict_xp, episodes=1)
+    assert len(found) < SETTINGS["population_size"]
+    assert_same(found, run(name, CpuSimulator, 2, episodes=1)[0])
+    assert set(waits) == {2}
+
+
 def test_a_population_that_does_not_fit_goes_in_waves():
     assert_same(run("gather", DeviceSimulator, 3, strict_xp)[0], run("gather", CpuSimulator, 8)[0])
 
@@ -112,7 +127,7 @@ def test_lanes_of_a_device_start_together():
             super().reset(ids)
 
     run("gather", Watched, 3, strict_xp)
-    assert started == [6, 6, 4]
+    assert started == [9, 9, 6]
 
 
 def test_the_noise_table_has_one_copy_on_a_device():
@@ -129,7 +144,7 @@ class Worker:
     """Runs roll-outs here, on the CPU or on the device."""
 
     def __init__(self, design, plan, table, simulator):
-        self.rollout = Rollout(design, lambda n: plan.env.make(n, plan.training, simulator), 8, 2, HORIZON)
+        self.rollout = Rollout(design, lambda n: plan.env.make(n, plan.training, simulator), 8, 3, HORIZON)
         self.table = table
 
     def receive(self, state):

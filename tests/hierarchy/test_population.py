@@ -1,5 +1,7 @@
 """The tasks of a generation: whose noise, which signs, whose episodes; and whose observations count."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from shes.es.optimizers import Adam
 from shes.es.perturbation import make_perturbation
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.population import COMMON_RANDOM_NUMBERS, mean_policy_task, population_tasks
+from shes.hierarchy.population import COMMON_RANDOM_NUMBERS, mean_policy_task, members_per_lane, population_tasks
 
 DIMS = (3, 5)
 TABLE_SIZE = 50_000
@@ -31,7 +33,19 @@ def _state(seed=3, generation=2):
 def _tasks(population=8, episodes=2, perturbation="many_to_many", mirrored="quad", generation=2, seed=3, **options):
     signs = make_perturbation(perturbation).signs(generation, population, mirrored, (True, True))
     index = draw_noise_index(seed, generation, len(signs), DIMS, TABLE_SIZE)
-    return population_tasks(_state(seed, generation), signs, index, episodes, **options)
+    return _members(population_tasks(_state(seed, generation), signs, index, episodes, **options), episodes)
+
+
+def _members(tasks, episodes):
+    """Return a task for every member, whoever shared one."""
+    alone = []
+    for task in tasks:
+        assert task.slots == tuple(range(len(task.signs) * episodes))
+        for m, signs in enumerate(task.signs):
+            seeds = task.seeds[m * episodes : (m + 1) * episodes]
+            slots = tuple(range(episodes))
+            alone.append(replace(task, member=task.member + m, signs=(signs,), seeds=seeds, slots=slots))
+    return alone
 
 
 OFF = [
@@ -104,11 +118,24 @@ def test_tasks_say_who_perturbs_how(perturbation):
     index = draw_noise_index(3, 1, len(signs), DIMS, TABLE_SIZE)
     tasks = population_tasks(_state(generation=1), signs, index, 3)
     assert [task.member for task in tasks] == list(range(8))
-    assert [task.signs for task in tasks] == [tuple(row) for row in signs.reshape(8, 2).tolist()]
+    assert [task.signs for task in tasks] == [(tuple(row),) for row in signs.reshape(8, 2).tolist()]
     for member, task in enumerate(tasks):
         assert task.noise_index == tuple(index[:, member // signs.shape[1]].tolist())
         assert task.slots == (0, 1, 2)
-        assert all(type(number) is int for number in (*task.noise_index, *task.signs, *task.seeds))
+        assert all(type(number) is int for number in (*task.noise_index, *task.signs[0], *task.seeds))
+
+
+@pytest.mark.parametrize(("episodes", "shared"), [(1, 4), (2, 4), (3, 1), (5, 1)])
+def test_members_with_few_episodes_share_a_task_with_their_group(episodes, shared):
+    signs = make_perturbation("many_to_many").signs(1, 16, "quad", (True, True))
+    index = draw_noise_index(3, 1, len(signs), DIMS, TABLE_SIZE)
+    tasks = population_tasks(_state(generation=1), signs, index, episodes)
+    assert members_per_lane(4, episodes) == shared
+    assert members_per_lane(1, episodes) == 1
+    assert [task.member for task in tasks] == list(range(0, 16, shared))
+    for task in tasks:
+        assert task.signs == tuple(map(tuple, signs.reshape(16, 2)[task.member : task.member + shared].tolist()))
+        assert len(task.seeds) == len(task.slots) == shared * episodes
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.3, 1.0])
@@ -127,14 +154,16 @@ def test_an_unknown_way_to_share_episodes_is_refused():
 
 
 def test_the_mean_policys_task_perturbs_nothing_and_records_nothing():
-    task = mean_policy_task(_state(), 8, 3)
-    assert (task.member, task.signs, task.noise_index, task.slots) == (8, (0, 0), (0, 0), (0, 1, 2))
+    task = mean_policy_task(_state(), 8, 3, 1)
+    assert (task.member, task.signs, task.noise_index, task.slots) == (8, ((0, 0),), (0, 0), (0, 1, 2))
+    beside = mean_policy_task(_state(), 8, 3, 4)
+    assert (beside.signs, beside.slots, beside.seeds) == (((0, 0),) * 4, task.slots, task.seeds)
     assert not task.records_statistics
     assert len(set(task.seeds)) == 3
 
 
 def test_the_mean_policy_has_episodes_of_its_own_in_every_generation():
-    mean = [mean_policy_task(_state(seed, generation), 8, 3).seeds for seed, generation in ((3, 2), (3, 3), (4, 2))]
+    mean = [mean_policy_task(_state(seed, generation), 8, 3, 1).seeds for seed, generation in ((3, 2), (3, 3), (4, 2))]
     assert len({seed for seeds in mean for seed in seeds}) == 9
     assert not set(mean[0]) & {seed for task in _tasks(episodes=3) for seed in task.seeds}
-    assert mean_policy_task(_state(), 8, 3).seeds == mean[0]
+    assert mean_policy_task(_state(), 8, 3, 1).seeds == mean[0]

@@ -93,7 +93,7 @@ def _task(member, seeds, *, slots=None, signs=(1, -1), records=True):
     return EpisodeTask(
         member=member,
         noise_index=(7 * member, 100 + 11 * member),
-        signs=signs,
+        signs=(signs,),
         slots=tuple(range(len(seeds))) if slots is None else tuple(slots),
         seeds=tuple(seeds),
         records_statistics=records,
@@ -171,7 +171,7 @@ def test_results_do_not_depend_on_what_the_rollout_did_before(population, alone)
 @pytest.mark.parametrize("slots", [(0,), (1,), (2,), (2, 0), (1, 2)])
 def test_an_episode_alone_is_the_same_as_among_the_others_of_its_policy(population, alone, slots):
     tasks = [
-        _task(t.member, [t.seeds[s] for s in slots], slots=slots, signs=t.signs, records=t.records_statistics)
+        _task(t.member, [t.seeds[s] for s in slots], slots=slots, signs=t.signs[0], records=t.records_statistics)
         for t in population
     ]
     for member, results in _run(_rollout(4), tasks).items():
@@ -181,7 +181,7 @@ def test_an_episode_alone_is_the_same_as_among_the_others_of_its_policy(populati
 @pytest.mark.parametrize("lanes", [1, 2, 6])
 def test_with_one_episode_a_policy_results_do_not_depend_on_lanes(population, lanes):
     # E = 1: matrix times vector, another path through BLAS; one lane of it is a batch of one row.
-    tasks = [_task(t.member, t.seeds[:1], signs=t.signs) for t in population]
+    tasks = [_task(t.member, t.seeds[:1], signs=t.signs[0]) for t in population]
     expected = {t.member: _bits(_run(_rollout(3, episodes=1), [t])[t.member]) for t in tasks}
     assert {m: _bits(r) for m, r in _run(_rollout(lanes, episodes=1), tasks).items()} == expected
 
@@ -314,7 +314,7 @@ def _check_against_plain_loop(design, world):
     """Compare three episodes with those of a plain loop; return how many goals were reached in them."""
     generation = _generation(design, is_evaluation=True)
     seeds = [make_seed(draw=3), make_seed(terminates_after=18, draw=5), make_seed(terminates_after=7, draw=2)]
-    task = replace(_task(3, seeds), noise_index=(21, 133)[: len(design.dims)], signs=(-1, 1)[: len(design.dims)])
+    task = replace(_task(3, seeds), noise_index=(21, 133)[: len(design.dims)], signs=((-1, 1)[: len(design.dims)],))
     rollout = Rollout(design, world.make, 2, EPISODES, HORIZON)
     results = _run(rollout, [task], generation)[3]
     goals = 0
@@ -337,7 +337,7 @@ def _plain_episode(design, made_by, generation, task, seed):
         mlp, parameters = design.policies[level], generation.levels[level]
         start = task.noise_index[level]
         epsilon = noise[start : start + mlp.num_params].astype(float)
-        rest = parameters.theta.astype(float) + task.signs[level] * SIGMA * epsilon
+        rest = parameters.theta.astype(float) + task.signs[0][level] * SIGMA * epsilon
         x = np.clip((observation - parameters.mean) * parameters.inverse_std, -5, 5)
         for fan_in, fan_out in zip(mlp.sizes, mlp.sizes[1:], strict=False):
             weights, biases = rest[: fan_in * fan_out].reshape(fan_in, fan_out), rest[fan_in * fan_out :][:fan_out]
@@ -393,7 +393,7 @@ def test_results_of_one_level_do_not_depend_on_lanes_order_or_company(name):
     design, world = ALONE[name]
     generation, rng = _generation(design), random.Random(1)  # noqa: S311 - seeds of a test
     tasks = [
-        replace(_task(m, [rng.randrange(2**63) for _ in range(EPISODES)]), noise_index=(7 * m,), signs=(1 - m % 3,))
+        replace(_task(m, [rng.randrange(2**63) for _ in range(EPISODES)]), noise_index=(7 * m,), signs=((1 - m % 3,),))
         for m in range(6)
     ]
     alone = {
@@ -408,7 +408,7 @@ def test_results_of_one_level_do_not_depend_on_lanes_order_or_company(name):
 
 def test_what_the_environment_paid_is_kept_beside_what_a_level_was_paid(population):
     design, world = ALONE["primitive"]
-    tasks = [replace(_task(0, population[0].seeds), noise_index=(0,), signs=(1,))]
+    tasks = [replace(_task(0, population[0].seeds), noise_index=(0,), signs=((1,),))]
     alone = _run(Rollout(design, world.make, 1, EPISODES, HORIZON), tasks, _generation(design))[0]
     assert not np.isclose(alone.returns[0], alone.environment_returns).any()
     both = _run(_rollout(1), [population[0]])[0]
@@ -541,3 +541,60 @@ def test_a_lane_without_work_may_be_left_with_anything(population, alone):
     with pytest.raises(PolicyError):
         _run(rollout, population, table=NoiseTable(np.full(2000, np.nan, np.float32)))
     assert _bits(_run(rollout, population[:1])[0]) == alone[0]
+
+
+# Members that share their noise ------------------------------------------------------------------------------
+
+
+def _group(number, episodes, seed=0):
+    """Return the task of a group of four members, of `episodes` each, around noise of its own."""
+    rng = random.Random(1000 * seed + number)  # noqa: S311 - seeds of a test
+    rows = 4 * episodes
+    return EpisodeTask(
+        member=4 * number,
+        noise_index=(7 * number, 100 + 11 * number),
+        signs=((1, 1), (1, -1), (-1, 1), (-1, 0)),
+        slots=tuple(range(rows)),
+        seeds=tuple(rng.randrange(2**63) for _ in range(rows)),
+    )
+
+
+def _shared_rollout(lanes, episodes, design=DESIGN):
+    return Rollout(design, FakeEnvironment().make, lanes, 4 * episodes, HORIZON, members_per_lane=4)
+
+
+@pytest.mark.parametrize("episodes", [1, 2])
+def test_members_that_share_their_noise_get_the_same_results_in_any_lanes_and_company(episodes):
+    generation = replace(_generation(), episodes_per_policy=episodes, members_per_lane=4)
+    tasks = [_group(number, episodes) for number in range(7)]
+    alone = {t.member: _bits(_run(_shared_rollout(1, episodes), [t], generation)[t.member]) for t in tasks}
+    assert len({bits for group in alone.values() for bits in group}) == 7 * 4 * episodes
+    for lanes, order in ((3, tasks), (5, tasks[::-1])):
+        found = _run(_shared_rollout(lanes, episodes), order, generation)
+        assert {m: _bits(r) for m, r in found.items()} == alone
+    for slots in ((0,), (2,), (3, 1)):  # some of the episodes alone, as the last ones are handed out
+        some = [replace(t, slots=slots, seeds=tuple(t.seeds[s] for s in slots)) for t in tasks]
+        for member, results in _run(_shared_rollout(4, episodes), some, generation).items():
+            assert _bits(results) == [alone[member][slot] for slot in slots]
+
+
+def test_members_that_share_their_noise_do_as_they_would_alone():
+    generation = replace(_generation(), episodes_per_policy=1, members_per_lane=4)
+    for number in range(4):
+        group = _group(number, 1)
+        together = _run(_shared_rollout(2, 1), [group], generation)[group.member]
+        for m, signs in enumerate(group.signs):
+            task = replace(group, member=group.member + m, signs=(signs,), slots=(0,), seeds=group.seeds[m : m + 1])
+            alone = _run(_rollout(1, episodes=1), [task], replace(generation, members_per_lane=1))[task.member]
+            assert together.steps[m] == alone.steps[0]
+            np.testing.assert_allclose(together.returns[:, m], alone.returns[:, 0], rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(together.final_position[m], alone.final_position[0], rtol=1e-4, atol=1e-4)
+
+
+def test_a_bad_policy_of_a_group_is_named_by_its_member():
+    generation = replace(_generation(), episodes_per_policy=2, members_per_lane=4)
+    group = _group(3, 2)
+    group = replace(group, slots=(5,), seeds=group.seeds[5:6])
+    generation.levels[PRIMITIVE].theta[0] = np.nan
+    with pytest.raises(PolicyError, match=r"member 14 .*parameters of its primitive are not finite"):
+        _run(_shared_rollout(2, 2), [group], generation)

@@ -98,8 +98,8 @@ def test_a_frozen_level_stays_as_it_is_in_every_respect(table, frozen, name):
     state = replace(state, levels=tuple(first if i == frozen else level for i, level in enumerate(state.levels)))
     backend, reports = formula_run(table, 3, settings, state=state)
     for report, tasks in zip(reports, backend.tasks, strict=True):
-        assert {task.signs[frozen] for task in tasks} == {0}
-        assert {abs(task.signs[1 - frozen]) for task in tasks} == {1}
+        assert {task.signs[0][frozen] for task in tasks} == {0}
+        assert {abs(task.signs[0][1 - frozen]) for task in tasks} == {1}
         frozen_level, learner = report.state.levels[frozen], report.state.levels[1 - frozen]
         assert same_level(frozen_level, first)
         assert frozen_level.statistics is first.statistics  # no new observations
@@ -119,8 +119,8 @@ def test_in_turns_a_level_rests_but_goes_on_observing(table):
     backend, reports = formula_run(table, 4, settings, state=state)
     for generation, (report, tasks) in enumerate(zip(reports, backend.tasks, strict=True)):
         turn = generation % 2
-        assert {task.signs[turn] for task in tasks} == {1, -1}
-        assert {task.signs[1 - turn] for task in tasks} == {0}
+        assert {task.signs[0][turn] for task in tasks} == {1, -1}
+        assert {task.signs[0][1 - turn] for task in tasks} == {0}
         assert same_level(report.state.levels[1 - turn], state.levels[1 - turn])
         assert not same_level(report.state.levels[turn], state.levels[turn])
         assert [np.isnan(update.gradient_norm) for update in report.updates] == [turn == 1, turn == 0]
@@ -133,7 +133,7 @@ def test_in_turns_a_level_rests_but_goes_on_observing(table):
 def test_in_halves_both_levels_learn_in_every_generation(table):
     backend, reports = formula_run(table, 2, replace(SETTINGS, perturbation=OneToManyHalves()))
     for number, (report, tasks) in enumerate(zip(reports, backend.tasks, strict=True), start=1):
-        signs = {task.member: task.signs for task in tasks}
+        signs = {task.member: task.signs[0] for task in tasks}
         assert [signs[m] for m in range(8)] == [(1, 0), (-1, 0)] * 2 + [(0, 1), (0, -1)] * 2
         assert [level.optimizer.steps for level in report.state.levels] == [number, number]
         assert np.isfinite([update.gradient_norm for update in report.updates]).all()
@@ -218,7 +218,7 @@ def test_the_mean_policys_episodes_are_steps_but_no_members(table):
     assert [report.state.env_steps for report in searching] == [9 * steps, 18 * steps]
     for tasks in backend.tasks:
         assert {task.member for task in tasks} == set(range(9))
-        assert {task.signs for task in tasks if task.member == 8} == {(0, 0)}
+        assert {task.signs for task in tasks if task.member == 8} == {((0, 0),)}
         assert sum(len(task.seeds) for task in tasks if task.member == 8) == EPISODES
     for one, other in zip(plain, searching, strict=True):
         assert other.results.returns.shape == (2, 8, EPISODES)

@@ -259,7 +259,7 @@ def test_a_buffer_that_is_too_small_is_an_error_with_a_size_that_does(setting, i
     simulator.check_buffers()
     for _ in range(20):
         simulator.step(np.arange(num_sims), 5)
-    with pytest.raises(ConfigError, match=rf"overflowed: .*\({setting}\).* Set {setting} to \d+\.") as error:
+    with pytest.raises(ConfigError, match=rf"overflowed: .*\({setting}\).* Set --{setting} to \d+\.") as error:
         simulator.check_buffers()
     size = int(str(error.value).rsplit(" ", 1)[1].rstrip("."))
     simulator = WarpCpu(model, num_sims, **{setting: size})

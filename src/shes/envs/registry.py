@@ -56,8 +56,14 @@ class EnvironmentMaker(Protocol):
         """Whether it tells the robot where to go, so that a primitive learns in it without a controller."""
         ...
 
-    def make(self, num_episodes: int, options: TaskOptions | None = None) -> EpisodeBatch:
-        """Return `num_episodes` episodes."""
+    def make(
+        self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
+    ) -> EpisodeBatch:
+        """Return `num_episodes` episodes, whose physics is computed by what `simulator` makes.
+
+        Raises:
+            ConfigError: It brings its own physics, and `simulator` is not that of the CPU.
+        """
         ...
 
 

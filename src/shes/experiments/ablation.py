@@ -17,7 +17,8 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.experiments.plot import interval
 from shes.experiments.presets import make_config
 from shes.experiments.records import Row
-from shes.experiments.study import Cell, Study, Summary
+from shes.experiments.study import Study
+from shes.experiments.study_tables import Cell, Summary
 from shes.types import F64Array
 
 __all__ = [

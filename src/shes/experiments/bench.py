@@ -32,6 +32,7 @@ from shes.experiments.build import (
 )
 from shes.experiments.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.experiments.config import TrainConfig
+from shes.experiments.device import array_module
 from shes.hierarchy.rollout import Rollout
 from shes.types import F64Array, FloatArray, IntArray
 from shes.worker import WorkerPlan
@@ -46,7 +47,7 @@ Episode = tuple[F64Array, F64Array, list[F64Array]]
 
 
 def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
-    """Measure whole generations against a bare `mj_step` loop.
+    """Measure whole generations, on the device of `config`, against a bare `mj_step` loop on a core.
 
     The bare loop replays episodes of the same generation, start state and controls, with no policy, task or Python
     beyond the call: the limit of one core. Each generation lies between two replays, `repeats` times; speeds are
@@ -61,7 +62,7 @@ def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
             "makes. Name one of `shes envs` with a world of our own, e.g. ant-gather."
         )
     design = build_design(config)
-    table = open_noise_table(config, design)
+    table = open_noise_table(config, design).on(array_module(config.device))
     plan = build_plan(config, design, table)
     episodes = _record_episodes(config, plan)
     bare: list[float] = []
@@ -83,6 +84,7 @@ def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
         "integrator": plan.training.integrator,
         "population_size": config.population_size,
         "episodes_per_policy": config.episodes_per_policy,
+        "device": config.device,
         "num_workers": workers,
         "env_steps_per_s": statistics.median(whole),
         "bare_steps_per_s": statistics.median(bare),
@@ -114,14 +116,14 @@ class _Recorder:
 
 def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjModel, list[Episode]]:
     """Return the model and the first episodes of the first generation."""
-    members = max(1, _REPLAYED // config.episodes_per_policy)
-    task = make_task(config.env, members * config.episodes_per_policy, plan.training)
-    rollout = Rollout(plan.design, lambda _: task, members, config.episodes_per_policy, config.horizon)
-    recorder = _Recorder(task)
     state, settings = build_state(config, plan.design), build_settings(config)
     table = open_noise_table(config, plan.design)
     _, tasks, generation = generation_work(state, settings, table.size)
-    for _ in rollout.run(iter(enumerate(tasks[:members])), generation, table):
+    lanes, rows = max(1, _REPLAYED // generation.rows), generation.rows
+    task = make_task(config.env, lanes * rows, plan.training)
+    recorder = _Recorder(task)
+    rollout = Rollout(plan.design, lambda _: task, lanes, rows, config.horizon, generation.members_per_lane)
+    for _ in rollout.run(iter(enumerate(tasks[:lanes])), generation, table):
         pass
     return recorder.model, recorder.episodes
 
@@ -147,7 +149,15 @@ def bench_update(config: TrainConfig, repeats: int = 20) -> dict[str, Any]:
     """Measure, in milliseconds, what the parent does between generations, whole and by part (medians).
 
     `checkpoint_ms` is written by a thread beside the next generation's work and is not in `total_ms`.
+
+    Raises:
+        ConfigError: A device is asked for.
     """
+    if config.device != "cpu":
+        raise ConfigError(
+            f"bench update measures the CPU, got device {config.device!r}. Leave --device away; the columns update_s "
+            "and rollout_s of a run's progress.csv tell of a device."
+        )
     design = build_design(config)
     table = open_noise_table(config, design)
     state = build_state(config, design)

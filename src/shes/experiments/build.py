@@ -36,7 +36,7 @@ from shes.hierarchy.outputs import make_controller_output
 from shes.hierarchy.primitive import PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
 from shes.policies.mlp import MLP
-from shes.worker import RolloutWorker, WorkerPlan
+from shes.worker import RolloutWorker, WorkerPlan, simulator_factory
 
 __all__ = [
     "build_backend",
@@ -47,6 +47,7 @@ __all__ = [
     "build_state",
     "build_task",
     "build_update_rules",
+    "check_device",
     "open_noise_table",
     "primitive_inputs",
     "primitive_view",
@@ -237,12 +238,29 @@ def build_plan(config: TrainConfig, design: AgentDesign, table: NoiseTable) -> W
         horizon=config.horizon,
         evaluation_horizon=config.evaluation_horizon or config.horizon,
         chunk_size=config.chunk_size,
+        device=config.device,
+        nconmax=config.nconmax,
+        njmax=config.njmax,
     )
 
 
+def check_device(config: TrainConfig) -> None:
+    """Refuse a device that is not there, or that does not run the world of `config`: before anything is written.
+
+    Raises:
+        MissingExtraError: It needs a package that is not installed.
+        ConfigError: There is no card, its driver is too old, versions do not go together, or the world needs the CPU.
+    """
+    if config.device == "cpu":
+        return
+    env = build_environment(config)
+    simulator = simulator_factory(config.device, config.nconmax, config.njmax)
+    env.make(1, build_options(config, env, is_evaluation=False), simulator).close()
+
+
 def build_backend(config: TrainConfig, plan: WorkerPlan) -> Backend:
-    """Start the workers."""
+    """Start the workers; a device has one, in this process."""
     factory = partial(RolloutWorker, plan)
-    if config.backend == "serial":
+    if config.backend == "serial" or config.device != "cpu":
         return SerialBackend(factory)
     return ProcessesBackend(factory, config.workers)

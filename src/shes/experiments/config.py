@@ -19,9 +19,23 @@ from shes.experiments.settings import NAMES, SCHEDULED, check_value, flag, out_o
 __all__ = ["EXECUTION_FIELDS", "HEADINGS", "WITHOUT_FLAG", "TrainConfig", "check_fields", "in_words_of_today"]
 
 EXECUTION_FIELDS = frozenset(
-    {"preset", "backend", "num_workers", "chunk_size", "generations", "minutes", "keep_checkpoints"}
+    {
+        "preset",
+        "backend",
+        "num_workers",
+        "chunk_size",
+        "device",
+        "nconmax",
+        "njmax",
+        "generations",
+        "minutes",
+        "keep_checkpoints",
+    }
 )
-"""Settings that say how, where and how long, and never change a number of a generation."""
+"""Settings that say how, where and how long, and never change what a run is.
+
+None changes a number of a generation but the device, which rounds otherwise: a run's record says where it changed.
+"""
 
 WITHOUT_FLAG = frozenset({"env", "external"})
 """Settings that `shes train` takes as its first word: a name, or a file that describes an external environment."""
@@ -66,11 +80,17 @@ class TrainConfig:
     """Minutes after which this call ends, whichever comes first."""
 
     backend: str = "processes"
-    """Where the work is done: processes (on this machine) or serial (in this process)."""
+    """Where the work is done on the CPU: processes (on this machine) or serial (in this process)."""
     num_workers: int = 0
     """Worker processes; 0 is one for every core. Never changes a number."""
     chunk_size: int = 0
-    """Policies that a worker runs in lockstep; 0 chooses. Never changes a number."""
+    """Policies that a worker, or a device, runs in lockstep; 0 chooses. Never changes a number on the CPU."""
+    device: str = "cpu"
+    """What computes the physics: cpu, cuda (an NVIDIA card; extra gpu) or warp-cpu (extra warp; for tests)."""
+    nconmax: int | None = None
+    """Contacts that a device has room for, per simulation on average; chosen by the world if none."""
+    njmax: int | None = None
+    """Constraint rows that a device has room for, per simulation; chosen by the world if none."""
 
     population_size: int = 240
     """Policies in a generation, mirrored ones included (Table I: 1000)."""
@@ -201,6 +221,11 @@ class TrainConfig:
         self._find_description()
         for name in (field.name for field in fields(self)):
             check_value(name, getattr(self, name))
+        if self.external is not None and self.device != "cpu":
+            raise ConfigError(
+                f"device is {self.device!r}, but {self.env} is Gymnasium's, with physics of its own: it runs on the "
+                "CPU alone. Set --device cpu."
+            )
         if self.seed >= 2**63:
             raise out_of_range("seed", self.seed, "less than 2**63")
         self._check_schedules()

@@ -124,7 +124,7 @@ def sample(
         EpisodeTask(
             member=number,
             noise_index=tuple((number % _POLICIES) * dim for dim in design.dims),
-            signs=(1,) * len(levels),
+            signs=((1,) * len(levels),),
             slots=(0,),
             seeds=(seeds[number],),
             records_statistics=False,

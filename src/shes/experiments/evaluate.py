@@ -15,6 +15,7 @@ from shes.es.level import LevelParameters, LevelState, TrainState
 from shes.es.streams import Purpose, stream
 from shes.experiments.build import build_backend, build_design, build_plan, open_noise_table
 from shes.experiments.config import TrainConfig
+from shes.experiments.device import check_asked_device
 from shes.experiments.run_folder import RunFolder
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
@@ -87,7 +88,7 @@ def evaluate_levels(
         EpisodeTask(
             member=number,
             noise_index=zeros,
-            signs=zeros,
+            signs=(zeros,),
             slots=tuple(range(len(block))),
             seeds=tuple(block),
             records_statistics=False,
@@ -122,6 +123,9 @@ def evaluate(
     episodes: int = 50,
     checkpoint: str = "best",
     num_workers: int = 0,
+    device: str = "cpu",
+    nconmax: int | None = None,
+    njmax: int | None = None,
     seed: int | None = None,
     targets: str = "evaluation",
 ) -> Evaluation:
@@ -132,14 +136,18 @@ def evaluate(
         episodes: Number of episodes.
         checkpoint: `best`, `last` or the number of a generation.
         num_workers: Worker processes; 0 is one for every core. Never changes a number.
+        device: What computes the physics, whatever the run was trained on: `cpu`, `cuda` or `warp-cpu`.
+        nconmax: Contacts that a device has room for, per simulation; the run's setting if none.
+        njmax: Constraint rows that a device has room for, per simulation; the run's setting if none.
         seed: Seed of the episodes; the run's own, in a stream apart, if none.
         targets: `evaluation`, or `training`: with training's targets and reset noise, as the maze's random targets.
 
     Raises:
         RunFolderError: `run` is not a run folder.
         CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: `episodes` is not positive, or `seed` is negative.
-        UnknownNameError: `targets` is not known.
+        ConfigError: `episodes` is not positive, `seed` is negative, or there is no such device here.
+        UnknownNameError: `targets` or `device` is not known.
+        MissingExtraError: The device needs a package that is not installed.
     """
     if targets not in TARGETS:
         raise UnknownNameError("targets", targets, TARGETS, "Set --targets.")
@@ -149,7 +157,10 @@ def evaluate(
         raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
     folder = RunFolder.open(Path(run))
     stored = folder.read_config()
-    config = TrainConfig.from_dict({**stored.to_dict(), "num_workers": num_workers, "evaluation_episodes": episodes})
+    buffers = {name: size for name, size in (("nconmax", nconmax), ("njmax", njmax)) if size is not None}
+    execution = {"num_workers": num_workers, "device": device, **buffers}
+    config = TrainConfig.from_dict({**stored.to_dict(), **execution, "evaluation_episodes": episodes})
+    check_asked_device(config, execution)
     state = folder.load(checkpoint).state
     draws = state if seed is None else TrainState(seed=seed, generation=0, env_steps=0, levels=state.levels)
     seeds = evaluation_seeds(draws, episodes, Purpose.FRESH_EPISODES)

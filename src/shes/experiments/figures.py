@@ -14,7 +14,8 @@ from matplotlib.transforms import blended_transform_factory
 
 from shes.experiments.ablation import BASE, CURVES, ENVS, FACTORS, LABELS, METRICS, SWEPT, Comparison, label, sweep_name
 from shes.experiments.plot import interval
-from shes.experiments.study import Cell, Study, Summary
+from shes.experiments.study import Study
+from shes.experiments.study_tables import Cell, Summary
 from shes.storage import write_atomically
 from shes.types import F64Array
 

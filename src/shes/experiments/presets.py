@@ -11,6 +11,7 @@ from shes.envs.registry import find_environment
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.novelty import NOVELTY_RULES
 from shes.experiments.config import TrainConfig, check_fields
+from shes.experiments.device import check_asked_device
 from shes.experiments.settings import flag
 from shes.experiments.transfer import brought_settings
 
@@ -95,6 +96,7 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     if values.get("primitive") is not None:
         values.update(brought_settings(values["primitive"], values.get("primitive_checkpoint", "best"), overrides))
     config = TrainConfig(env=env, preset=preset, **values)
+    check_asked_device(config, overrides)
     _refuse_unheeded(config, overrides)
     return config
 

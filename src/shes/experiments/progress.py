@@ -77,6 +77,8 @@ class ProgressDisplay:
         self.path, self._config = path, config
         self._start = monotonic()
         workers = f"{num_workers} worker{'s' * (num_workers != 1)}" if config.backend != "serial" else "this process"
+        if config.device != "cpu":
+            workers = f"device {config.device}"
         after = f" after generation {generation}" if generation else ""
         self._console.print(
             f"Training [bold]{config.env}[/bold] ({config.preset}) on {workers}{after}. "

@@ -11,13 +11,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from shes.experiments.device import device_facts
+
 __all__ = ["provenance"]
 
 _PACKAGES = ("shes", "mujoco", "numpy")
 
 
-def provenance() -> dict[str, Any]:
-    """Return what a run writes down of this process."""
+def provenance(device: str) -> dict[str, Any]:
+    """Return what a run writes down of this process, which computes on `device`."""
     versions = {name: metadata.version(name) for name in _PACKAGES}
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -25,6 +27,7 @@ def provenance() -> dict[str, Any]:
         "versions": {"python": platform.python_version(), **versions},
         "git_commit": _git_commit(),
         "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
+        "device": device_facts(device),
     }
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.experiments.checkpoint import Checkpoint, load_checkpoint
 from shes.experiments.config import TrainConfig, in_words_of_today
+from shes.experiments.device import device_changes
 from shes.experiments.provenance import provenance
 from shes.storage import storage_errors, write_atomically
 
@@ -133,15 +134,20 @@ class RunFolder:
         Raises:
             StorageError: It cannot be written.
         """
-        self._write_record({"format": _FORMAT, "config": config.to_dict(), **provenance(), "resumed": []})
+        self._write_record({"format": _FORMAT, "config": config.to_dict(), **provenance(config.device), "resumed": []})
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
-        """Write down that the run went on from `generation`; return what versions have changed since it began."""
+        """Write down that the run went on from `generation`; return what is other than before, on what numbers depend.
+
+        Versions are compared with those that the run began with, the device with that of the part before.
+        """
         record = self._read_record()
-        here, began = provenance(), record.get("versions", {})
+        here, began = provenance(config.device), record.get("versions", {})
         changes = [
             f"{name} {began.get(name)} -> {now}" for name, now in here["versions"].items() if began.get(name) != now
         ]
+        before = [record, *record.get("resumed", [])][-1].get("device", {"name": "cpu"})
+        changes += device_changes(before, here["device"])
         record["config"] = config.to_dict()
         record["resumed"] = [*record.get("resumed", []), {"generation": generation, **here}]
         self._write_record(record)

@@ -22,6 +22,7 @@ from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, check_controller_output
 from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS, check_primitive_reward
 from shes.policies.mlp import BIAS_INITIALISATIONS
+from shes.sim.warp_device import DEVICES
 
 __all__ = [
     "ALGORITHMS",
@@ -46,6 +47,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "backend": BACKENDS,
     "biases": BIAS_INITIALISATIONS,
     "common_random_numbers": COMMON_RANDOM_NUMBERS,
+    "device": ("cpu", *DEVICES),
     "episodes_schedule": tuple(SCHEDULES),
     "fitness_shaping": tuple(FITNESS_SHAPINGS),
     "integrator": ("default", *INTEGRATORS),
@@ -82,6 +84,8 @@ _AT_LEAST: dict[str, int] = {
     "generations": 1,
     "horizon": 1,
     "keep_checkpoints": 1,
+    "nconmax": 1,
+    "njmax": 1,
     "novelty_neighbours": 1,
     "noise_table_size": 2,
     "num_workers": 0,
@@ -123,6 +127,8 @@ _OPTIONAL = (
     "controller_weight_decay",
     "evaluation_horizon",
     "minutes",
+    "nconmax",
+    "njmax",
     "observe_block",
     "primitive_hidden",
     *_PLACES,

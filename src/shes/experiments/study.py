@@ -6,13 +6,11 @@ unfinished ones go on as `shes resume` does, so a study that was stopped has the
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import signal
 import traceback
-from collections.abc import Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,67 +23,26 @@ from shes.experiments.evaluate import evaluate
 from shes.experiments.presets import make_config
 from shes.experiments.records import Row, read_csv
 from shes.experiments.run_folder import RunFolder
+from shes.experiments.study_tables import Cell, Summary, read_tables
 from shes.experiments.train import resume, start_run
 from shes.storage import storage_errors, write_atomically
 
 __all__ = [
-    "Cell",
     "Outcome",
     "Study",
     "StudyWorker",
-    "Summary",
+    "cell_config",
     "cell_steps",
     "check_study",
     "read_summaries",
     "run_cell",
     "run_study",
-    "write_csv",
-    "write_tables",
 ]
 
 CHECKPOINTS = ("best", "last")
 """What is evaluated on fresh episodes at the end of a cell."""
 _TRANSFER = ("primitive", "freeze_primitive")
 _CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cell:
-    """One run of a study."""
-
-    group: str
-    """Which question it belongs to."""
-    variant: str
-    """What is changed; runs of one variant differ in the seed alone."""
-    env: str
-    seed: int
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Settings of the run by name, over those of the preset."""
-    primitive: str | None = None
-    """Name of the cell whose primitive it begins with."""
-    preset: str = "laptop"
-
-    @property
-    def name(self) -> str:
-        """What it is called, and its run folder below that of the study."""
-        return f"{self.env}/{self.group}/{self.variant}/seed-{self.seed}"
-
-    @property
-    def identity(self) -> Row:
-        """The columns by which tables know it."""
-        return {"group": self.group, "variant": self.variant, "env": self.env, "seed": self.seed}
-
-    def config(self, out: Path) -> TrainConfig:
-        """Return the settings of its run in the study at `out`.
-
-        Raises:
-            ConfigError: A setting is unknown or not allowed.
-            UnknownNameError: A name is not known.
-            RunFolderError: There is no run yet to take the primitive from.
-        """
-        transfer = {} if self.primitive is None else {"primitive": str(out / self.primitive)}
-        alone = {"seed": self.seed, "backend": "serial", "num_workers": 1}
-        return make_config(self.env, self.preset, {**self.settings, **transfer, **alone})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,15 +85,9 @@ class Study:
             for level in sorted(set(heights.values()), reverse=True)
         )
 
-
-@dataclass(frozen=True, kw_only=True)
-class Summary:
-    """What came of a cell."""
-
-    row: Row
-    """Its row of `runs.csv`."""
-    curve: tuple[Row, ...]
-    """Its rows of `curves.csv`."""
+    def ordered(self) -> list[Cell]:
+        """Return the cells in the order in which they are run."""
+        return [cell for stage in self.stages() for cell in stage]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +99,19 @@ class Outcome:
     error: str = ""
     events: tuple[str, ...] = ()
     """What happened to the workers meanwhile."""
+
+
+def cell_config(cell: Cell, out: Path) -> TrainConfig:
+    """Return the settings of the run of `cell` in the study at `out`.
+
+    Raises:
+        ConfigError: A setting is unknown or not allowed.
+        UnknownNameError: A name is not known.
+        RunFolderError: There is no run yet to take the primitive from.
+    """
+    transfer = {} if cell.primitive is None else {"primitive": str(out / cell.primitive)}
+    alone = {"seed": cell.seed, "backend": "serial", "num_workers": 1}
+    return make_config(cell.env, cell.preset, {**cell.settings, **transfer, **alone})
 
 
 def cell_steps(cell: Cell, episodes: int) -> int:
@@ -175,7 +139,7 @@ def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
     summary = _read_summary(path)
     if summary is not None:
         return summary
-    config = cell.config(out)
+    config = cell_config(cell, out)
     folder = RunFolder(path)
     if not folder.config.is_file():
         start_run(config, path)
@@ -286,6 +250,13 @@ def run_study(study: Study, out: Path, *, num_workers: int) -> Generator[Outcome
     with RunFolder(out).lock():
         check_study(study, out)
         done = read_summaries(study, out)
+        for cell in study.cells:
+            if (
+                cell.name not in done
+                and cell.primitive is not None
+                and not RunFolder(out / cell.primitive).config.is_file()
+            ):
+                done.pop(cell.primitive, None)  # a row of a table is no primitive to begin with
         left = [tuple(cell for cell in stage if cell.name not in done) for stage in study.stages()]
         size = min(num_workers, max(map(len, left), default=0))
         if not size:
@@ -322,7 +293,7 @@ def check_study(study: Study, out: Path) -> None:
     for cell in study.cells:
         if cell.primitive is not None and not RunFolder(out / cell.primitive).config.is_file():
             continue  # what it brings is not known yet; the cell's worker looks again
-        config, folder = cell.config(out), RunFolder(out / cell.name)
+        config, folder = cell_config(cell, out), RunFolder(out / cell.name)
         if folder.config.is_file():
             _check_settings(cell, folder, config)
 
@@ -355,35 +326,12 @@ def _read_summary(path: Path) -> Summary | None:
 
 
 def read_summaries(study: Study, out: Path) -> dict[str, Summary]:
-    """Return what came of the finished cells, by name, in the order of the study.
+    """Return what came of the finished cells, by name, in the order of the study: from their folders, or the tables.
 
     Raises:
-        RunFolderError: A summary is damaged.
+        RunFolderError: A summary or a table is damaged.
     """
-    cells = [cell for stage in study.stages() for cell in stage]
-    found = {cell.name: _read_summary(out / cell.name) for cell in cells}
+    cells = study.ordered()
+    tables = read_tables(cells, out)
+    found = {cell.name: _read_summary(out / cell.name) or tables.get(cell.name) for cell in cells}
     return {name: summary for name, summary in found.items() if summary is not None}
-
-
-def write_tables(summaries: Mapping[str, Summary], out: Path) -> None:
-    """Write `runs.csv`, a row per finished cell, and `curves.csv`, a row per evaluation of one.
-
-    Raises:
-        StorageError: They cannot be written.
-    """
-    write_csv(out / "runs.csv", [summary.row for summary in summaries.values()])
-    write_csv(out / "curves.csv", [row for summary in summaries.values() for row in summary.curve])
-
-
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Write `rows`, which share their columns, as a table; None is an empty place.
-
-    Raises:
-        StorageError: It cannot be written; what was there is untouched.
-    """
-    text = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    write_atomically(path, lambda file: file.write(text.getvalue().encode()))

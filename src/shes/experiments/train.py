@@ -20,10 +20,12 @@ from shes.experiments.build import (
     build_plan,
     build_settings,
     build_state,
+    check_device,
     open_noise_table,
 )
 from shes.experiments.checkpoint import Best, Checkpoint, CheckpointWriter, save_checkpoint
 from shes.experiments.config import EXECUTION_FIELDS, TrainConfig, check_fields
+from shes.experiments.device import array_module, check_asked_device
 from shes.experiments.evaluate import evaluate_levels, evaluation_seeds
 from shes.experiments.interruption import Interruption
 from shes.experiments.presets import make_config
@@ -95,6 +97,7 @@ def train(
 
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: Listener | None = None) -> Run:
     """Begin a run with the settings of `config`; see `train`."""
+    check_device(config)
     design = build_design(config)
     open_noise_table(config, design)  # what can be wrong with it, or with the primitive, shows before there is a folder
     state = transfer_primitive(config, build_state(config, design))
@@ -124,12 +127,14 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
     Args:
         path: The run folder.
         listener: Hears of the progress.
-        settings: Settings that do not change numbers, e.g. `generations=2000, num_workers=8`.
+        settings: Settings that do not change what the run is, e.g. `generations=2000, num_workers=8, device="cuda"`.
 
     Raises:
         RunFolderError: `path` is not a run folder.
         CheckpointError: The last checkpoint is damaged or of another run.
-        ConfigError: A setting would change the run's numbers, or the run has reached its last generation.
+        ConfigError: A setting would change the run's numbers, the run has reached its last generation, or there is no
+            such device.
+        MissingExtraError: The device needs a package that is not installed.
     """
     folder = RunFolder.open(Path(path))
     stored = folder.read_config()
@@ -142,6 +147,8 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
                 "Start another run to change it."
             )
     config = replace(stored, **{"minutes": None, **settings})
+    check_asked_device(config, settings)
+    check_device(config)
     with folder.lock():
         checkpoint = folder.load("last")
         done = checkpoint.state.generation
@@ -152,8 +159,9 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
             )
         changes = folder.record_resume(done, config)
         if changes:
-            event = f"other versions than the run began with ({', '.join(changes)}): numbers may differ from here on"
-            logger.warning(event)
+            event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
+            with run_log(folder):
+                logger.warning(event)
             if listener is not None:
                 listener.on_event(event)
         return _go_on(folder, config, checkpoint, listener)
@@ -162,7 +170,7 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
 def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, listener: Listener | None) -> Run:
     """Run from `checkpoint` to the end of the generations or minutes, or to an interruption."""
     design = build_design(config)
-    table = open_noise_table(config, design)
+    table = open_noise_table(config, design).on(array_module(config.device))
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))
         interruption = stack.enter_context(Interruption())
@@ -172,7 +180,10 @@ def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, liste
         pool = stack.enter_context(ThreadPoolExecutor(min(config.workers, 8), thread_name_prefix="shes-gradient"))
         session = _Session(folder, config, checkpoint, records, writer, backend, listener)
         generations = evolve(checkpoint.state, build_settings(config), table, backend, pool)
-        logger.info("begins after generation %d with %d workers", checkpoint.state.generation, backend.num_workers)
+        on_device = "" if config.device == "cpu" else f" on device {config.device}"
+        logger.info(
+            "begins after generation %d with %d workers%s", checkpoint.state.generation, backend.num_workers, on_device
+        )
         while not session.is_over() and not interruption.is_requested:
             logger.info("generation %d begins", session.checkpoint.state.generation + 1)
             with interruption.at_once():
@@ -259,7 +270,7 @@ class _Session:
 
     def _tell_events(self, lines: list[str]) -> None:
         """Log what the simulators and the workers had to say."""
-        for event in (*(f"MuJoCo: {line}" for line in lines), *self._backend.take_events()):
+        for event in (*lines, *self._backend.take_events()):
             logger.warning(event)
             self._tell("on_event", event)
 

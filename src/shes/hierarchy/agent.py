@@ -1,4 +1,6 @@
-"""What the roll-out needs of an agent, whatever its levels: P sets of policies, each acting in E episodes; N = P * E.
+"""What the roll-out needs of an agent, whatever its levels: P lanes of R episodes, N = P * R.
+
+The episodes of a lane are of one set of policies; or of several, that differ in what they take of one noise vector.
 
 Three kinds fulfil it: a controller with a primitive (`hierarchical`), a primitive alone that follows goals of its
 environment (`primitive`), and one policy without goals (`flat`). Nothing here knows of physics, fitness or noise.
@@ -59,8 +61,8 @@ class AgentDesign(ABC):
         return 1
 
     @abstractmethod
-    def make(self, num_policies: int, num_episodes: int, xp: ModuleType = np) -> Agent:
-        """Return an agent of `num_policies` sets of policies, each in `num_episodes` episodes, with arrays of `xp`."""
+    def make(self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False) -> Agent:
+        """Return an agent of `num_lanes` lanes of `num_episodes` episodes, with arrays of `xp`; see `Agent`."""
 
     @property
     def dims(self) -> tuple[int, ...]:
@@ -79,33 +81,48 @@ class AgentDesign(ABC):
 
 
 class Agent(ABC):
-    """P sets of policies acting in E episodes each. Rows [N] are set after set.
+    """P lanes of R episodes each. Rows [N] are lane after lane.
 
-    Arrays are those of `xp`, but for the clock, which decides what is to be done: that is NumPy's.
+    Arrays are those of `xp`, but for the clock, which decides what is to be done: that is NumPy's. On a device all
+    lanes are started together.
     """
 
-    def __init__(self, design: AgentDesign, num_policies: int, num_episodes: int, xp: ModuleType = np) -> None:
-        """Make room for `num_policies` sets of `num_episodes` episodes, with arrays of `xp`."""
-        self.num_policies, self.num_episodes, self.xp = num_policies, num_episodes, xp
-        rows = num_policies * num_episodes
-        self.theta = tuple(
-            aligned_rows(num_policies, dim) if xp is np else xp.zeros((num_policies, dim), np.float32)
-            for dim in design.dims
+    def __init__(
+        self,
+        design: AgentDesign,
+        num_lanes: int,
+        num_episodes: int,
+        xp: ModuleType = np,
+        *,
+        shares_noise: bool = False,
+    ) -> None:
+        """Make room for `num_lanes` lanes of `num_episodes` episodes, with arrays of `xp`.
+
+        With `shares_noise`, the policies of a lane are those of `centre_on` plus `scale` times the lane's `theta`;
+        without, `theta` is the policy of all its episodes.
+        """
+        self.num_lanes, self.num_episodes, self.xp = num_lanes, num_episodes, xp
+        self.shares_noise = shares_noise
+        rows = num_lanes * num_episodes
+        self.theta = tuple(self._room(num_lanes, dim) for dim in design.dims)
+        """Parameters, or noise, [P, D] of each level: write those of a lane before its `start`."""
+        self.scale: tuple[F32Array, ...] = tuple(
+            xp.zeros((num_lanes, num_episodes, 1), np.float32) for _ in design.dims
         )
-        """Parameters [P, D] of each level: write those of a set before its `start`."""
+        """What the policy of each episode takes of its lane's noise [P, R, 1], at each level."""
+        self._mean = tuple(self._room(1, dim) for dim in design.dims)
         self.moments = tuple(Moments(rows, size, xp) for size in design.observation_sizes)
         self.is_recording = False
         """Whether observations are summed into `moments`."""
-        self.clock: IntArray = np.zeros(num_policies, dtype=np.int64)
-        """Steps since the start of each set's episodes [P]."""
+        self.clock: IntArray = np.zeros(num_lanes, dtype=np.int64)
+        """Steps since the start of each lane's episodes [P]."""
         self.goals_reached: IntArray = xp.zeros(rows, dtype=np.int64)
         """Goals that each episode has reached since its start [N]."""
         self._policies = design.policies
         self._control_limit = np.float32(design.control_limit)
         self._clock = design.clock
-        self._layers: list[Layers] = [
-            policy.layers(theta) for policy, theta in zip(design.policies, self.theta, strict=True)
-        ]
+        self._layers = [policy.layers(theta) for policy, theta in zip(design.policies, self.theta, strict=True)]
+        self._mean_layers = [policy.layers(mean) for policy, mean in zip(design.policies, self._mean, strict=True)]
         self._normalisation: list[tuple[Any, Any]] = [(0.0, 1.0)] * len(design.dims)
 
     @property
@@ -118,19 +135,27 @@ class Agent(ABC):
         xp = self.xp
         self._normalisation = [(xp.asarray(level.mean), xp.asarray(level.inverse_std)) for level in levels]
 
-    def start(self, policies: slice | IntArray) -> None:
-        """Begin new episodes for sets `policies`."""
-        self.clock[policies] = 0
-        rows = self._rows(policies)
+    def centre_on(self, levels: tuple[LevelParameters, ...]) -> None:
+        """Let noise be added to the parameters of `levels`."""
+        for mean, level in zip(self._mean, levels, strict=True):
+            mean[0] = self.xp.asarray(level.theta)
+        self._mean_layers = [self._contiguous(*each) for each in zip(self._policies, self._mean, strict=True)]
+
+    def parameters(self, lane: int) -> tuple[F32Array, ...]:
+        """Return what the policies of a lane are made of at each level: parameters [D], or mean and noise [2, D]."""
+        if not self.shares_noise:
+            return tuple(theta[lane] for theta in self.theta)
+        return tuple(self.xp.stack([mean[0], theta[lane]]) for mean, theta in zip(self._mean, self.theta, strict=True))
+
+    def start(self, lanes: slice | IntArray) -> None:
+        """Begin new episodes in `lanes`."""
+        self.clock[lanes] = 0
+        rows = self._rows(lanes)
         self.goals_reached[rows] = 0
         for moments in self.moments:
             moments.clear(rows)
         if self.xp is not np:
-            # What a card multiplies must be contiguous, or it is copied in every step.
-            self._layers = [
-                tuple((self.xp.ascontiguousarray(weights), biases) for weights, biases in policy.layers(theta))
-                for policy, theta in zip(self._policies, self.theta, strict=True)
-            ]
+            self._layers = [self._contiguous(*each) for each in zip(self._policies, self.theta, strict=True)]
 
     @abstractmethod
     def act(
@@ -150,40 +175,67 @@ class Agent(ABC):
             position: Where the robots are [N, 2], in metres.
             heading: Their yaw [N], in radians.
             goal: Where the environment itself tells them to go [N, 2], in metres, if it does.
-            decision_noise: Added to the outputs of the level that decides [P, E, decision_size].
-            control_noise: Added to the controls [P, E, A].
+            decision_noise: Added to the outputs of the level that decides [P, R, decision_size].
+            control_noise: Added to the controls [P, R, A].
         """
 
     def internal_reward(self, position: F64Array) -> F64Array:
         """Return what the agent itself pays [N] for having come to `position` [N, 2]; nothing where it does not pay."""
         return np.zeros_like(position[:, 0], dtype=np.float64)
 
-    def _rows(self, policies: slice | IntArray) -> slice | IntArray:
-        """Return the rows of the episodes of sets `policies`: a slice, where all are meant, is quicker."""
-        if isinstance(policies, slice):
-            assert policies == slice(None)
-            return policies
-        rows = (policies[:, None] * self.num_episodes + np.arange(self.num_episodes)).ravel()
+    def _room(self, rows: int, size: int) -> F32Array:
+        """Return zeros [rows, size] for parameters."""
+        return aligned_rows(rows, size) if self.xp is np else self.xp.zeros((rows, size), np.float32)
+
+    def _contiguous(self, policy: MLP, theta: F32Array) -> Layers:
+        """Return the layers of `theta` [P, D]: on a card copies, because it would copy what has gaps in every step."""
+        layers = policy.layers(theta)
+        if self.xp is np:
+            return layers
+        return tuple((self.xp.ascontiguousarray(weights), biases) for weights, biases in layers)
+
+    def _rows(self, lanes: slice | IntArray) -> slice | IntArray:
+        """Return the rows of the episodes of `lanes`: a slice, where all are meant, is quicker."""
+        if isinstance(lanes, slice):
+            assert lanes == slice(None)
+            return lanes
+        rows = (lanes[:, None] * self.num_episodes + np.arange(self.num_episodes)).ravel()
         return self.xp.asarray(rows)
 
     def _write_clock(self, out: F64Array) -> None:
         """Write the clock's features, if there are any, into `out` [N, clock_size]."""
         if self._clock is not None:
-            self._clock.write(self.xp.asarray(self.clock), out.reshape(self.num_policies, self.num_episodes, -1))
+            self._clock.write(self.xp.asarray(self.clock), out.reshape(self.num_lanes, self.num_episodes, -1))
 
     def _control(self, inputs: F64Array, noise: F32Array | None) -> F32Array:
         """Return the controls [N, A] of the acting level, the last one, which observes `inputs` [N, O]."""
         if self.is_recording:
             self.moments[-1].add(slice(None), inputs)
         scaled = normalise(inputs, *self._normalisation[-1])
-        control = self._policies[-1].forward(self._layers[-1], self._by_policy(scaled))
+        control = self._forward(-1, self._by_lane(scaled))
         control *= self._control_limit
         if noise is not None:
             control += noise
         return control.reshape(len(inputs), -1)
 
-    def _by_policy(self, rows: F32Array) -> F32Array:
-        """View rows [N, O] as [P, E, O]."""
+    def _forward(self, level: int, observation: F32Array, lanes: slice | IntArray = slice(None)) -> F32Array:
+        """Return what the policies of `level` in `lanes` put out on normalised `observation` [lanes, R, O]."""
+        policy, layers = self._policies[level], self._layers[level]
+        if not isinstance(lanes, slice):
+            layers = policy.layers(self._aligned_copy(self.theta[level], lanes))
+        if not self.shares_noise:
+            return policy.forward(layers, observation)
+        return policy.forward_around(self._mean_layers[level], layers, self.scale[level][lanes], observation)
+
+    @staticmethod
+    def _aligned_copy(theta: F32Array, lanes: IntArray) -> F32Array:
+        """Return the rows of `lanes`, each on a cache line as in `theta`."""
+        out = aligned_rows(len(lanes), theta.shape[1])
+        np.take(theta, lanes, axis=0, out=out)
+        return out
+
+    def _by_lane(self, rows: F32Array) -> F32Array:
+        """View rows [N, O] as [P, R, O]."""
         return rows.reshape(-1, self.num_episodes, rows.shape[1])
 
 

@@ -1,4 +1,4 @@
-"""The unit of work: the episodes of one perturbed policy pair, each in its slot, and what came of them.
+"""The unit of work: the episodes of members of the population that share a noise vector, and what came of them.
 
 A task is a few integers; perturbations are drawn again from the noise table where the work is done (SHES paper II-G).
 """
@@ -28,14 +28,23 @@ class Generation:
     sigma: float
     """Standard deviation of the perturbations."""
     episodes_per_policy: int
-    """Rows of every policy's matmul (E)."""
+    """Episodes of every member (E)."""
     is_evaluation: bool
     """Whether the episodes are evaluation's: its reset noise and targets, no exploration noise."""
+    members_per_lane: int = 1
+    """Members of the population that share a noise vector, and one matmul (M')."""
     has_frozen_control: bool = False
     """Whether the level that acts is frozen: no noise of any kind is put on it then."""
 
+    @property
+    def rows(self) -> int:
+        """Rows of every matmul, R = M' * E: part of what decides how it rounds."""
+        return self.members_per_lane * self.episodes_per_policy
+
     @classmethod
-    def of_training(cls, state: TrainState, sigma: float, episodes: int, learns: Sequence[bool]) -> Generation:
+    def of_training(
+        cls, state: TrainState, sigma: float, episodes: int, learns: Sequence[bool], members_per_lane: int
+    ) -> Generation:
         """Return what the tasks of training after `state` have in common; `learns` says which levels do."""
         return cls(
             levels=LevelParameters.of_all(state.levels),
@@ -43,21 +52,22 @@ class Generation:
             episodes_per_policy=episodes,
             is_evaluation=False,
             has_frozen_control=not learns[-1],
+            members_per_lane=members_per_lane,
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeTask:
-    """Some or all of the E episodes of one member of the population."""
+    """Some or all of the R = M' * E episodes of M' members of the population that share their noise."""
 
     member: int
-    """Number of the member, for messages."""
+    """Number of the first of these members."""
     noise_index: tuple[int, ...]
     """Start of the noise slice of each level."""
-    signs: tuple[int, ...]
-    """Sign of each level's perturbation; 0 leaves the mean policy."""
+    signs: tuple[tuple[int, ...], ...]
+    """Sign of each level's perturbation, for each of the M' members; 0 leaves the mean policy."""
     slots: tuple[int, ...]
-    """Which of the E rows of the policy's matmul these episodes take."""
+    """Which of the R rows of the matmul these episodes take: a member's E are neighbours."""
     seeds: tuple[int, ...]
     """Seed of each episode."""
     records_statistics: bool = True
@@ -107,10 +117,10 @@ class EpisodeResults:
 
 
 def spread(tasks: list[EpisodeTask], num_workers: int) -> list[EpisodeTask]:
-    """Return the same episodes in the same order, with the last policies cut into single episodes.
+    """Return the same episodes in the same order, with the last tasks cut into single episodes.
 
-    Whole policies go around as often as every worker can have one; the rest is too few for all workers and is handed
-    out by episodes. A single episode costs the whole policy's matmul, so this is done only where workers would idle.
+    Whole tasks go around as often as every worker can have one; the rest is too few for all workers and is handed
+    out by episodes. A single episode costs the whole task's matmul, so this is done only where workers would idle.
     """
     whole = len(tasks) - len(tasks) % num_workers
     singles = [

@@ -38,19 +38,27 @@ class FlatDesign(AgentDesign):
         """The environment pays."""
         return None
 
-    def make(self, num_policies: int, num_episodes: int, xp: ModuleType = np) -> FlatAgent:
-        """Return `num_policies` policies, each in `num_episodes` episodes."""
-        return FlatAgent(self, num_policies, num_episodes, xp)
+    def make(self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False) -> FlatAgent:
+        """Return an agent of `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
+        return FlatAgent(self, num_lanes, num_episodes, xp, shares_noise=shares_noise)
 
 
 class FlatAgent(Agent):
-    """P policies acting in E episodes each. Rows [N] are policy after policy."""
+    """P lanes of R episodes each, of policies without goals. Rows [N] are lane after lane."""
 
-    def __init__(self, design: FlatDesign, num_policies: int, num_episodes: int, xp: ModuleType = np) -> None:
-        """Make room for `num_policies` policies of `num_episodes` episodes, with arrays of `xp`."""
-        super().__init__(design, num_policies, num_episodes, xp)
+    def __init__(
+        self,
+        design: FlatDesign,
+        num_lanes: int,
+        num_episodes: int,
+        xp: ModuleType = np,
+        *,
+        shares_noise: bool = False,
+    ) -> None:
+        """Make room for `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
+        super().__init__(design, num_lanes, num_episodes, xp, shares_noise=shares_noise)
         self._clock_size = design.clock_size
-        self._inputs: F64Array = xp.zeros((num_policies * num_episodes, design.observation_sizes[0]))
+        self._inputs: F64Array = xp.zeros((num_lanes * num_episodes, design.observation_sizes[0]))
 
     def act(
         self,

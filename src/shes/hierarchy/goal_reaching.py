@@ -41,12 +41,20 @@ class GoalReachingDesign(AgentDesign):
 
 
 class GoalReachingAgent(Agent):
-    """P primitives, each pursuing goals in E episodes. Where the goals come from, a subclass says."""
+    """P lanes of R episodes, in which primitives pursue goals. Where the goals come from, a subclass says."""
 
-    def __init__(self, design: GoalReachingDesign, num_policies: int, num_episodes: int, xp: ModuleType = np) -> None:
-        """Make room for `num_policies` sets of `num_episodes` episodes, with arrays of `xp`."""
-        super().__init__(design, num_policies, num_episodes, xp)
-        rows = num_policies * num_episodes
+    def __init__(
+        self,
+        design: GoalReachingDesign,
+        num_lanes: int,
+        num_episodes: int,
+        xp: ModuleType = np,
+        *,
+        shares_noise: bool = False,
+    ) -> None:
+        """Make room for `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
+        super().__init__(design, num_lanes, num_episodes, xp, shares_noise=shares_noise)
+        rows = num_lanes * num_episodes
         self.goal_origin: F64Array = xp.zeros((rows, 2))
         """Where the robots stood when their goals were set [N, 2]."""
         self.goal_start_distance: F64Array = xp.ones(rows)
@@ -78,9 +86,9 @@ class GoalReachingAgent(Agent):
         goal: F64Array | None,
         noise: F32Array | None,
     ) -> F64Array:
-        """Return new goals in the world [rows, 2] for the episodes `rows` of policies `due`; see `act`.
+        """Return new goals in the world [rows, 2] for the episodes `rows` of lanes `due`; see `act`.
 
-        `due` is NumPy's, `rows` of `xp`; both are a slice where all policies are due.
+        `due` is NumPy's, `rows` of `xp`; both are a slice where all lanes are due.
         """
 
     def act(

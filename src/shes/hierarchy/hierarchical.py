@@ -14,7 +14,7 @@ import numpy as np
 from shes.es.statistics import normalise
 from shes.hierarchy.goal_reaching import GoalReachingAgent, GoalReachingDesign
 from shes.hierarchy.outputs import ControllerOutput
-from shes.policies.mlp import MLP, aligned_rows
+from shes.policies.mlp import MLP
 from shes.types import CONTROLLER, PRIMITIVE, F32Array, F64Array, IntArray
 
 __all__ = ["MIN_COMPONENT_M", "HierarchicalAgent", "HierarchicalDesign"]
@@ -54,17 +54,27 @@ class HierarchicalDesign(GoalReachingDesign):
         """Outputs of the controller."""
         return self.controller_output.size
 
-    def make(self, num_policies: int, num_episodes: int, xp: ModuleType = np) -> HierarchicalAgent:
-        """Return an agent of `num_policies` pairs, each in `num_episodes` episodes."""
-        return HierarchicalAgent(self, num_policies, num_episodes, xp)
+    def make(
+        self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False
+    ) -> HierarchicalAgent:
+        """Return an agent of `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
+        return HierarchicalAgent(self, num_lanes, num_episodes, xp, shares_noise=shares_noise)
 
 
 class HierarchicalAgent(GoalReachingAgent):
-    """P policy pairs acting in E episodes each. Rows [N] are pair after pair."""
+    """P lanes of R episodes each, of policy pairs. Rows [N] are lane after lane."""
 
-    def __init__(self, design: HierarchicalDesign, num_policies: int, num_episodes: int, xp: ModuleType = np) -> None:
-        """Make room for `num_policies` pairs of `num_episodes` episodes, with arrays of `xp`."""
-        super().__init__(design, num_policies, num_episodes, xp)
+    def __init__(
+        self,
+        design: HierarchicalDesign,
+        num_lanes: int,
+        num_episodes: int,
+        xp: ModuleType = np,
+        *,
+        shares_noise: bool = False,
+    ) -> None:
+        """Make room for `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
+        super().__init__(design, num_lanes, num_episodes, xp, shares_noise=shares_noise)
         self._design = design
 
     def _choose_goals(
@@ -77,16 +87,13 @@ class HierarchicalAgent(GoalReachingAgent):
         goal: F64Array | None,
         noise: F32Array | None,
     ) -> F64Array:
-        """Let the controllers of pairs `due` decide."""
+        """Let the controllers of lanes `due` decide."""
         del goal
         design, seen = self._design, observation[rows]
         if self.is_recording:
             self.moments[CONTROLLER].add(rows, seen)
         scaled = normalise(seen, *self._normalisation[CONTROLLER])
-        layers = self._layers[CONTROLLER]
-        if not isinstance(due, slice):
-            layers = design.controller.layers(_aligned_copy(self.theta[CONTROLLER], due))
-        output = design.controller.forward(layers, self._by_policy(scaled))
+        output = self._forward(CONTROLLER, self._by_lane(scaled), due)
         if noise is not None:
             output += noise[due]
         flat = output.reshape(len(scaled), -1)
@@ -94,13 +101,6 @@ class HierarchicalAgent(GoalReachingAgent):
         if design.has_minimum_goal_distance:
             vector = _push_outward(vector)
         return position[rows] + vector
-
-
-def _aligned_copy(theta: F32Array, policies: IntArray) -> F32Array:
-    """Return the rows of `policies`, each on a cache line as in `theta`."""
-    out = aligned_rows(len(policies), theta.shape[1])
-    np.take(theta, policies, axis=0, out=out)
-    return out
 
 
 def _push_outward(vector: F64Array) -> F64Array:

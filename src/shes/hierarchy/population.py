@@ -12,7 +12,14 @@ from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask
 from shes.types import IntArray
 
-__all__ = ["COMMON_RANDOM_NUMBERS", "mean_policy_task", "population_tasks"]
+__all__ = ["COMMON_RANDOM_NUMBERS", "mean_policy_task", "members_per_lane", "population_tasks"]
+
+_ENOUGH_ROWS = 3
+"""Episodes of a member with which its own weights are read for enough rows: then it has a matmul of its own.
+
+Whoever shares one is computed wherever one of them is: with many episodes that would cost a cluster, where a worker has
+a few episodes alone, more than it saves.
+"""
 
 COMMON_RANDOM_NUMBERS = ("off", "group", "population")
 """Who shares the episodes' seeds: nobody; the members of a mirrored group; the whole population.
@@ -30,7 +37,7 @@ def population_tasks(
     common_random_numbers: str = "group",
     statistics_fraction: float = 1.0,
 ) -> list[EpisodeTask]:
-    """Return the task of every member: its group's noise, its own signs, its episodes' seeds.
+    """Return the tasks of all members: their group's noise, their own signs, their episodes' seeds.
 
     Args:
         state: The state before the generation.
@@ -53,28 +60,41 @@ def population_tasks(
     seeds = rng.integers(0, 2**63, (*draws, episodes))
     sampler = stream(state.seed, Purpose.STATISTICS_SAMPLE, state.generation)
     records = [sampler.random() < statistics_fraction for _ in range(groups)]
+    shared = members_per_lane(members, episodes)
     return [
         EpisodeTask(
-            member=group * members + member,
+            member=group * members + first,
             noise_index=tuple(noise_index[:, group].tolist()),
-            signs=tuple(signs[group, member].tolist()),
-            slots=tuple(range(episodes)),
-            seeds=tuple(seeds[group % draws[0], member % draws[1]].tolist()),
+            signs=tuple(tuple(own) for own in signs[group, first : first + shared].tolist()),
+            slots=tuple(range(shared * episodes)),
+            seeds=tuple(
+                seed
+                for member in range(first, first + shared)
+                for seed in seeds[group % draws[0], member % draws[1]].tolist()
+            ),
             records_statistics=records[group],
         )
         for group in range(groups)
-        for member in range(members)
+        for first in range(0, members, shared)
     ]
 
 
-def mean_policy_task(state: TrainState, member: int, episodes: int) -> EpisodeTask:
-    """Return the task of the mean policies themselves, as one more member: where they end is what novelty is from."""
+def members_per_lane(members: int, episodes: int) -> int:
+    """Return how many of the `members` of a group share a matmul, M': all of them where `episodes` (E) are few."""
+    return members if episodes < _ENOUGH_ROWS else 1
+
+
+def mean_policy_task(state: TrainState, member: int, episodes: int, shared: int) -> EpisodeTask:
+    """Return the task of the mean policies themselves, as one more member: where they end is what novelty is from.
+
+    Its matmul has room for `shared` members, as everyone's; the others' rows are idle.
+    """
     zeros = (0,) * len(state.levels)
     seeds = stream(state.seed, Purpose.NOVELTY_EPISODES, state.generation).integers(0, 2**63, episodes)
     return EpisodeTask(
         member=member,
         noise_index=zeros,
-        signs=zeros,
+        signs=(zeros,) * shared,
         slots=tuple(range(episodes)),
         seeds=tuple(seeds.tolist()),
         records_statistics=False,

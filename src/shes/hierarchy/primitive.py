@@ -36,13 +36,15 @@ class PrimitiveDesign(GoalReachingDesign):
         """The primitive is paid as under a controller."""
         return 0
 
-    def make(self, num_policies: int, num_episodes: int, xp: ModuleType = np) -> PrimitiveAgent:
-        """Return `num_policies` primitives, each in `num_episodes` episodes."""
-        return PrimitiveAgent(self, num_policies, num_episodes, xp)
+    def make(
+        self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False
+    ) -> PrimitiveAgent:
+        """Return an agent of `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
+        return PrimitiveAgent(self, num_lanes, num_episodes, xp, shares_noise=shares_noise)
 
 
 class PrimitiveAgent(GoalReachingAgent):
-    """P primitives acting in E episodes each, on the environment's goals."""
+    """P lanes of R episodes each, on the environment's goals."""
 
     def _choose_goals(
         self,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shes.es.level import LevelState
-from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, LevelMoments
+from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, LevelMoments
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["PopulationResults", "lower_diverged"]
@@ -71,6 +71,12 @@ class PopulationResults:
             environment_returns=np.zeros(shape),
         )
 
+    @classmethod
+    def of_tasks(cls, tasks: Sequence[EpisodeTask], generation: Generation) -> PopulationResults:
+        """Return room for the results of all of `tasks`."""
+        members = 1 + max(task.member + max(task.slots) // generation.episodes_per_policy for task in tasks)
+        return cls.empty(len(generation.levels), members, generation.episodes_per_policy)
+
     def members(self, which: slice) -> PopulationResults:
         """Return what came of some of the members; sums over all of them stay as they are."""
         return replace(
@@ -97,8 +103,9 @@ class PopulationResults:
 
     def add(self, task: EpisodeTask, result: EpisodeResults) -> None:
         """Enter the result of `task`. The order of these calls is that in which sums of observations are rounded."""
-        place = (task.member, list(task.slots))
-        self.returns[:, task.member, place[1]] = result.returns
+        episodes = self.score.shape[1]
+        place = np.divmod(task.member * episodes + np.array(task.slots), episodes)
+        self.returns[:, place[0], place[1]] = result.returns
         self.score[place], self.success[place] = result.score, result.success
         self.steps[place] = result.steps
         self.has_terminated[place], self.has_diverged[place] = result.has_terminated, result.has_diverged

@@ -1,8 +1,9 @@
 """The only loop over environment steps: many policies in lockstep, refilled as they finish.
 
-A worker has P lanes; a lane runs the E episodes of one member of the population, each in its own slot. A finished
-episode leaves the physics and the statistics but keeps its row of the policy's matmul, so no result depends on which
-members share a worker (design, One generation). Lanes are refilled as they become free; on a device, where an idle lane
+A worker has P lanes; a lane runs the R episodes of a task, each in its own slot: those of one member of the population,
+or of a group's members, whose policies are the mean plus and minus the same noise. A finished episode leaves the
+physics and the statistics but keeps its row of the lane's matmul, so no result depends on which members share a worker
+(design, One generation). Lanes are refilled as they become free; on a device, where an idle lane
 costs as much as a busy one and a transfer more than either, when all are.
 
 Who runs, and for how long, is known here in NumPy's arrays; what is computed of episodes is the task's and the agent's,
@@ -37,7 +38,7 @@ Work = tuple[int, EpisodeTask]
 
 @dataclass(kw_only=True)
 class _Lane:
-    """A member of the population at work."""
+    """A task at work."""
 
     number: int
     task: EpisodeTask
@@ -56,16 +57,18 @@ class Rollout:
         num_lanes: int,
         num_episodes: int,
         horizon: int,
+        members_per_lane: int = 1,
     ) -> None:
-        """Make room for `num_lanes` members of `num_episodes` episodes of at most `horizon` steps.
+        """Make room for `num_lanes` tasks of `num_episodes` episodes of at most `horizon` steps.
 
-        `make_task` returns the task for a number of episodes N = P * E.
+        `make_task` returns the environment for a number of episodes N = P * R; the R episodes of a lane are those of
+        `members_per_lane` members, which share their noise.
         """
-        self.num_episodes, self.horizon = num_episodes, horizon
+        self.num_episodes, self.horizon, self.members_per_lane = num_episodes, horizon, members_per_lane
         self.design = design
         self.task = make_task(num_lanes * num_episodes)
         self.xp = self.task.xp
-        self.agent = design.make(num_lanes, num_episodes, self.xp)
+        self.agent = design.make(num_lanes, num_episodes, self.xp, shares_noise=members_per_lane > 1)
         self._lanes: list[_Lane | None] = [None] * num_lanes
         rows = num_lanes * num_episodes
         decisions = -(-horizon // design.decision_interval)
@@ -83,7 +86,7 @@ class Rollout:
 
     @property
     def num_lanes(self) -> int:
-        """Members of the population at work at a time, P."""
+        """Tasks at work at a time, P."""
         return len(self._lanes)
 
     def run(
@@ -97,6 +100,7 @@ class Rollout:
         self._explores = not generation.is_evaluation
         self._has_frozen_control = generation.has_frozen_control
         self.agent.normalise_by(generation.levels)
+        self.agent.centre_on(generation.levels)
         self._lanes = [None] * self.num_lanes
         self._is_running[:] = False
         self._running = np.flatnonzero(self._is_running)
@@ -120,9 +124,7 @@ class Rollout:
         slots: list[int] = []
         seeds: list[int] = []
         for place, (number, task) in started.items():
-            for level, mean in enumerate(means):
-                noise = table.slice(task.noise_index[level], len(mean))
-                perturb(mean, noise, generation.sigma * task.signs[level], self.agent.theta[level][place])
+            self._perturb(place, task, means, generation.sigma, table)
             slots += [place * self.num_episodes + slot for slot in task.slots]
             seeds += task.seeds
             if self._explores:
@@ -140,6 +142,19 @@ class Rollout:
         self._is_running[rows] = True
         self._running = np.flatnonzero(self._is_running)
         self.agent.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
+
+    def _perturb(self, place: int, task: EpisodeTask, means: list[F32Array], sigma: float, table: NoiseTable) -> None:
+        """Give lane `place` the policies of a task."""
+        agent = self.agent
+        for level, mean in enumerate(means):
+            noise = table.slice(task.noise_index[level], len(mean))
+            scales = [sigma * signs[level] for signs in task.signs]
+            if agent.shares_noise:
+                agent.theta[level][place] = noise
+                each = np.repeat(np.array(scales, np.float32), self.num_episodes // self.members_per_lane)
+                agent.scale[level][place, :, 0] = self.xp.asarray(each)
+            else:
+                perturb(mean, noise, scales[0], agent.theta[level][place])
 
     def _draw_exploration(self, place: int, task: EpisodeTask) -> None:
         """Draw the exploration noise of whole episodes from their seeds: no draw depends on another episode."""
@@ -172,10 +187,11 @@ class Rollout:
         if self.design.internal_level is not None:
             # What a diverged simulation is worth is not known: its last step pays nothing.
             self._internal_return += agent.internal_reward(task.position) * ~task.diverged
+        paid = perf_counter()
         ended = self._is_running & (to_host(task.terminated | task.diverged) | (self._steps >= self.horizon))
-        physics_s = task.physics_s - physics_s
-        policy_s = acted - observed + perf_counter() - stepped
-        self._seconds += (physics_s, policy_s, stepped - acted + observed - start - physics_s)
+        physics_s, policy_s = task.physics_s - physics_s, acted - observed + paid - stepped
+        # A device computes the physics while the rest is prepared: what is left of the time is the task's.
+        self._seconds += (physics_s, policy_s, perf_counter() - start - physics_s - policy_s)
         return np.flatnonzero(ended)
 
     def _exploration(self) -> dict[str, F32Array]:
@@ -235,18 +251,19 @@ class Rollout:
         return to_host(found).tolist(), moments
 
     def _refuse(self, action: F32Array) -> None:
-        """Say whose policy returned what is not finite; a lane without work cannot be the reason."""
-        action = to_host(action)
-        for row in np.flatnonzero(~np.isfinite(action).all(axis=1)).tolist():
+        """Say whose policy returned what is not finite; one without work cannot be the reason."""
+        rows = np.flatnonzero(~np.isfinite(to_host(action)).all(axis=1))
+        for row in sorted(rows.tolist(), key=lambda row: not self._is_running[row]):  # idle rows of a lane come last
             lane = self._lanes[row // self.num_episodes]
             if lane is None:
                 continue
             place, slot = divmod(row, self.num_episodes)
             seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
-            bad = [not bool(np.isfinite(theta[place]).all()) for theta in self.agent.theta]
+            bad = [not bool(np.isfinite(theta).all()) for theta in self.agent.parameters(place)]
             which = " and ".join(name for name, is_bad in zip(self.design.level_names, bad, strict=True) if is_bad)
+            member = lane.task.member + slot // (self.num_episodes // self.members_per_lane)
             raise PolicyError(
-                f"the policy of member {lane.task.member} returned NaN or infinity at step {int(self._steps[row])}"
+                f"the policy of member {member} returned NaN or infinity at step {int(self._steps[row])}"
                 f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
                 f"{seed}. Start another run with a lower --learning-rate or --sigma."
             )

@@ -89,3 +89,26 @@ class MLP:
             layer += biases
             np.tanh(layer, out=layer)
         return layer
+
+    @staticmethod
+    def forward_around(mean: Layers, noise: Layers, scale: F32Array, observation: F32Array) -> F32Array:
+        """Return the outputs [P, R, A] of policies `mean + scale * noise` on normalised `observation` [P, R, O].
+
+        The R rows of a stack share a noise vector, which is read once for all of them: `x (W + s N) = x W + s (x N)`.
+        With few rows a product of one policy's own weights waits for the memory that they come from.
+
+        Args:
+            mean: Layers of one policy, P = 1.
+            noise: Layers of the P noise vectors.
+            scale: What each row's policy takes of its noise [P, R, 1].
+            observation: What each row's policy sees.
+        """
+        layer = observation
+        for (weights, biases), (noise_weights, noise_biases) in zip(mean, noise, strict=True):
+            perturbed = layer @ noise_weights
+            perturbed += noise_biases
+            perturbed *= scale
+            perturbed += layer @ weights
+            perturbed += biases
+            layer = np.tanh(perturbed, out=perturbed)
+        return layer

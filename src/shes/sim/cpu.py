@@ -79,6 +79,6 @@ class CpuSimulator(Simulator):
         start = perf_counter()
         everybody = len(ids) == self.num_sims  # named none, MuJoCo need not check them
         self._batch.step(None if everybody else ids, nstep=nstep)
-        self.physics_s += perf_counter() - start
+        self._physics_s += perf_counter() - start
         if self._counters.any():
             np.any(self._counters, axis=1, out=self.diverged)

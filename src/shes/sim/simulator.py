@@ -18,8 +18,7 @@ class Simulator(ABC):
 
     starts_together: ClassVar[bool] = False
     """Whether simulations had best be reset all together: on a device all are computed, whoever runs."""
-    physics_s: float = 0.0
-    """Seconds spent in `step` so far."""
+    _physics_s: float = 0.0
     model: mujoco.MjModel
     """The model that every simulation runs."""
     num_sims: int
@@ -34,6 +33,11 @@ class Simulator(ABC):
     """Controls [N, nu]."""
     diverged: BoolArray
     """Whether a simulation has blown up since its reset [N]. Its state is then MuJoCo's own reset state: finite."""
+
+    @property
+    def physics_s(self) -> float:
+        """Seconds that steps have taken so far; a device is waited for."""
+        return self._physics_s
 
     @abstractmethod
     def reset(self, ids: IntArray) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from shes.errors import ConfigError
 from shes.sim.simulator import Simulator
 from shes.sim.warp_buffers import BufferPeaks, BufferSizes, default_sizes
-from shes.sim.warp_device import WarpDevice, load_warp
+from shes.sim.warp_device import WarpDevice, WarpTimer, load_warp
 from shes.types import IntArray
 
 __all__ = ["WarpSimulator"]
@@ -65,6 +65,7 @@ class WarpSimulator(Simulator):
         with self._warp.ScopedDevice(self._device.warp_device):
             self._allocate()
         self._graphs: dict[int, Any] = {}
+        self._timers: list[WarpTimer] = []
         self.reset(np.arange(num_sims))
 
     def _allocate(self) -> None:
@@ -113,7 +114,16 @@ class WarpSimulator(Simulator):
             self._active[self.xp.asarray(ids)] = True
         if nstep not in self._graphs:
             self._graphs[nstep] = self._capture(nstep)
-        self._warp.capture_launch(self._graphs[nstep])
+        with self._device.timer() as timer:
+            self._warp.capture_launch(self._graphs[nstep])
+        self._timers.append(timer)
+
+    @property
+    def physics_s(self) -> float:
+        """Seconds that the device has spent on steps so far; it is waited for."""
+        while self._timers:
+            self._physics_s += self._timers.pop().seconds()
+        return self._physics_s
 
     def peaks(self) -> BufferPeaks:
         """Return what was needed of the buffers at most; waits for the device."""

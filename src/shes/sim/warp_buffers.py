@@ -52,12 +52,12 @@ class BufferPeaks:
             raise ConfigError(
                 f"mujoco-warp's contact buffer overflowed: {self.contacts} contacts or close pairs of geoms in "
                 f"{num_sims} simulations, room for {sizes.nconmax} each (nconmax). The physics left some out. "
-                f"Set nconmax to {math.ceil(1.5 * self.contacts / num_sims)}."
+                f"Set --nconmax to {math.ceil(1.5 * self.contacts / num_sims)}."
             )
         if self.constraints > sizes.njmax:
             raise ConfigError(
                 f"mujoco-warp's constraint buffer overflowed: {self.constraints} rows in one simulation, room for "
-                f"{sizes.njmax} (njmax). The physics left some out. Set njmax to {math.ceil(1.5 * self.constraints)}."
+                f"{sizes.njmax} (njmax). The physics left some out. Set --njmax to {math.ceil(1.5 * self.constraints)}."
             )
 
 

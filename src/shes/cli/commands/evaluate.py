@@ -23,6 +23,12 @@ class Arguments:
     """Which checkpoint; a number is that of a generation."""
     num_workers: Annotated[int, Shown(flags=("--workers", "--num-workers"))] = 0
     """Worker processes; 0 is one for every core."""
+    device: Annotated[str, Shown(choices=("cpu", "warp-cpu", "cuda"))] = "cpu"
+    """What computes the physics, whatever the run was trained on."""
+    nconmax: int | None = None
+    """Contacts that a device has room for, per simulation; the run's setting if none."""
+    njmax: int | None = None
+    """Constraint rows that a device has room for, per simulation; the run's setting if none."""
     seed: int | None = None
     """Seed of the episodes; a stream of the run's own, apart from its training, if none."""
     targets: Annotated[str, Shown(choices=("evaluation", "training"))] = "evaluation"
@@ -40,6 +46,9 @@ def _run(values: dict[str, Any]) -> int:
         episodes=given.episodes,
         checkpoint=given.checkpoint,
         num_workers=given.num_workers,
+        device=given.device,
+        nconmax=given.nconmax,
+        njmax=given.njmax,
         seed=given.seed,
         targets=given.targets,
     )

@@ -47,7 +47,8 @@ def _run(values: dict[str, Any]) -> int:
     from shes.experiments.ablation import ablation, choose, compare
     from shes.experiments.config import TrainConfig
     from shes.experiments.figures import draw_figures
-    from shes.experiments.study import check_study, read_summaries, run_study, write_csv, write_tables
+    from shes.experiments.study import check_study, read_summaries, run_study
+    from shes.experiments.study_tables import write_csv, write_tables
 
     given = Arguments(**values)
     if given.experiment not in _NAMES:
@@ -70,10 +71,10 @@ def _run(values: dict[str, Any]) -> int:
             if outcome.summary is None:
                 failed.append(outcome)
             else:
-                write_tables(read_summaries(study, given.out), given.out)
+                write_tables(study.ordered(), read_summaries(study, given.out), given.out)
     summaries = read_summaries(study, given.out)
     comparisons = compare(study, summaries)
-    write_tables(summaries, given.out)
+    write_tables(study.ordered(), summaries, given.out)
     write_csv(given.out / "comparison.csv", [comparison.row() for comparison in comparisons])
     figures = draw_figures(study, summaries, comparisons, given.out)
     if given.json:

@@ -16,8 +16,10 @@ from shes.envs.external.description import ExternalDescription
 from shes.envs.external.reader import ExternalReader
 from shes.envs.external.selection import Places
 from shes.envs.external.success import check_last_info
+from shes.envs.task import SimulatorFactory
 from shes.envs.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
+from shes.sim.cpu import CpuSimulator
 from shes.types import IntArray
 
 if TYPE_CHECKING:
@@ -131,14 +133,21 @@ class ExternalEnvironment:
             step_s=1 / frames_per_s if frames_per_s else _DEFAULT_STEP_S,
         )
 
-    def make(self, num_episodes: int, options: TaskOptions | None = None) -> ExternalTask:
+    def make(
+        self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
+    ) -> ExternalTask:
         """Return `num_episodes` episodes of it.
 
         Raises:
-            ConfigError: An option of our own environments is set.
+            ConfigError: An option of our own environments is set, or its physics is to be computed elsewhere.
         """
         from shes.envs.external.task import ExternalTask
 
+        if simulator is not CpuSimulator:
+            raise ConfigError(
+                f"{self.description.id} is Gymnasium's, with physics of its own: it runs on the CPU alone. "
+                "Set --device cpu."
+            )
         ours = TaskOptions()
         for each in fields(TaskOptions):
             value = getattr(ours if options is None else options, each.name)

@@ -1,0 +1,109 @@
+"""Runs on mujoco-warp, on the CPU: by the command line, in turns with MuJoCo in C, and when something is too small."""
+
+import importlib.util
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import shes
+from shes.experiments.bench import bench_rollout
+from shes.experiments.presets import make_config
+from shes.experiments.records import read_csv
+from shes.experiments.run_folder import RunFolder
+from shes.sim.warp_device import load_warp
+from tests.e2e import runs
+
+pytestmark = [
+    pytest.mark.extras,
+    pytest.mark.timeout(600),  # kernels are compiled the first time: up to a minute for a kind of model
+    pytest.mark.skipif(
+        importlib.util.find_spec("mujoco_warp") is None, reason="mujoco-warp is not installed: pip install 'shes[warp]'"
+    ),
+]
+
+ANT = {"env": "ant-gather", "episodes_per_policy": 2, "generations": 2, "device": "warp-cpu"}
+"""Every test has the ant's kernels: they are compiled once."""
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory):
+    """A run on warp-cpu. Not to be changed: copy it."""
+    return runs.train_tiny(tmp_path_factory.mktemp("device") / "run", **ANT)
+
+
+@pytest.mark.parametrize("chunk_size", [1, 3])
+def test_the_number_of_policies_in_lockstep_changes_no_number(walked, tmp_path, chunk_size):
+    assert runs.differences(walked, runs.train_tiny(tmp_path / "run", **ANT, chunk_size=chunk_size)) == []
+
+
+def test_a_run_that_was_interrupted_goes_on_as_if_it_had_not(walked, tmp_path):
+    path = runs.train_tiny(tmp_path / "run", **{**ANT, "generations": 1})
+    shes.resume(path, generations=2)
+    assert runs.differences(walked, path) == []
+
+
+def test_a_run_goes_from_the_cpu_to_a_device_and_back_and_its_record_says_so(tmp_path):
+    path = tmp_path / "run"
+    settings = {**runs.TINY, "generations": 2, "evaluation_interval": 1}
+    code, out, err = runs.run("train", "ant-gather", *runs.flags(**settings, out=path))
+    assert (code, err) == (0, ""), out
+    code, out, err = runs.run("resume", path, "--device", "warp-cpu", "--generations", 4)
+    assert (code, err) == (0, ""), out
+    assert "device cpu -> warp-cpu" in out
+    assert "on device warp-cpu after generation 2" in out
+    code, out, err = runs.run("resume", path, "--device", "cpu", "--generations", 5)
+    assert (code, err) == (0, ""), out
+    assert "device warp-cpu -> cpu" in out
+    record = json.loads((path / "config.json").read_text())
+    assert record["device"] == {"name": "cpu"}
+    parts = [(part["generation"], part["device"]["name"]) for part in record["resumed"]]
+    assert parts == [(2, "warp-cpu"), (4, "cpu")]
+    assert set(record["resumed"][0]["device"]) == {"name", "mujoco-warp", "warp-lang"}
+    rows = read_csv(path / "progress.csv")
+    assert rows["generation"] == [1, 2, 3, 4, 5]
+    assert all(np.isfinite(rows["controller_return_mean"]))
+    assert RunFolder.open(path).load("last").state.generation == 5
+
+
+def test_a_policy_is_worth_the_same_on_both(walked):
+    """Short episodes, so that float32 has not yet led them apart."""
+    on_device, on_cpu = (
+        shes.evaluate(walked, episodes=4, checkpoint="last", num_workers=1, device=device)
+        for device in ("warp-cpu", "cpu")
+    )
+    np.testing.assert_allclose(on_device.primitive_returns, on_cpu.primitive_returns, atol=0.05)
+    np.testing.assert_array_equal(on_device.steps, on_cpu.steps)
+
+
+def test_a_buffer_that_overflows_ends_the_run_which_goes_on_with_the_size_that_the_error_names(walked, tmp_path):
+    path = shutil.copytree(walked, tmp_path / "run")
+    code, out, err = runs.run("resume", path, "--generations", 3, "--nconmax", 1)
+    assert code == 2, out
+    assert err.count("\n") == 1
+    assert "contact buffer overflowed" in err
+    *_, name, _, size = err.split()
+    assert name == "--nconmax"
+    code, out, err = runs.run("resume", path, name, size.rstrip("."))
+    assert (code, err) == (0, ""), out
+    assert RunFolder.open(path).load("last").state.generation == 3
+
+
+def test_the_rollout_bench_compares_a_device_with_bare_physics_on_a_core(monkeypatch):
+    monkeypatch.setattr("shes.experiments.bench._REPLAY_S", 0.02)
+    config = make_config("ant-gather", "smoke", {"population_size": 8, "horizon": 10, "device": "warp-cpu"})
+    found = bench_rollout(config, repeats=1)
+    assert (found["device"], found["num_workers"]) == ("warp-cpu", 1)
+    assert found["env_steps_per_s"] > 0
+
+
+def test_cuda_where_there_is_no_card_is_one_line_and_no_folder(tmp_path):
+    if load_warp()[0].get_cuda_device_count():
+        pytest.skip("there is a card")
+    code, out, err = runs.run("train", "ant-gather", "--device", "cuda", "--out", tmp_path / "run")
+    assert (code, out) == (2, "")
+    assert err.startswith("Error: device cuda needs an NVIDIA card")
+    assert err.endswith("Use --device cpu.\n")
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

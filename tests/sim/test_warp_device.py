@@ -1,0 +1,218 @@
+"""Devices of Warp without Warp: what is missing, too old or too small is one clear error. Cards are stand-ins here."""
+
+import os
+import sys
+from importlib import metadata
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import shes.sim.warp_device
+import shes.sim.warp_memory
+from shes.errors import ConfigError, MissingExtraError
+from shes.sim.warp_device import WarpDevice, is_out_of_memory, load_warp
+from shes.sim.warp_memory import bytes_per_sim
+
+VERSIONS = {"mujoco": "4.0.0", "mujoco-warp": "4.0.1", "warp-lang": "1.19.0"}
+NEEDS = {
+    "shes": ["mujoco~=4.0", 'mujoco-warp~=4.0; extra == "warp"', 'warp-lang>=1.19; extra == "warp"', "numpy>=2.0"],
+    "mujoco-warp": ["mujoco>=3.13.0", "warp-lang>=1.15", 'warp-lang>=9; extra == "dev"'],
+}
+
+
+@pytest.fixture
+def versions(monkeypatch):
+    """What is installed, to be changed."""
+    installed = dict(VERSIONS)
+
+    def version(name):
+        if name not in installed:
+            raise metadata.PackageNotFoundError(name)
+        return installed[name]
+
+    monkeypatch.setattr(metadata, "version", version)
+    monkeypatch.setattr(metadata, "requires", NEEDS.get)
+    return installed
+
+
+class Pool:
+    def __init__(self):
+        self.freed = 0
+
+    def free_all_blocks(self):
+        self.freed += 1
+
+
+@pytest.fixture
+def machine(monkeypatch, versions):
+    """A machine with a card: its Warp and its CuPy."""
+    device = SimpleNamespace(name="Card 1", ordinal=0, stream=SimpleNamespace(cuda_stream=7))
+    warp = SimpleNamespace(
+        config=SimpleNamespace(log_level=20),
+        LOG_INFO=20,
+        LOG_WARNING=30,
+        init=lambda: None,
+        get_cuda_device_count=lambda: 1,
+        get_cuda_driver_version=lambda: (13, 0),
+        is_conditional_graph_supported=lambda: True,
+        get_device=lambda _: device,
+    )
+    stream = SimpleNamespace(use=lambda: None, synchronize=lambda: None)
+    pool = Pool()
+    cupy = SimpleNamespace(
+        __version__="14.2.0",
+        zeros=np.zeros,
+        get_default_memory_pool=lambda: pool,
+        cuda=SimpleNamespace(
+            Device=lambda _: stream,
+            ExternalStream=lambda *_: stream,
+            runtime=SimpleNamespace(memGetInfo=lambda: (3000, 5000)),
+        ),
+    )
+    for name, module in (("warp", warp), ("mujoco_warp", SimpleNamespace()), ("cupy", cupy)):
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setattr(shes.sim.warp_device, "_start", lambda: "")
+    return SimpleNamespace(warp=warp, cupy=cupy, pool=pool)
+
+
+@pytest.mark.parametrize("module", ["warp", "mujoco_warp"])
+def test_a_missing_extra_is_named(machine, monkeypatch, module):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'shes\[gpu\]', or 'shes\[warp\]' for --device warp-cpu"):
+        load_warp()
+
+
+@pytest.mark.parametrize(
+    ("package", "version", "message"),
+    [
+        ("mujoco", "3.9.0", r"shes needs mujoco~=4\.0, got 3\.9\.0\. .*pip install 'shes\[gpu\]'"),
+        ("mujoco", "5.0.0", r"shes needs mujoco~=4\.0, got 5\.0\.0"),
+        ("mujoco-warp", "3.3.1", r"shes needs mujoco-warp~=4\.0, got 3\.3\.1"),
+        ("warp-lang", "1.10.0", r"shes needs warp-lang>=1\.19, got 1\.10\.0"),
+    ],
+)
+def test_versions_that_do_not_go_together_are_refused(machine, versions, package, version, message):
+    versions[package] = version
+    with pytest.raises(ConfigError, match=message):
+        load_warp()
+
+
+def test_mujoco_warp_may_need_more_than_we_do(machine, versions, monkeypatch):
+    needs = {**NEEDS, "mujoco-warp": ["mujoco>=4.1"]}
+    monkeypatch.setattr(metadata, "requires", needs.get)
+    with pytest.raises(ConfigError, match=r"mujoco-warp needs mujoco>=4\.1, got 4\.0\.0"):
+        load_warp()
+
+
+def test_a_version_before_its_release_counts(machine, versions):
+    versions["warp-lang"] = "1.20.0.dev20270101"
+    load_warp()
+
+
+def test_without_a_card_the_error_says_what_warp_says(machine, monkeypatch):
+    monkeypatch.setattr(machine.warp, "get_cuda_device_count", lambda: 0)
+    monkeypatch.setattr(shes.sim.warp_device, "_start", lambda: "Could not find the NVIDIA CUDA driver.")
+    message = r"needs an NVIDIA card .*Warp sees none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\."
+    with pytest.raises(ConfigError, match=message):
+        WarpDevice("cuda")
+
+
+def test_a_driver_that_is_too_old_is_an_error_with_its_version(machine, monkeypatch):
+    monkeypatch.setattr(machine.warp, "is_conditional_graph_supported", lambda: False)
+    monkeypatch.setattr(machine.warp, "get_cuda_driver_version", lambda: (12, 2))
+    with pytest.raises(ConfigError, match=r"driver for CUDA 12\.4 or newer .* got one for CUDA 12\.2\. Update the"):
+        WarpDevice("cuda")
+
+
+def test_a_driver_older_than_cupys_libraries_is_an_error_with_its_version(machine, monkeypatch):
+    def zeros(_):
+        raise RuntimeError("cudaErrorInsufficientDriver: CUDA driver version is insufficient for CUDA runtime version")
+
+    monkeypatch.setattr(machine.cupy, "zeros", zeros)
+    monkeypatch.setattr(machine.warp, "get_cuda_driver_version", lambda: (12, 8))
+    with pytest.raises(ConfigError, match=r"newer driver: CuPy says .*for CUDA 12\.8\. Update it .*--device cpu"):
+        WarpDevice("cuda")
+
+
+def test_missing_cupy_is_named(machine, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cupy", None)
+    with pytest.raises(MissingExtraError, match=r"device cuda needs CuPy .*pip install 'shes\[gpu\]'"):
+        WarpDevice("cuda")
+
+
+def test_the_record_of_a_card_has_its_name_driver_and_versions(machine):
+    assert WarpDevice("cuda").facts == {
+        "name": "cuda",
+        "mujoco-warp": "4.0.1",
+        "warp-lang": "1.19.0",
+        "cupy": "14.2.0",
+        "card": "Card 1",
+        "driver": "CUDA 13.0",
+    }
+    assert WarpDevice("warp-cpu").facts == {"name": "warp-cpu", "mujoco-warp": "4.0.1", "warp-lang": "1.19.0"}
+
+
+def test_free_memory_is_that_of_the_card_once_cupy_has_given_back_its_own(machine):
+    assert WarpDevice("cuda").free_bytes() == 3000
+    assert machine.pool.freed == 1
+    assert WarpDevice("warp-cpu").free_bytes() is None
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (MemoryError("Unable to allocate 3 GiB"), True),
+        (RuntimeError("Failed to allocate 12 bytes on device 'cuda:0'"), True),
+        (RuntimeError("Graph launch error: Warp CUDA error 2: out of memory"), True),
+        (RuntimeError("CUBLAS_STATUS_ALLOC_FAILED"), True),
+        (RuntimeError("CUDA error 700: an illegal memory access was encountered"), False),
+        (ConfigError("mujoco-warp's contact buffer overflowed"), False),
+    ],
+)
+def test_an_error_for_lack_of_memory_is_told_from_others(error, expected):
+    assert is_out_of_memory(error) is expected
+
+
+def test_what_warps_native_code_says_of_the_card_is_kept_and_what_others_say_is_not(machine, capfd, monkeypatch):
+    monkeypatch.undo()
+    said = b"Warp CUDA warning: Could not find the driver.\nsomebody else\n"
+    monkeypatch.setitem(sys.modules, "warp", SimpleNamespace(init=lambda: os.write(2, said)))
+    assert shes.sim.warp_device._start.__wrapped__() == "Could not find the driver."
+    os.write(2, b"after\n")
+    assert capfd.readouterr() == ("", "somebody else\nafter\n")
+
+
+def test_stderr_comes_back_where_warp_cannot_start(capfd, monkeypatch):
+    def init():
+        os.write(2, b"why\n")
+        raise RuntimeError("no")
+
+    monkeypatch.setitem(sys.modules, "warp", SimpleNamespace(init=init))
+    with pytest.raises(RuntimeError, match="no"):
+        shes.sim.warp_device._start.__wrapped__()
+    assert capfd.readouterr().err == "why\n"
+
+
+def test_the_memory_of_a_simulation_is_what_many_take_without_what_the_first_brought(monkeypatch):
+    state = SimpleNamespace(free=10**9, loaded=False)
+
+    class Simulator:
+        def __init__(self, model, num_sims, device, nconmax, njmax):
+            assert (model, device, nconmax, njmax) == ("model", "cuda", 3, None)
+            self.num_sims = num_sims
+
+        def step(self, ids, nstep):
+            assert len(ids) == self.num_sims
+            assert nstep == 5
+            state.free -= 1000 * self.num_sims + (0 if state.loaded else 10**8)
+            state.loaded = True
+
+    device = SimpleNamespace(free_bytes=lambda: state.free)
+    monkeypatch.setattr(shes.sim.warp_memory, "WarpSimulator", Simulator)
+    monkeypatch.setattr(shes.sim.warp_memory, "WarpDevice", lambda _: device)
+    assert bytes_per_sim("model", "cuda", 5, nconmax=3) == 1000
+
+
+def test_where_memory_has_no_limit_nothing_is_measured(machine):
+    assert bytes_per_sim(None, "warp-cpu", 5) == 0
