@@ -24,6 +24,7 @@ __all__ = ["Flagrun"]
 NEAR_M = 1.0
 """Goals are drawn at least this far away; nearer to one is worth 1 more in each step."""
 DISTANCE_SCALE = 0.001
+_GOALS_AT_ONCE = 16
 
 
 class FlagrunReader(BodyReader):
@@ -68,6 +69,9 @@ class Flagrun(Task):
         self._start_distance: F64Array = self.xp.ones(num_episodes)
         self._is_near: BoolArray = self.xp.zeros(num_episodes, dtype=np.bool_)
         self._rngs: list[np.random.Generator | None] = [None] * num_episodes
+        self._offsets: F64Array = np.zeros((num_episodes, _GOALS_AT_ONCE, 2))  # from the robot, of goals to come
+        self._num_used: IntArray = np.zeros(num_episodes, dtype=np.int64)  # of these
+        self._has_begun: BoolArray = np.zeros(num_episodes, dtype=np.bool_)
         # `time` on the host, where goals are drawn: whose are due is known without waiting for a device.
         self._host_time: IntArray = np.zeros(num_episodes, dtype=np.int64)
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
@@ -130,37 +134,42 @@ class Flagrun(Task):
     def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         self._is_near[self.xp.asarray(ids)] = False
         self._host_time[ids] = 0
+        self._num_used[ids] = _GOALS_AT_ONCE
+        self._has_begun[ids] = True
         for i, rng in zip(ids.tolist(), rngs, strict=True):
             self._rngs[i] = rng
-        self._draw_goals(ids)
+        self._move_goals(ids)
 
-    def _draw_goals(self, ids: IntArray) -> None:
-        """Move the goals of episodes `ids`, but of those that have never begun."""
-        begun = [(i, rng) for i in ids.tolist() if (rng := self._rngs[i]) is not None]
-        if not begun:
-            return
-        rows = self.xp.asarray(np.array([i for i, _ in begun]))
-        offsets = self.xp.asarray(np.array([self._draw_offset(rng) for _, rng in begun]))
-        self._goal[rows] = self.position[rows] + offsets
+    def _move_goals(self, ids: IntArray) -> None:
+        """Move the goals of episodes `ids`."""
+        for i in ids[self._num_used[ids] == _GOALS_AT_ONCE].tolist():
+            self._draw_goals(i)
+        rows = self.xp.asarray(ids)
+        self._goal[rows] = self.position[rows] + self.xp.asarray(self._offsets[ids, self._num_used[ids]])
+        self._num_used[ids] += 1
         # Not the lengths of the offsets: rounding must not make the distance differ from the start distance.
         self._start_distance[rows] = self.distance[rows]
 
-    def _draw_offset(self, rng: np.random.Generator) -> F64Array:
-        """Draw where a goal is from the robot [2], in metres."""
-        half_width = self.options.goal_range
-        while True:
-            offset = rng.uniform(-half_width, half_width, 2)
-            if offset[0] * offset[0] + offset[1] * offset[1] >= NEAR_M**2:
-                return offset
+    def _draw_goals(self, episode: int) -> None:
+        """Draw where the next goals of an episode are from the robot: the numbers of drawing one after another."""
+        rng, half_width, count = self._rngs[episode], self.options.goal_range, 0
+        assert rng is not None, "an episode draws goals from its reset on"
+        self._num_used[episode] = 0
+        while count < _GOALS_AT_ONCE:
+            drawn = rng.uniform(-half_width, half_width, (_GOALS_AT_ONCE - count, 2))
+            squares = drawn * drawn
+            drawn = drawn[squares[:, 0] + squares[:, 1] >= NEAR_M**2]
+            self._offsets[episode, count : count + len(drawn)] = drawn
+            count += len(drawn)
 
     def _update_features(self) -> F64Array:
         distance = self.distance
         np.less(distance, NEAR_M, out=self._is_near)
         reward = 1 - distance / self._start_distance + self._is_near
         self._host_time += 1
-        due = np.flatnonzero(self._host_time % self.options.goal_interval == 0)
+        due = np.flatnonzero((self._host_time % self.options.goal_interval == 0) & self._has_begun)
         if len(due):
-            self._draw_goals(due)
+            self._move_goals(due)
         return reward
 
     def observe(self) -> F64Array:
