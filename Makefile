@@ -17,7 +17,7 @@ MIN_VERSION := (3, 11)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-extras test-all lint type imports docs bench clean FORCE
+.PHONY: help setup demo test test-extras test-all test-gpu lint type imports docs bench clean FORCE
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -76,6 +76,11 @@ test-extras: $(EXTRAS_STAMP) ## tests of optional parts: engines, rendering, HIR
 
 test-all: $(EXTRAS_STAMP) ## every test but those that need a GPU
 	$(PYTEST) -m "not gpu"
+
+# On a machine with a card; no other target needs one, and none of them runs these tests.
+test-gpu: $(STAMP) ## tests on a CUDA card: the physics, the roll-out, return distributions against the CPU's
+	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,gpu]'
+	$(PYTEST) -m gpu
 
 lint: $(STAMP) ## ruff: rules and format
 	$(PY) -m ruff check $(SOURCES)

@@ -187,8 +187,10 @@ def generations(device: str, size: Size, out: Path) -> None:
         }
         config = make_config(env, "paper", settings)
         found = list(itertools.islice(_timed(config), size.repeats + 1))[1:]  # the first one compiles
-        row = {name: statistics.median(each[name] for each in found) for name in found[0]}
-        table.add(what=what, env=env, integrator=integrator, population=population, episodes=episodes, **row)
+        names = [name for name in found[0] if found[0][name] is not None]
+        row = {name: statistics.median(each[name] for each in found) for name in names}
+        policies = config.population_size
+        table.add(what=what, env=env, integrator=integrator, policies=policies, episodes=episodes, **row)
 
 
 def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:

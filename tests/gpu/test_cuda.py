@@ -1,0 +1,110 @@
+"""On a card: `make test-gpu`. What the stand-in for CuPy and `warp-cpu` are held to elsewhere, with CuPy itself.
+
+`SHES_TEST_DEVICE=warp-cpu` tries these tests without a card.
+"""
+
+import json
+import os
+from functools import partial
+
+import numpy as np
+import pytest
+
+import shes
+from shes.arrays import to_host
+from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.task import FRAME_SKIP
+from shes.es.gradient import weighted_noise_sum
+from shes.es.noise import NoiseTable
+from shes.experiments.run_folder import RunFolder
+from shes.sim.cpu import CpuSimulator
+from shes.sim.warp import WarpSimulator
+from shes.sim.warp_device import WarpDevice
+from tests.hierarchy import test_device_arrays as stand_in
+
+pytestmark = [pytest.mark.gpu, pytest.mark.timeout(600)]
+
+DEVICE = os.environ.get("SHES_TEST_DEVICE", "cuda")
+SIMULATOR = partial(WarpSimulator, device=DEVICE)
+# Feet touch the floor and Push's block rests against walls: in contact steps agree with C mostly, not always.
+WITHOUT_CONTACT = [name for name in ENVIRONMENTS if not name.endswith("-push")]
+IN_CONTACT = {"ant", "one-hot"}
+TINY = {
+    "preset": "smoke",
+    "population_size": 16,
+    "horizon": 20,
+    "noise_table_size": 200_000,
+    "evaluation_episodes": 4,
+    "evaluation_interval": 1,
+}
+
+
+@pytest.fixture(scope="module")
+def xp():
+    return WarpDevice(DEVICE).xp
+
+
+@pytest.mark.parametrize("env", WITHOUT_CONTACT)
+def test_a_control_step_without_contact_agrees_with_c(env):
+    pair = [make_task(env, 6, simulator=simulator) for simulator in (CpuSimulator, SIMULATOR)]
+    rng = np.random.default_rng(0)
+    ids = np.arange(6)
+    for task in pair:
+        task.reset(ids, ids.tolist())
+        if task.body.name == "ant":
+            task.sim.qpos[:, 2] = 3.0  # in the air
+    control = rng.uniform(-1, 1, (6, pair[0].action_size)) * pair[0].control_limit
+    for task in pair:
+        task.step(ids, task.xp.asarray(control, dtype=np.float32))
+    found = to_host(pair[1].sim.qpos)
+    np.testing.assert_allclose(found, pair[0].sim.qpos, atol=1e-5 * FRAME_SKIP)
+    assert not to_host(pair[1].diverged).any()
+
+
+def test_those_that_do_not_run_do_not_move():
+    task = make_task("ant-gather", 8, simulator=SIMULATOR)
+    task.reset(np.arange(8), list(range(8)))
+    before = to_host(task.sim.qpos).copy()
+    task.step(np.array([1, 5]), task.xp.full((8, task.action_size), 10, dtype=np.float32))
+    moved = (to_host(task.sim.qpos) != before).any(axis=1)
+    assert moved.tolist() == [i in {1, 5} for i in range(8)]
+
+
+@pytest.mark.parametrize("name", sorted(stand_in.CHOICES.keys() - IN_CONTACT))
+@pytest.mark.parametrize("episodes", [1, 3])
+def test_a_generation_has_the_numbers_of_the_cpu(name, episodes, xp):
+    found, _ = stand_in.run(name, SIMULATOR, 8, xp, episodes)
+    expected, _ = stand_in.run(name, CpuSimulator, 8, episodes=episodes)
+    assert found.keys() == expected.keys()
+    for number, mine in found.items():
+        assert mine.steps.tolist() == expected[number].steps.tolist()
+        np.testing.assert_allclose(mine.returns, expected[number].returns, rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(mine.final_position, expected[number].final_position, atol=1e-3)
+
+
+def test_the_weighted_sum_of_noise_has_the_bits_of_the_cpu(xp):
+    rng = np.random.default_rng(0)
+    table = NoiseTable(rng.standard_normal(1_000_000, dtype=np.float32))
+    index, weights = rng.integers(0, 800_000, 300), rng.normal(size=300).astype(np.float32)
+    on_device = weighted_noise_sum(table.on(xp), index, weights, 150_000)
+    assert on_device.tobytes() == weighted_noise_sum(table, index, weights, 150_000).tobytes()
+
+
+@pytest.mark.parametrize("env", ["ant-gather", "ant-push"])
+def test_a_run_goes_from_the_cpu_to_the_card_and_back(env, tmp_path):
+    run = tmp_path / "run"
+    shes.train(env, out=run, generations=2, backend="serial", **TINY)
+    shes.resume(run, generations=4, device=DEVICE)
+    shes.resume(run, generations=5, device="cpu")
+    record = json.loads((run / "config.json").read_text())
+    assert [part["device"]["name"] for part in (record, *record["resumed"])] == ["cpu", DEVICE, "cpu"]
+    assert RunFolder.open(run).load("last").state.generation == 5
+
+
+def test_a_population_in_parts_is_the_same_population(tmp_path):
+    thetas = []
+    for chunk_size in (0, 4):
+        run = tmp_path / str(chunk_size)
+        shes.train("point-gather", out=run, generations=1, device=DEVICE, chunk_size=chunk_size, **TINY)
+        thetas.append(RunFolder.open(run).load("last").state.levels[0].theta)
+    np.testing.assert_allclose(*thetas, atol=1e-3)
