@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -118,7 +119,8 @@ def check(device: str, size: Size, out: Path) -> None:
     simulator = partial(WarpSimulator, device=device)
     cases = [(env, spec) for env in size.envs for spec in find_environment(env).task.specs]
     sizes: dict[str, Any] = {"episodes": size.episodes, "horizon": size.check_steps}
-    with ProcessPoolExecutor() as pool:
+    # Not a fork: a child must not inherit the card.
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         on_cpu: dict[tuple[str, str], Future[Any]] = {
             case: pool.submit(sample, case[0], CpuSimulator, spec=case[1], seed=0, **sizes) for case in cases
         }

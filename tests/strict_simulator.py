@@ -25,6 +25,6 @@ class DeviceSimulator(Simulator):
         assert isinstance(ids, np.ndarray)
         self._cpu.reset(ids)
 
-    def step(self, ids, nstep):
+    def _advance(self, ids, nstep):
         assert isinstance(ids, np.ndarray)
         self._cpu.step(ids, nstep)

@@ -206,7 +206,7 @@ class RolloutWorker:
         if kind not in self._room and not plan.chunk_size:
             self._lanes = 1  # what is measured is too little memory for one, if it does not fit
             self._room[kind] = self._measure_room(generation)
-        return min(asked or share, self._room.get(kind, share))
+        return max(1, min(asked or share, self._room.get(kind, share)))
 
     def _measure_room(self, generation: Generation) -> int:
         """Return how many lanes the device's memory has room for."""
@@ -238,7 +238,8 @@ class RolloutWorker:
         if lanes == 1:
             raise ConfigError(
                 f"device {device} has too little memory for {generation.rows} episodes at a time ({error}). "
-                "Set --episodes-per-policy, --nconmax or --njmax lower, or use --device cpu."
+                "Set --nconmax or --njmax lower, use --device cpu, or start another run with fewer "
+                "--episodes-per-policy or --mirrored none: they are computed together."
             ) from error
         half = self._room[_kind(generation)] = -(-lanes // 2)
         self._drop(generation)

@@ -212,3 +212,13 @@ def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy, monkeypatch
 def test_the_update_bench_is_for_the_cpu():
     with pytest.raises(ConfigError, match=r"measures the CPU, got device 'cuda'\. Leave --device away"):
         bench_update(make_config("point-gather", "smoke", {"device": "cuda"}))
+
+
+def test_too_little_memory_for_one_episode_is_an_error_before_there_is_a_folder(monkeypatch, tmp_path):
+    def full(*_):
+        raise RuntimeError("Failed to allocate 10800000000 bytes on device 'cuda:0'")
+
+    monkeypatch.setattr(shes.experiments.build, "simulator_factory", lambda *_: full)
+    with pytest.raises(ConfigError, match=r"cuda has too little memory for a single episode .*--nconmax or --njmax"):
+        shes.train("point-gather", out=tmp_path / "run", preset="smoke", device="cuda")
+    assert not (tmp_path / "run").exists()

@@ -20,7 +20,9 @@ from shes.experiments.checkpoint import load_checkpoint
 from shes.experiments.evaluate import evaluate
 from shes.experiments.study import (
     Study,
+    cell_config,
     cell_steps,
+    cells_left,
     check_study,
     read_summaries,
     run_cell,
@@ -268,6 +270,50 @@ def test_a_study_goes_on_from_its_tables_alone(tmp_path, in_this_process):
         name: without_seconds(found) for name, found in whole.items()
     }
     assert not list(run_study(study, second, num_workers=1))
+
+
+def test_a_row_does_not_stand_for_a_primitive_that_is_not_finished(tmp_path, in_this_process):
+    trained = cell(env="point-flagrun", group="transfer")
+    followers = [
+        cell(group="transfer", variant=name, primitive=trained.name, settings={**TINY, "freeze_primitive": frozen})
+        for name, frozen in (("frozen", True), ("unfrozen", False))
+    ]
+    study = Study(cells=(trained, *followers), episodes=2)
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert all(outcome.summary for outcome in run_study(study, first, num_workers=1))
+    whole = read_summaries(study, first)
+    second.mkdir()
+    write_tables(study.ordered(), {name: whole[name] for name in (trained.name, followers[0].name)}, second)
+    training.start_run(replace(cell_config(trained, second), minutes=1e-9), second / trained.name)  # stopped at once
+    left = cells_left(study, second)
+    assert [some.name for some in left] == [trained.name, followers[1].name]
+    progress = experiment._Progress(study, {some.name for some in left}, 1, is_silent=True)
+    for outcome in run_study(study, second, num_workers=1):
+        progress.show(outcome)
+    again = read_summaries(study, second)
+    assert {name: without_seconds(found) for name, found in again.items()} == {
+        name: without_seconds(found) for name, found in whole.items()
+    }
+
+
+def test_rows_of_other_cells_stay_in_the_tables(finished, tmp_path):
+    others = [cell(seed=9), cell(settings={**TINY, "sigma": 0.3})]
+    summaries = {
+        some.name: replace(finished[1], row={**finished[1].row, **some.identity}, curve=tuple(
+            {**point, **some.identity} for point in finished[1].curve))
+        for some in others
+    }  # fmt: skip
+    for some in others:
+        write_tables([some], summaries, tmp_path)
+    write_tables([cell()], {}, tmp_path)
+    for some in others:
+        assert read_tables([some], tmp_path) == {some.name: summaries[some.name]}
+    assert len(rows(tmp_path / "runs.csv")) == 2
+
+
+def test_a_table_that_does_not_say_of_which_settings_it_is_counts_for_nothing(finished, tmp_path):
+    (tmp_path / "runs.csv").write_text("group,variant,env,seed\nchoices,base,point-gather,5\n", encoding="utf-8")
+    assert read_tables([cell()], tmp_path) == {}
 
 
 @pytest.mark.parametrize("scale", ablations.SCALES)

@@ -36,6 +36,7 @@ from shes.hierarchy.outputs import make_controller_output
 from shes.hierarchy.primitive import PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
 from shes.policies.mlp import MLP
+from shes.sim.warp_device import is_out_of_memory
 from shes.worker import RolloutWorker, WorkerPlan, simulator_factory
 
 __all__ = [
@@ -249,13 +250,22 @@ def check_device(config: TrainConfig) -> None:
 
     Raises:
         MissingExtraError: It needs a package that is not installed.
-        ConfigError: There is no card, its driver is too old, versions do not go together, or the world needs the CPU.
+        ConfigError: There is no card, its driver is too old, versions do not go together, the world needs the CPU, or
+            there is not the memory for one.
     """
     if config.device == "cpu":
         return
     env = build_environment(config)
     simulator = simulator_factory(config.device, config.nconmax, config.njmax)
-    env.make(1, build_options(config, env, is_evaluation=False), simulator).close()
+    try:
+        env.make(1, build_options(config, env, is_evaluation=False), simulator).close()
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        raise ConfigError(
+            f"device {config.device} has too little memory for a single episode ({error}). See what else uses it, set "
+            "--nconmax or --njmax lower, or use --device cpu."
+        ) from error
 
 
 def build_backend(config: TrainConfig, plan: WorkerPlan) -> Backend:

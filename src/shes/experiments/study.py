@@ -33,6 +33,7 @@ __all__ = [
     "StudyWorker",
     "cell_config",
     "cell_steps",
+    "cells_left",
     "check_study",
     "read_summaries",
     "run_cell",
@@ -249,15 +250,8 @@ def run_study(study: Study, out: Path, *, num_workers: int) -> Generator[Outcome
     failed: set[str] = set()
     with RunFolder(out).lock():
         check_study(study, out)
-        done = read_summaries(study, out)
-        for cell in study.cells:
-            if (
-                cell.name not in done
-                and cell.primitive is not None
-                and not RunFolder(out / cell.primitive).config.is_file()
-            ):
-                done.pop(cell.primitive, None)  # a row of a table is no primitive to begin with
-        left = [tuple(cell for cell in stage if cell.name not in done) for stage in study.stages()]
+        names = {cell.name for cell in cells_left(study, out)}
+        left = [tuple(cell for cell in stage if cell.name in names) for stage in study.stages()]
         size = min(num_workers, max(map(len, left), default=0))
         if not size:
             return
@@ -332,6 +326,21 @@ def read_summaries(study: Study, out: Path) -> dict[str, Summary]:
         RunFolderError: A summary or a table is damaged.
     """
     cells = study.ordered()
-    tables = read_tables(cells, out)
-    found = {cell.name: _read_summary(out / cell.name) or tables.get(cell.name) for cell in cells}
+    # A folder knows better than a row: what has one and is not finished is not done.
+    without = [cell for cell in cells if not (out / cell.name).exists()]
+    tables = read_tables(without, out) if without else {}
+    found = {cell.name: tables.get(cell.name) or _read_summary(out / cell.name) for cell in cells}
     return {name: summary for name, summary in found.items() if summary is not None}
+
+
+def cells_left(study: Study, out: Path) -> list[Cell]:
+    """Return the cells that are still to be run, in order: primitives that are rows of a table alone among them.
+
+    Raises:
+        RunFolderError: A summary or a table is damaged.
+    """
+    done = set(read_summaries(study, out))
+    for cell in reversed(study.ordered()):  # what begins with a primitive comes after it
+        if cell.primitive is not None and cell.name not in done and _read_summary(out / cell.primitive) is None:
+            done.discard(cell.primitive)
+    return [cell for cell in study.ordered() if cell.name not in done]

@@ -68,12 +68,19 @@ class Summary:
 def write_tables(cells: Sequence[Cell], summaries: Mapping[str, Summary], out: Path) -> None:
     """Write `runs.csv`, a row per finished cell, and `curves.csv`, a row per evaluation, in the order of `cells`.
 
+    Rows that are there already and belong to none of `cells` stay, behind these.
+
     Raises:
+        RunFolderError: A table is damaged.
         StorageError: They cannot be written.
     """
     found = [(cell, summaries[cell.name]) for cell in cells if cell.name in summaries]
-    write_csv(out / "curves.csv", [row for _, summary in found for row in summary.curve])
-    write_csv(out / "runs.csv", [{**summary.row, _SETTINGS: cell.digest} for cell, summary in found])
+    curves = [{**row, _SETTINGS: cell.digest} for cell, summary in found for row in summary.curve]
+    runs = [{**summary.row, _SETTINGS: cell.digest} for cell, summary in found]
+    own = {_key(cell) for cell in cells}
+    for name, rows in (("curves.csv", curves), ("runs.csv", runs)):
+        others = [row for row in _read(out / name) if _place(row) not in own]
+        write_csv(out / name, [*rows, *others])
 
 
 def read_tables(cells: Sequence[Cell], out: Path) -> dict[str, Summary]:
@@ -84,22 +91,29 @@ def read_tables(cells: Sequence[Cell], out: Path) -> dict[str, Summary]:
     """
     curves: dict[tuple[Any, ...], list[Row]] = {}
     for row in _read(out / "curves.csv"):
-        curves.setdefault(_place(row), []).append(row)
-    rows = {(*_place(row), row.pop(_SETTINGS)): row for row in _read(out / "runs.csv", _SETTINGS)}
-    found: dict[str, Summary] = {}
-    for cell in cells:
-        place = _place(cell.identity)
-        if (*place, cell.digest) in rows and place in curves:
-            found[cell.name] = Summary(row=rows[*place, cell.digest], curve=tuple(curves[place]))
-    return found
+        curves.setdefault(_place(row), []).append(_without_settings(row))
+    rows = {_place(row): _without_settings(row) for row in _read(out / "runs.csv")}
+    return {
+        cell.name: Summary(row=rows[_key(cell)], curve=tuple(curves[_key(cell)]))
+        for cell in cells
+        if _key(cell) in rows and _key(cell) in curves
+    }
+
+
+def _key(cell: Cell) -> tuple[Any, ...]:
+    return _place({**cell.identity, _SETTINGS: cell.digest})
+
+
+def _without_settings(row: Row) -> Row:
+    return {name: value for name, value in row.items() if name != _SETTINGS}
 
 
 def _place(row: Row) -> tuple[Any, ...]:
-    return tuple(row[name] for name in _PLACE)
+    return tuple(row[name] for name in (*_PLACE, _SETTINGS))
 
 
-def _read(path: Path, *more: str) -> list[Row]:
-    """Return the rows of a table, none if there is no table.
+def _read(path: Path) -> list[Row]:
+    """Return the rows of a table, none if there is no table, or one that does not say of which settings it is.
 
     Raises:
         RunFolderError: It is damaged.
@@ -108,16 +122,16 @@ def _read(path: Path, *more: str) -> list[Row]:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         for row in rows[:1]:
-            _check_columns(row, {*_PLACE, *more})
-        return [{name: _value(name, text) for name, text in row.items()} for row in rows]
+            _check_columns(row)
+        return [{name: _value(name, text) for name, text in row.items()} for row in rows if _SETTINGS in row]
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError) as error:
         raise RunFolderError(f"{path} cannot be read as a table of runs: {error!r}. Remove it.") from error
 
 
-def _check_columns(row: Mapping[str, str], wanted: set[str]) -> None:
-    missing = wanted - row.keys()
+def _check_columns(row: Mapping[str, str]) -> None:
+    missing = set(_PLACE) - row.keys()
     if missing:
         raise ValueError(f"it has no column {', '.join(sorted(missing))}")
 
@@ -132,14 +146,15 @@ def _value(name: str, text: str) -> Any:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Write `rows`, which share their columns, as a table; None is an empty place.
+    """Write `rows` as a table; None, and a column that a row has not, is an empty place.
 
     Raises:
         StorageError: It cannot be written; what was there is untouched.
     """
     text = io.StringIO()
     if rows:
-        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        columns = dict.fromkeys(name for row in rows for name in row)
+        writer = csv.DictWriter(text, list(columns), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
     write_atomically(path, lambda file: file.write(text.getvalue().encode()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from time import perf_counter
 
 import mujoco
 import numpy as np
@@ -74,11 +73,9 @@ class CpuSimulator(Simulator):
         self._batch.warning[ids] = 0  # MuJoCo counts from 0 again when it resets by itself: every divergence reads 1
         self.diverged[ids] = False
 
-    def step(self, ids: IntArray, nstep: int) -> None:
+    def _advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""
-        start = perf_counter()
         everybody = len(ids) == self.num_sims  # named none, MuJoCo need not check them
         self._batch.step(None if everybody else ids, nstep=nstep)
-        self._physics_s += perf_counter() - start
         if self._counters.any():
             np.any(self._counters, axis=1, out=self.diverged)

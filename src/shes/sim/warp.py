@@ -25,6 +25,9 @@ from shes.types import IntArray
 __all__ = ["WarpSimulator"]
 
 
+_MOST_CONTACTS = 2**31 - 1  # of all simulations together
+
+
 class WarpSimulator(Simulator):
     """N simulations on one device. A simulation's numbers do not depend on what the others do."""
 
@@ -59,6 +62,11 @@ class WarpSimulator(Simulator):
         _check_state(model)
         default = default_sizes(model)
         self.buffers = BufferSizes(nconmax or default.nconmax, njmax or default.njmax)
+        if num_sims * self.buffers.nconmax > _MOST_CONTACTS:
+            raise ConfigError(
+                f"{num_sims} simulations with room for {self.buffers.nconmax} contacts each are more than mujoco-warp "
+                f"counts to ({_MOST_CONTACTS:,}). Set --nconmax or --chunk-size lower."
+            )
         self.model = model
         self.num_sims = num_sims
         self.xp = self._device.xp
@@ -66,6 +74,7 @@ class WarpSimulator(Simulator):
             self._allocate()
         self._graphs: dict[int, Any] = {}
         self._timers: list[WarpTimer] = []
+        self._device_s = 0.0
         self.reset(np.arange(num_sims))
 
     def _allocate(self) -> None:
@@ -102,7 +111,7 @@ class WarpSimulator(Simulator):
         for array in (self.qvel, self.ctrl, self._warmstart, self._time, self.diverged):
             array[ids] = 0
 
-    def step(self, ids: IntArray, nstep: int) -> None:
+    def _advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps.
 
         All go through the physics; those that are not in `ids` are put aside before and back after.
@@ -122,8 +131,8 @@ class WarpSimulator(Simulator):
     def physics_s(self) -> float:
         """Seconds that the device has spent on steps so far; it is waited for."""
         while self._timers:
-            self._physics_s += self._timers.pop().seconds()
-        return self._physics_s
+            self._device_s += self._timers.pop().seconds()
+        return self._device_s
 
     def peaks(self) -> BufferPeaks:
         """Return what was needed of the buffers at most; waits for the device."""

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 
 from shes.sim.warp import WarpSimulator
-from shes.sim.warp_device import WarpDevice
+from shes.sim.warp_device import WarpDevice, is_out_of_memory
 
 __all__ = ["bytes_per_sim"]
 
-_FIRST, _MEASURED = 16, 512
+_MEASURED = (16, 64, 512)
 """Simulations: a few, with which the kernels come into memory, then enough to see through the pool's large pieces."""
 
 
@@ -30,13 +30,18 @@ def bytes_per_sim(
         nconmax: As for `WarpSimulator`.
         njmax: As for `WarpSimulator`.
     """
-    memory, used = WarpDevice(device), 0
-    for num_sims in (_FIRST, _MEASURED):
+    memory, used = WarpDevice(device), 0.0
+    for num_sims in _MEASURED:
         before = memory.free_bytes()
         if before is None:
             return 0.0
-        simulator = WarpSimulator(model, num_sims, device, nconmax, njmax)
-        simulator.step(np.arange(num_sims), nstep)
-        used = before - (memory.free_bytes() or 0)
+        try:
+            simulator = WarpSimulator(model, num_sims, device, nconmax, njmax)
+            simulator.step(np.arange(num_sims), nstep)
+        except (MemoryError, RuntimeError) as error:
+            if not used or not is_out_of_memory(error):
+                raise
+            break  # what fewer of them took is the best there is
+        used = max(0, before - (memory.free_bytes() or 0)) / num_sims
         del simulator
-    return max(0, used) / _MEASURED
+    return used

@@ -47,7 +47,7 @@ def _run(values: dict[str, Any]) -> int:
     from shes.experiments.ablation import ablation, choose, compare
     from shes.experiments.config import TrainConfig
     from shes.experiments.figures import draw_figures
-    from shes.experiments.study import check_study, read_summaries, run_study
+    from shes.experiments.study import cells_left, check_study, read_summaries, run_study
     from shes.experiments.study_tables import write_csv, write_tables
 
     given = Arguments(**values)
@@ -61,11 +61,11 @@ def _run(values: dict[str, Any]) -> int:
     study = ablation(given.scale, given.seeds)
     chosen = choose(study, given.only or ())
     check_study(study, given.out)
-    summaries = read_summaries(study, given.out)
+    left = {cell.name for cell in cells_left(chosen, given.out)}
     workers = TrainConfig(env="point-gather", num_workers=given.workers).workers
     failed: list[Outcome] = []
     outcomes = run_study(chosen, given.out, num_workers=workers)
-    with _Progress(chosen, set(summaries), workers, is_silent=given.json) as progress, closing(outcomes):
+    with _Progress(chosen, left, workers, is_silent=given.json) as progress, closing(outcomes):
         for outcome in outcomes:
             progress.show(outcome)
             if outcome.summary is None:
@@ -101,11 +101,11 @@ def _run(values: dict[str, Any]) -> int:
 class _Progress:
     """Says what is ahead, what every finished run came to and how long the rest takes; after Ctrl-C, how to go on."""
 
-    def __init__(self, study: Study, done: set[str], workers: int, *, is_silent: bool) -> None:
+    def __init__(self, study: Study, left: set[str], workers: int, *, is_silent: bool) -> None:
         from shes.experiments.study import cell_steps
 
         self._steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
-        self._left = {name: steps for name, steps in self._steps.items() if name not in done}
+        self._left = {name: steps for name, steps in self._steps.items() if name in left}
         self._workers, self._is_silent = workers, is_silent
         self._start, self._made = monotonic(), 0
 
