@@ -100,7 +100,8 @@ class Rollout:
         self._explores = not generation.is_evaluation
         self._has_frozen_control = generation.has_frozen_control
         self.agent.normalise_by(generation.levels)
-        self.agent.centre_on(generation.levels)
+        if self.agent.shares_noise:
+            self.agent.centre_on(generation.levels)
         self._lanes = [None] * self.num_lanes
         self._is_running[:] = False
         self._running = np.flatnonzero(self._is_running)

@@ -29,7 +29,7 @@ _MOST_CONTACTS = 2**31 - 1  # of all simulations together
 
 
 class WarpSimulator(Simulator):
-    """N simulations on one device. A simulation's numbers do not depend on what the others do."""
+    """N simulations on one device. On the CPU a simulation's numbers do not depend on what the others do."""
 
     starts_together = True
 
