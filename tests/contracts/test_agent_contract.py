@@ -1,7 +1,7 @@
 """What every agent promises to the roll-out, over every kind of agent and each of its options.
 
-A new goal encoding or controller output inherits all of it by its line in the registry; a new kind of agent by a line
-in `tests.hierarchy.designs`.
+A new goal encoding, controller output or primitive reward inherits all of it by its line in the registry; a new kind of
+agent by a line in `tests.hierarchy.designs`.
 """
 
 import pickle  # designs travel to worker processes

@@ -9,6 +9,7 @@ import pytest
 from shes.envs.point import Point
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.errors import ConfigError, UnknownNameError
+from shes.experiments.build import build_settings
 from shes.experiments.config import EXECUTION_FIELDS, TrainConfig, check_fields
 from shes.experiments.presets import make_config
 from shes.experiments.settings import NAMES as WORDS
@@ -309,9 +310,26 @@ def test_a_schedule_and_its_end_belong_together(quantity, fields_of, how):
 @pytest.mark.parametrize("name", ENDS)
 @pytest.mark.parametrize("wrong", [0, -1, "1", True, float("nan")])
 def test_the_end_of_a_schedule_is_as_good_a_value_as_its_start(name, wrong):
+    if name == "learning_rate_end" and wrong == 0:
+        return  # see below
     schedule = next(kind for kind, end in SCHEDULED.values() if end == name)
-    with pytest.raises(ConfigError, match=rf"{name} must be a .*, got {wrong!r}\. Set {flag(name)}\."):
+    with pytest.raises(ConfigError, match=rf"{name} must be (a|zero or a) .*, got {wrong!r}\. Set {flag(name)}\."):
         make(**{schedule: "linear", name: wrong})
+
+
+@pytest.mark.parametrize("how", KINDS_OF_SCHEDULE)
+def test_a_learning_rate_may_fall_to_zero_where_a_schedule_reaches_it(how):
+    settings = {"learning_rate_schedule": how, "learning_rate_end": 0}
+    if how == "exponential":
+        with pytest.raises(ConfigError, match="the end of the exponential schedule of learning_rate must be positive"):
+            make(**settings)
+    else:
+        assert make(**settings).learning_rate_end == 0
+
+
+def test_what_the_episodes_schedule_is_set_by_is_a_flag_that_there_is():
+    config = make(episodes_schedule="linear", episodes_end=5)
+    assert flag(f"{build_settings(config).episodes_per_policy.quantity}_schedule") == "--episodes-schedule"
 
 
 # Levels, and what concerns one that is not there.

@@ -97,11 +97,24 @@ def test_wrong_names_are_refused():
         ({"top_fraction": 0.5}, "top_fraction does nothing with fitness_shaping 'centred_rank'.*--fitness-shaping"),
         ({"rank_ties": "index", "fitness_shaping": "z_score"}, "rank_ties does nothing with fitness_shaping 'z_score'"),
         ({"novelty_neighbours": 3}, "novelty_neighbours does nothing with novelty 'none'.*leave --novelty-neighbours"),
+        (
+            {"schedule_generations": 50},
+            "schedule_generations does nothing without a schedule, got 50.*--sigma-schedule.*leave",
+        ),
+        (
+            {"perturbation": "one_to_many", "algorithm": "es"},
+            "perturbation says how two levels.* the policy alone learns; got 'one_to_many'. Leave --perturbation away",
+        ),
     ],
 )
 def test_a_setting_that_would_do_nothing_beside_another_is_refused(settings, fix):
     with pytest.raises(ConfigError, match=fix):
         make_config("point-gather", "laptop", settings)
-    helped = {"momentum": {"optimizer": "sgd"}, "novelty_neighbours": {"novelty": "ns"}}.get(next(iter(settings)))
+    helped = {
+        "momentum": {"optimizer": "sgd"},
+        "novelty_neighbours": {"novelty": "ns"},
+        "schedule_generations": {"sigma_schedule": "linear", "sigma_end": 0.01},
+        "perturbation": {"algorithm": "shes"},
+    }.get(next(iter(settings)))
     if helped is not None:
         make_config("point-gather", "laptop", {**settings, **helped})

@@ -71,3 +71,44 @@ def test_before_the_first_evaluation_the_best_is_the_start(tmp_path):
     folder = RunFolder.open(path)
     assert folder.load("best").state.generation == 0
     assert folder.load("last").best.generation == -1
+
+
+class _Heard:
+    """A listener that remembers what was unusual."""
+
+    def __init__(self):
+        self.events = []
+
+    def on_event(self, event):
+        self.events.append(event)
+
+    def on_start(self, *told):
+        pass
+
+    on_generation = on_evaluation = on_start
+
+
+FALLING = {"sigma_schedule": "linear", "sigma_end": 0.01}
+
+
+@pytest.mark.parametrize(("settings", "is_short"), [({}, False), (FALLING, True)])
+def test_a_run_that_ends_before_its_schedule_says_so_when_it_begins(tmp_path, settings, is_short):
+    heard = _Heard()
+    path = runs.train_tiny(tmp_path / "run", generations=1, listener=heard, **settings)
+    told = (
+        "the schedules take 1000 generations, but the run ends after 1, short of their end: see --schedule-generations"
+    )
+    assert heard.events == [told] * is_short
+    assert (told in (path / "log.txt").read_text()) == is_short
+    on = _Heard()
+    resume(path, generations=2, listener=on)
+    assert len(on.events) == is_short
+
+
+def test_a_run_as_long_as_its_schedule_says_nothing_of_it(tmp_path):
+    heard = _Heard()
+    settings = {"learning_rate_schedule": "cosine", "learning_rate_end": 0, "schedule_generations": 2}
+    path = runs.train_tiny(tmp_path / "run", generations=3, listener=heard, **settings)
+    assert heard.events == []
+    before, after = (RunFolder.open(path).load(name).state.levels[0].theta for name in ("2", "last"))
+    assert before.tobytes() == after.tobytes()  # nothing is learnt at a rate of zero

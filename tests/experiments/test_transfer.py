@@ -33,6 +33,20 @@ def ant(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def ant_of(ant, tmp_path_factory):
+    """Return a function that returns the same run of a specification. Not to be changed."""
+    made = {"shes": ant}
+
+    def find(spec):
+        if spec not in made:
+            folder = tmp_path_factory.mktemp("ant") / spec
+            made[spec] = runs.train_tiny(folder, "ant-flagrun", **ANT, hidden=(5,), spec=spec)
+        return made[spec]
+
+    return find
+
+
+@pytest.fixture(scope="module")
 def point(tmp_path_factory):
     """A run that trained a point's primitive alone, with settings of its own. Not to be changed."""
     return runs.train_tiny(tmp_path_factory.mktemp("point") / "flagrun", "point-flagrun", **POINT, **BROUGHT)
@@ -68,8 +82,9 @@ TASKS = [
 
 
 @pytest.mark.parametrize(("task", "spec"), TASKS)
-def test_one_primitive_serves_every_task_of_its_robot_and_stays_as_it_was(ant, tmp_path, task, spec):
+def test_one_primitive_serves_every_task_of_its_robot_and_stays_as_it_was(ant_of, tmp_path, task, spec):
     """Two policies are a whole population: only the controller is mirrored."""
+    ant = ant_of(spec)
     path = runs.train_tiny(
         tmp_path / "run", f"ant-{task}", primitive=str(ant), generations=2, population_size=2, spec=spec
     )
@@ -121,6 +136,10 @@ def test_a_primitive_brings_what_it_was_trained_with(point, tmp_path):
         "best",
         True,
     )
+    origin = json.loads((path / "config.json").read_text())["primitive"]
+    best = RunFolder.open(point).load("best").state.generation
+    assert origin == {"run": str(point), "env": "point-flagrun", "checkpoint": "best", "generation": best}
+    assert best > 0
     # Goal 3, clock 2, robot 4 without x and y.
     assert len(primitive(path, "last").statistics.total) == 3 + 2 + ROBOT["point"] - 2
 

@@ -8,7 +8,7 @@ from shes.hierarchy.goals import GOAL_ENCODINGS, make_goal_encoding
 from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, make_controller_output
 from shes.hierarchy.primitive import PrimitiveDesign
-from shes.hierarchy.rewards import make_primitive_reward
+from shes.hierarchy.rewards import PRIMITIVE_REWARDS, make_primitive_reward
 from shes.policies.mlp import MLP
 
 OBSERVED = 5
@@ -67,4 +67,7 @@ def every_design():
         for other, output in enumerate(CONTROLLER_OUTPUTS):
             design = hierarchical(encoding, output, clock, view)
             found[f"hierarchical, {encoding}, {output}, {options}"] = (design, number % 7 == 1 + 3 * other)
+    for reward in PRIMITIVE_REWARDS:
+        found[f"primitive, {reward}"] = (primitive(reward=reward), False)
+        found[f"hierarchical, {reward}"] = (hierarchical(reward=reward), reward != "progress")
     return found

@@ -27,6 +27,7 @@ from shes.es.shaping import make_fitness_shaping
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.experiments.config import TrainConfig
+from shes.experiments.settings import SCHEDULED
 from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.clock import Clock
 from shes.hierarchy.flat import FlatDesign
@@ -168,15 +169,17 @@ def primitive_inputs(config: TrainConfig) -> tuple[str, ...]:
 def build_settings(config: TrainConfig) -> Settings:
     """Return the numbers of Algorithm 1."""
 
-    def schedule(name: str, kind: str, end: float | None) -> Schedule:
-        start = getattr(config, name)
-        return make_schedule(name, kind, start, start if end is None else end, config.schedule_generations)
+    def schedule(name: str) -> Schedule:
+        kind, end = SCHEDULED[name]
+        start, quantity = getattr(config, name), kind.removesuffix("_schedule")
+        stop = start if getattr(config, end) is None else getattr(config, end)
+        return make_schedule(quantity, getattr(config, kind), start, stop, config.schedule_generations)
 
     return Settings(
         population_size=config.population_size,
-        episodes_per_policy=schedule("episodes_per_policy", config.episodes_schedule, config.episodes_end),
-        sigma=schedule("sigma", config.sigma_schedule, config.sigma_end),
-        learning_rate=schedule("learning_rate", config.learning_rate_schedule, config.learning_rate_end),
+        episodes_per_policy=schedule("episodes_per_policy"),
+        sigma=schedule("sigma"),
+        learning_rate=schedule("learning_rate"),
         updates=build_update_rules(config),
         learns=config.learns,
         mirrored=config.mirrored,

@@ -14,6 +14,7 @@ from shes.envs.external.description import ExternalDescription
 from shes.envs.registry import check_external_name, find_description, find_environment
 from shes.errors import ConfigError
 from shes.es.perturbation import check_perturbation
+from shes.es.schedules import make_schedule
 from shes.experiments.settings import NAMES, SCHEDULED, check_value, flag, out_of_range
 
 __all__ = ["EXECUTION_FIELDS", "HEADINGS", "WITHOUT_FLAG", "TrainConfig", "check_fields", "in_words_of_today"]
@@ -233,7 +234,7 @@ class TrainConfig:
         check_perturbation(self.perturbation, self.population_size, self.mirrored, self.learns)
 
     def _check_schedules(self) -> None:
-        """Refuse a schedule without an end, and an end without a schedule."""
+        """Refuse a schedule without an end, an end without a schedule, and one that cannot be reached."""
         for name, (kind, end) in SCHEDULED.items():
             is_constant, has_end = getattr(self, kind) == "constant", getattr(self, end) is not None
             if is_constant and has_end:
@@ -243,6 +244,9 @@ class TrainConfig:
                 )
             if not is_constant and not has_end:
                 raise ConfigError(f"{kind} is {getattr(self, kind)!r}, but nothing says where to. Set {flag(end)}.")
+            if has_end:
+                start, quantity = getattr(self, name), kind.removesuffix("_schedule")
+                make_schedule(quantity, getattr(self, kind), start, getattr(self, end), self.schedule_generations)
 
     def _check_transfer(self) -> None:
         """Refuse a primitive, or what concerns one, where there is no place for it."""
@@ -261,6 +265,11 @@ class TrainConfig:
                 f"novelty is {self.novelty!r}, but it concerns what the environment pays, and {self.env} trains a "
                 "primitive alone, which its goals pay. Leave --novelty away."
             )
+
+    @property
+    def has_schedule(self) -> bool:
+        """Whether anything changes over generations."""
+        return any(getattr(self, kind) != "constant" for kind, _ in SCHEDULED.values())
 
     @property
     def level_names(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.es.novelty import NOVELTY_RULES
 from shes.experiments.config import TrainConfig, check_fields
 from shes.experiments.device import check_asked_device
-from shes.experiments.settings import flag
+from shes.experiments.settings import SCHEDULED, flag
 from shes.experiments.transfer import brought_settings
 
 __all__ = ["PRESETS", "make_config"]
@@ -139,6 +139,18 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
                 f"{name} does nothing with {other} {getattr(config, other)!r}, got {overrides[name]!r}. "
                 f"Set {flag(other)} to {' or '.join(needed)}, or leave {flag(name)} away."
             )
+    if "schedule_generations" in overrides and not config.has_schedule:
+        kinds = ", ".join(flag(kind) for kind, _ in SCHEDULED.values())
+        raise ConfigError(
+            f"schedule_generations does nothing without a schedule, got {overrides['schedule_generations']!r}. "
+            f"Set one of {kinds}, or leave --schedule-generations away."
+        )
+    if "perturbation" in overrides and sum(config.learns) == 1:
+        (learning,) = (name for name, learns in zip(config.level_names, config.learns, strict=True) if learns)
+        raise ConfigError(
+            f"perturbation says how two levels share the population, but in this run the {learning} alone learns; got "
+            f"{overrides['perturbation']!r}. Leave --perturbation away."
+        )
     unheeded = frozenset[str]()
     if config.level_names == ("primitive",):
         unheeded = _OF_CONTROLLERS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from datetime import datetime
@@ -128,13 +128,15 @@ class RunFolder:
         except (ConfigError, UnknownNameError) as error:
             raise ConfigError(f"{self.config}: {error}") from error
 
-    def record_start(self, config: TrainConfig) -> None:
-        """Write down what the run is.
+    def record_start(self, config: TrainConfig, transferred: Mapping[str, Any] | None = None) -> None:
+        """Write down what the run is, and where it has its primitive from, if from another run.
 
         Raises:
             StorageError: It cannot be written.
         """
-        self._write_record({"format": _FORMAT, "config": config.to_dict(), **provenance(config.device), "resumed": []})
+        origin = {} if transferred is None else {"primitive": dict(transferred)}
+        record = {"format": _FORMAT, "config": config.to_dict(), **origin, **provenance(config.device), "resumed": []}
+        self._write_record(record)
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
         """Write down that the run went on from `generation`; return what is other than before, on what numbers depend.

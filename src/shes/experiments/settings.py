@@ -97,7 +97,6 @@ _POSITIVE = (
     "clock_frequency",
     "goal_distance",
     "learning_rate",
-    "learning_rate_end",
     "minutes",
     "sigma",
     "sigma_end",
@@ -105,6 +104,7 @@ _POSITIVE = (
 _NOT_NEGATIVE = (
     "controller_weight_decay",
     "evaluation_reset_noise",
+    "learning_rate_end",
     "reset_noise",
     "weight_decay",
 )

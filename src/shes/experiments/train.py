@@ -6,7 +6,7 @@ import os
 import shlex
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
@@ -100,13 +100,14 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     check_device(config)
     design = build_design(config)
     open_noise_table(config, design)  # what can be wrong with it, or with the primitive, shows before there is a folder
-    state = transfer_primitive(config, build_state(config, design))
+    state, transferred = transfer_primitive(config, build_state(config, design))
     folder = RunFolder.create(new_folder(config) if out is None else _path(out))
     with folder.lock():
         checkpoint = Checkpoint(state=state, best=Best(), numbers=config.numbers())
         for name in ("0", "best", "last"):
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
-        folder.record_start(config)  # from here on it is a run, which can be resumed
+        # From here on it is a run, which can be resumed.
+        folder.record_start(config, None if transferred is None else asdict(transferred))
         return _go_on(folder, config, checkpoint, listener)
 
 
@@ -184,6 +185,7 @@ def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, liste
         logger.info(
             "begins after generation %d with %d workers%s", checkpoint.state.generation, backend.num_workers, on_device
         )
+        session.check_schedules()
         while not session.is_over() and not interruption.is_requested:
             logger.info("generation %d begins", session.checkpoint.state.generation + 1)
             with interruption.at_once():
@@ -217,6 +219,15 @@ class _Session:
         self._start = self._generation_start = perf_counter()
         if listener is not None:
             listener.on_start(folder.path, config, checkpoint.state.generation, backend.num_workers)
+
+    def check_schedules(self) -> None:
+        """Say so where the run ends before its schedules do."""
+        config = self._config
+        if config.has_schedule and config.generations < config.schedule_generations:
+            self._tell_event(
+                f"the schedules take {config.schedule_generations} generations, but the run ends after "
+                f"{config.generations}, short of their end: see --schedule-generations"
+            )
 
     def is_over(self) -> bool:
         """Tell whether the run, or this call's time, has come to its end."""
@@ -271,8 +282,12 @@ class _Session:
     def _tell_events(self, lines: list[str]) -> None:
         """Log what the simulators and the workers had to say."""
         for event in (*lines, *self._backend.take_events()):
-            logger.warning(event)
-            self._tell("on_event", event)
+            self._tell_event(event)
+
+    def _tell_event(self, event: str) -> None:
+        """Log something unusual."""
+        logger.warning(event)
+        self._tell("on_event", event)
 
     def _tell(self, method: str, content: Any) -> None:
         if self._listener is not None:

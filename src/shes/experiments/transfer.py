@@ -7,7 +7,7 @@ From then on these are settings of the new run, which needs the other's folder n
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,27 @@ from shes.experiments.config import TrainConfig
 from shes.experiments.run_folder import RunFolder
 from shes.experiments.settings import flag
 
-__all__ = ["brought_settings", "transfer_primitive"]
+__all__ = ["Transferred", "brought_settings", "transfer_primitive"]
 
 _BROUGHT = ("goal_encoding", "clock_frequency", "hide_position")
 
 
-def _read(path: str, checkpoint: str) -> tuple[TrainConfig, LevelState]:
-    """Return the settings of the run at `path` and its primitive.
+@dataclass(frozen=True, kw_only=True)
+class Transferred:
+    """Where a run has its primitive from."""
+
+    run: str
+    """The run folder."""
+    env: str
+    """Its environment."""
+    checkpoint: str
+    """The checkpoint asked for: `best`, `last` or the number of a generation."""
+    generation: int
+    """The generation that this was."""
+
+
+def _read(path: str, checkpoint: str) -> tuple[TrainConfig, LevelState, Transferred]:
+    """Return the settings of the run at `path`, its primitive, and what is told of them.
 
     Raises:
         RunFolderError: `path` is not a run folder.
@@ -33,13 +47,15 @@ def _read(path: str, checkpoint: str) -> tuple[TrainConfig, LevelState]:
     """
     folder = RunFolder.open(Path(path))
     config = folder.read_config()
-    levels = {level.name: level for level in folder.load(checkpoint).state.levels}
+    state = folder.load(checkpoint).state
+    levels = {level.name: level for level in state.levels}
     if "primitive" not in levels:
         raise ConfigError(
             f"{path} has no primitive: its levels are {', '.join(levels)}. Name a run with --primitive that trained "
             "one: shes train ant-flagrun, or a run of two levels with --primitive-view proprioception."
         )
-    return config, levels["primitive"]
+    told = Transferred(run=path, env=config.env, checkpoint=checkpoint, generation=state.generation)
+    return config, levels["primitive"], told
 
 
 def brought_settings(path: str, checkpoint: str, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -57,7 +73,7 @@ def brought_settings(path: str, checkpoint: str, asked: Mapping[str, Any]) -> di
     """
     if not isinstance(path, str) or not path:
         raise ConfigError(f"primitive must be the path of a run folder, got {path!r}. Set --primitive.")
-    source, _ = _read(path, checkpoint)
+    source, _, _ = _read(path, checkpoint)
     brought: dict[str, Any] = {name: getattr(source, name) for name in _BROUGHT}
     brought["primitive_hidden"] = source.hidden if source.primitive_hidden is None else source.primitive_hidden
     is_alone = source.level_names == ("primitive",)
@@ -72,8 +88,10 @@ def brought_settings(path: str, checkpoint: str, asked: Mapping[str, Any]) -> di
     return brought
 
 
-def transfer_primitive(config: TrainConfig, state: TrainState) -> TrainState:
-    """Return `state` with the primitive that `config` names: its parameters and its observation statistics.
+def transfer_primitive(config: TrainConfig, state: TrainState) -> tuple[TrainState, Transferred | None]:
+    """Return `state` with the primitive that `config` names, if it names one, and where that is from.
+
+    The primitive comes with its parameters and its observation statistics.
 
     Raises:
         RunFolderError: There is no such run folder.
@@ -81,8 +99,8 @@ def transfer_primitive(config: TrainConfig, state: TrainState) -> TrainState:
         ConfigError: The primitive does not fit: it observes, or controls, something else.
     """
     if config.primitive is None:
-        return state
-    source, primitive = _read(config.primitive, config.primitive_checkpoint)
+        return state, None
+    source, primitive, told = _read(config.primitive, config.primitive_checkpoint)
     theirs, ours = _layout(source), _layout(config)
     if theirs != ours:
         raise ConfigError(
@@ -97,7 +115,7 @@ def transfer_primitive(config: TrainConfig, state: TrainState) -> TrainState:
         replace(level, theta=primitive.theta, statistics=primitive.statistics) if level.name == "primitive" else level
         for level in state.levels
     )
-    return replace(state, levels=levels)
+    return replace(state, levels=levels), told
 
 
 def _layout(config: TrainConfig) -> str:
