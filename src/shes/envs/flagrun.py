@@ -66,6 +66,8 @@ class Flagrun(Task):
         """Build the arena for `body` and `num_episodes` simulations of it."""
         super().__init__(body, num_episodes, options, simulator)
         self._goal: F64Array = self.xp.ones((num_episodes, 2))
+        self._offset: F64Array = self.xp.zeros((2, num_episodes))  # to the goal along x and y
+        self._distance: F64Array = self.xp.ones(num_episodes)
         self._start_distance: F64Array = self.xp.ones(num_episodes)
         self._is_near: BoolArray = self.xp.zeros(num_episodes, dtype=np.bool_)
         self._rngs: list[np.random.Generator | None] = [None] * num_episodes
@@ -113,9 +115,7 @@ class Flagrun(Task):
     @property
     def distance(self) -> F64Array:
         """Distance to the goal that the next step is for [N], in metres."""
-        offset = self.goal - self.position
-        offset *= offset
-        return np.sqrt(offset[:, 0] + offset[:, 1])
+        return self._distance.copy()
 
     @property
     def score(self) -> F64Array:
@@ -147,8 +147,16 @@ class Flagrun(Task):
         rows = self.xp.asarray(ids)
         self._goal[rows] = self.position[rows] + self.xp.asarray(self._offsets[ids, self._num_used[ids]])
         self._num_used[ids] += 1
-        # Not the lengths of the offsets: rounding must not make the distance differ from the start distance.
-        self._start_distance[rows] = self.distance[rows]
+        # Not the lengths of what was drawn: rounding must not make the distance differ from the start distance.
+        self._measure()
+        self._start_distance[rows] = self._distance[rows]
+
+    def _measure(self) -> None:
+        """Measure from every robot to its goal."""
+        np.subtract(self._goal.T, self.position.T, out=self._offset)
+        squares = self._offset * self._offset
+        np.add(squares[0], squares[1], out=self._distance)
+        np.sqrt(self._distance, out=self._distance)
 
     def _draw_goals(self, episode: int) -> None:
         """Draw where the next goals of an episode are from the robot: the numbers of drawing one after another."""
@@ -163,9 +171,9 @@ class Flagrun(Task):
             count += len(drawn)
 
     def _update_features(self) -> F64Array:
-        distance = self.distance
-        np.less(distance, NEAR_M, out=self._is_near)
-        reward = 1 - distance / self._start_distance + self._is_near
+        self._measure()
+        np.less(self._distance, NEAR_M, out=self._is_near)
+        reward = 1 - self._distance / self._start_distance + self._is_near
         self._host_time += 1
         due = np.flatnonzero((self._host_time % self.options.goal_interval == 0) & self._has_begun)
         if len(due):
@@ -175,12 +183,12 @@ class Flagrun(Task):
     def observe(self) -> F64Array:
         """Return goal and robot [N, O]."""
         nq, nv = self.body.num_qpos, self.body.num_qvel
-        offset = self.goal - self.position
-        angle = np.arctan2(offset[:, 1], offset[:, 0]) - self.heading
+        angle = np.arctan2(self._offset[1], self._offset[0])
+        angle -= self.heading
         out = self._observation
         np.sin(angle, out=out[:, 0])
         np.cos(angle, out=out[:, 1])
-        np.multiply(self.distance, DISTANCE_SCALE, out=out[:, 2])
+        np.multiply(self._distance, DISTANCE_SCALE, out=out[:, 2])
         out[:, 3 : 3 + nq] = self.sim.qpos
         self._write_velocity(self.sim.qvel, out[:, 3 + nq : 3 + nq + nv])
         return out
