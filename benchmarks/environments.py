@@ -38,8 +38,7 @@ def tasks() -> list[dict[str, object]]:
     for name in ENVIRONMENTS:
         found = bench(["rollout", name, "--workers", "1", *LAPTOP])
         speed, bare, ratio = found["env_steps_per_s"], found["bare_steps_per_s"], found["ratio"]
-        least = LEAST
-        print(f"| {name:16} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {least:>8} |", flush=True)
+        print(f"| {name:16} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {LEAST:>8} |", flush=True)
         rows.append({"what": name, "steps_per_s": speed, "bare_per_s": bare, "ratio": ratio})
     return rows
 

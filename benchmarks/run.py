@@ -39,7 +39,7 @@ ROLLOUTS = [
     ),
     ("Point Gather, 64 x 64, 1 worker", None, ["point-gather", "--workers", "1"]),
 ]
-LAPTOP = ["--hidden", "64", "64", "--horizon", "500", "--population-size", "240"]
+LAPTOP = ["--hidden", "64", "64", "--horizon", "500", "--population-size", "240", "--seconds", "60"]
 
 
 def bench(arguments: list[str]) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """The benches run and say what they promise. How fast they are is no test."""
 
 import math
+import time
 
 import pytest
 
@@ -32,12 +33,22 @@ def test_the_rollout_bench_compares_whole_generations_with_bare_physics(env, set
         "episodes_per_policy",
         "device",
         "num_workers",
+        "generations",
         "env_steps_per_s",
         "bare_steps_per_s",
         "ratio",
     ]
     assert (found["env"], found["hidden"], found["population_size"], found["num_workers"]) == (env, [4], 8, 1)
     assert all(math.isfinite(found[name]) and found[name] > 0 for name in list(found)[-3:])
+
+
+def test_the_rollout_bench_goes_on_for_as_long_as_it_is_asked_to(monkeypatch):
+    monkeypatch.setattr("shes.experiments.bench._REPLAY_S", 0.02)
+    config = make_config("point-gather", "smoke", {**TINY, "backend": "serial"})
+    start = time.perf_counter()
+    found = bench_rollout(config, repeats=1, seconds=0.5)
+    assert time.perf_counter() - start >= 0.5
+    assert found["generations"] > 2
 
 
 def test_the_update_bench_tells_the_parts():

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -46,12 +47,17 @@ Episode = tuple[F64Array, F64Array, list[F64Array]]
 """Start qpos, start qvel, and the controls of every step."""
 
 
-def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
+def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -> dict[str, Any]:
     """Measure whole generations, on the device of `config`, against a bare `mj_step` loop on a core.
 
     The bare loop replays episodes of the same generation, start state and controls, with no policy, task or Python
-    beyond the call: the limit of one core. Each generation lies between two replays, `repeats` times; speeds are
-    medians, `ratio` is the median of the pairs' ratios, over the number of workers.
+    beyond the call: the limit of one core. Each generation lies between two replays; speeds are medians, `ratio` is
+    the median of the pairs' ratios, over the number of workers.
+
+    Args:
+        config: What is measured.
+        repeats: Generations at least.
+        seconds: Seconds to measure at least: on a machine shared with others a median of many pairs is steadier.
 
     Raises:
         ConfigError: The environment is an external one, which has no bare loop.
@@ -71,7 +77,8 @@ def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
         settings, state = build_settings(config), build_state(config, design)
         next(evolve(state, settings, table, backend, pool))  # builds the environments, warms the caches
         before = _replay(episodes)
-        for _ in range(repeats):
+        start = perf_counter()
+        while len(whole) < repeats or perf_counter() - start < seconds:
             report = next(evolve(state, settings, table, backend, pool))
             whole.append(int(report.results.steps.sum()) / (report.rollout_s + report.update_s))
             after = _replay(episodes)
@@ -86,6 +93,7 @@ def bench_rollout(config: TrainConfig, repeats: int = 5) -> dict[str, Any]:
         "episodes_per_policy": config.episodes_per_policy,
         "device": config.device,
         "num_workers": workers,
+        "generations": len(whole),
         "env_steps_per_s": statistics.median(whole),
         "bare_steps_per_s": statistics.median(bare),
         "ratio": statistics.median(w / b for w, b in zip(whole, bare, strict=True)) / workers,
@@ -145,10 +153,15 @@ def _replay(recorded: tuple[mujoco.MjModel, list[Episode]]) -> float:
     return steps / elapsed
 
 
-def bench_update(config: TrainConfig, repeats: int = 20) -> dict[str, Any]:
+def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -> dict[str, Any]:
     """Measure, in milliseconds, what the parent does between generations, whole and by part (medians).
 
     `checkpoint_ms` is written by a thread beside the next generation's work and is not in `total_ms`.
+
+    Args:
+        config: What is measured.
+        repeats: Updates at least.
+        seconds: Seconds to measure at least.
 
     Raises:
         ConfigError: A device is asked for.
@@ -176,7 +189,10 @@ def bench_update(config: TrainConfig, repeats: int = 20) -> dict[str, Any]:
         return result
 
     with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers, 8)) as pool:
-        for generation in range(repeats):
+        start = perf_counter()
+        for generation in count():
+            if generation >= repeats and perf_counter() - start >= seconds:
+                break
             index = draw_noise_index(0, generation, len(signs), dims, table.size)  # other slices every time
 
             def whole(index: IntArray = index) -> tuple[LevelState, ...]:
