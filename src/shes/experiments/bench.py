@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -52,7 +54,8 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
 
     The bare loop replays episodes of the same generation, start state and controls, with no policy, task or Python
     beyond the call: the limit of one core. Each generation lies between two replays; speeds are medians, `ratio` is
-    the median of the pairs' ratios, over the number of workers.
+    the median of the pairs' ratios, over the number of workers. A single worker and the loop share a core: two cores of
+    a machine shared with others may differ by a third for minutes.
 
     Args:
         config: What is measured.
@@ -73,7 +76,12 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
     episodes = _record_episodes(config, plan)
     bare: list[float] = []
     whole: list[float] = []
-    with build_backend(config, plan) as backend, ThreadPoolExecutor(backend.num_workers) as pool:
+    is_alone = config.device == "cpu" and (config.backend == "serial" or config.workers == 1)
+    with (
+        _on_one_core() if is_alone else nullcontext(),
+        build_backend(config, plan) as backend,
+        ThreadPoolExecutor(backend.num_workers) as pool,
+    ):
         settings, state = build_settings(config), build_state(config, design)
         next(evolve(state, settings, table, backend, pool))  # builds the environments, warms the caches
         before = _replay(episodes)
@@ -98,6 +106,20 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
         "bare_steps_per_s": statistics.median(bare),
         "ratio": statistics.median(w / b for w, b in zip(whole, bare, strict=True)) / workers,
     }
+
+
+@contextmanager
+def _on_one_core() -> Iterator[None]:
+    """Keep this process, and those that it starts meanwhile, on one core, where the system can."""
+    if not hasattr(os, "sched_getaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 class _Recorder:

@@ -183,7 +183,7 @@ class Rollout:
             self._refuse(action)
         acted = perf_counter()
         task.step(self._running, action)
-        self._steps[self._running] += 1
+        self._steps += 1  # of those that do not run it is not asked
         stepped = perf_counter()
         if self.design.internal_level is not None:
             # What a diverged simulation is worth is not known: its last step pays nothing.
@@ -199,10 +199,15 @@ class Rollout:
         """Return this step's noise [P, E, decision_size] and [P, E, A], or none in evaluation."""
         if not self._explores:
             return {}
-        clock = np.minimum(self.agent.clock, self.horizon - 1)
-        noise = {"decision_noise": _at(self._decision_noise, clock // self.design.decision_interval)}
+        clock, last = self.agent.clock, self.horizon - 1
+        first = int(clock[0])
+        # Mostly all lanes are at the same step: then the noise is a view.
+        step = min(first, last) if (clock == first).all() else np.minimum(clock, last)
+        noise: dict[str, F32Array] = {}
+        if self.design.decision_size:
+            noise["decision_noise"] = _at(self._decision_noise, step // self.design.decision_interval)
         if not self._has_frozen_control:
-            noise["control_noise"] = _at(self._control_noise, clock)
+            noise["control_noise"] = _at(self._control_noise, step)
         return noise
 
     def _finish(self, rows: IntArray) -> Iterator[tuple[int, EpisodeResults]]:
@@ -270,10 +275,9 @@ class Rollout:
             )
 
 
-def _at(noise: F32Array, place: IntArray) -> F32Array:
-    """Return `noise[place[p], p]` [P, ...] for each lane p: a view where all places are equal, as they mostly are."""
-    first = place[0]
-    return noise[first] if (place == first).all() else noise[place, np.arange(len(place))]
+def _at(noise: F32Array, place: int | IntArray) -> F32Array:
+    """Return `noise[place[p], p]` [P, ...] for each lane p, or that of all at one place: a view."""
+    return noise[place] if isinstance(place, int) else noise[place, np.arange(len(place))]
 
 
 def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
