@@ -172,5 +172,5 @@ def test_the_whole_smoke_ablation_has_its_tables_and_figures(tmp_path):
     assert [path.rpartition("/")[2] for path in found["figures"]] == ["choices.png", "sweep.png", "transfer.png"]
     assert found["cells"] == len(table(tmp_path / "runs.csv")) == len(ablations.ablation("smoke").cells)
     assert found["failed"] == {}
-    # A base, 9 choices, 20 of the sweep, 2 transfers and a pair of them, on both tasks; 2 horizons and their pair.
-    assert len(found["comparisons"]) == len(table(tmp_path / "comparison.csv")) == 2 * (1 + 9 + 20 + 3) + 3
+    # A base, 9 choices, 20 of the sweep, 3 of transfer and their pairs, on both tasks; 2 horizons and their pair.
+    assert len(found["comparisons"]) == len(table(tmp_path / "comparison.csv")) == 2 * (1 + 9 + 20 + 3 + 3) + 3

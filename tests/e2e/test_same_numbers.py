@@ -101,7 +101,6 @@ METHOD = {
     "evaluation_interval": 1,
     "keep_checkpoints": 1,
     "population_size": 12,
-    "schedule_generations": 2,
 }
 SCHEDULES = {
     "learning_rate_schedule": {"learning_rate_end": 0.001},
@@ -110,6 +109,14 @@ SCHEDULES = {
 }
 """Where a schedule leads: with these, 1, 2 and 3 episodes of a policy in the three generations."""
 SCHEDULES_OF_ALL = dict.fromkeys(SCHEDULES, "linear") | {k: v for ends in SCHEDULES.values() for k, v in ends.items()}
+
+
+def method(settings):
+    """Return `settings` beside those of every method, with schedules of two generations."""
+    scheduled = any(settings.get(name, "constant") != "constant" for name in SCHEDULES)
+    return {**METHOD, **({"schedule_generations": 2} if scheduled else {}), **settings}
+
+
 NO_CHOICES = {"backend", "preset", "primitive_checkpoint"}
 """Names that say how and from what, not what is done: backends are what is compared here."""
 SOURCE = "the run of the fixture `source`"
@@ -192,8 +199,8 @@ def source(tmp_path_factory):
 def test_neither_workers_nor_a_resume_change_the_numbers_of_any_method(tmp_path, source, env, settings):
     if settings.get("primitive") == SOURCE:
         settings = {**settings, "primitive": str(source)}
-    one = runs.train_tiny(tmp_path / "one", env, **{**METHOD, **settings})
-    two = runs.train_tiny(tmp_path / "two", env, **{**METHOD, **settings, "generations": 1})
+    one = runs.train_tiny(tmp_path / "one", env, **method(settings))
+    two = runs.train_tiny(tmp_path / "two", env, **{**method(settings), "generations": 1})
     shes.resume(two, generations=3, backend="processes", num_workers=2, chunk_size=5)
     assert runs.differences(one, two) == []
 
@@ -207,7 +214,7 @@ def usual(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BY_CHOICE)
 def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
-    path = runs.train_tiny(tmp_path / "run", "point-maze", **{**METHOD, **BY_CHOICE[name]})
+    path = runs.train_tiny(tmp_path / "run", "point-maze", **method(BY_CHOICE[name]))
     field, _, choice = name.partition("=")
     is_usual = getattr(RunFolder.open(usual).read_config(), field) == choice or name in SAME_AS_USUAL
     found = {each for each in runs.differences(usual, path) if not each.endswith("/settings")}
