@@ -1,9 +1,11 @@
 """The Warp simulator on the CPU: the simulator contract, C MuJoCo beside it, and what only it can get wrong."""
 
 import importlib.util
+import re
 import subprocess
 import sys
 from functools import partial
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -429,3 +431,14 @@ assert simulator.qpos[0, 2] < 0
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout == ""
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("architecture", [80, 90])  # A100, H100
+def test_the_kernels_compile_for_a_card_where_there_is_none(tmp_path, architecture):
+    warp, _ = shes.sim.warp_device.load_warp()
+    from shes.sim import warp_kernels
+
+    paths = warp.compile_aot_module(warp_kernels, arch=architecture, module_dir=tmp_path, use_ptx=True)
+    (code,) = [path for path in map(Path, paths) if path.suffix == ".ptx"]
+    entries = re.findall(r"\.entry (\w+?)_[0-9a-f]+_cuda_kernel_forward", code.read_text())
+    assert set(warp_kernels.__all__) == set(entries)
