@@ -117,8 +117,8 @@ def method(settings):
     return {**METHOD, **({"schedule_generations": 2} if scheduled else {}), **settings}
 
 
-NO_CHOICES = {"backend", "preset", "primitive_checkpoint"}
-"""Names that say how and from what, not what is done: backends are what is compared here."""
+NO_CHOICES = {"backend", "device", "preset", "primitive_checkpoint"}
+"""Names that say how, where and from what, not what is done: backends are what is compared here, devices elsewhere."""
 SOURCE = "the run of the fixture `source`"
 BY_CHOICE = {
     f"{name}={choice}": {name: choice, **(SCHEDULES.get(name, {}) if choice != "constant" else {})}
@@ -146,7 +146,7 @@ BY_HAND = {
     "flat with novelty": {"algorithm": "es", "novelty": "nsra_reset"},
     "flat, all schedules": {"algorithm": "es", **SCHEDULES_OF_ALL},
     "frozen": {"primitive": SOURCE},
-    "frozen in turns": {"primitive": SOURCE, "perturbation": "one_to_many", "mirrored": "none"},
+    "frozen, not mirrored": {"primitive": SOURCE, "mirrored": "none"},
     "frozen with novelty": {"primitive": SOURCE, "novelty": "nsr"},
     "unfrozen": {"primitive": SOURCE, "freeze_primitive": False},
     "unfrozen by halves": {
