@@ -149,8 +149,8 @@ def _logs_of_a_run_in_which_the_simulator_says(message, times):
     worker.receive(_generation(plan))
 
     def work():
-        for _ in range(times):
-            logging.getLogger("shes.mujoco").warning(message)
+        for number in range(times):
+            logging.getLogger("shes.mujoco").warning(message.format(number=number))
         yield from _work(4)
 
     return [result.log for _, result in worker.run(work(), 4)]
@@ -162,8 +162,13 @@ def test_what_the_simulator_says_comes_with_the_results_once():
 
 
 def test_a_flood_of_messages_is_cut():
-    logs = _logs_of_a_run_in_which_the_simulator_says("again", 1000)
+    logs = _logs_of_a_run_in_which_the_simulator_says("at time {number}", 1000)
     assert 1 <= sum(len(lines) for lines in logs) <= 100
+
+
+def test_what_the_simulator_repeats_in_a_generation_comes_once():
+    logs = _logs_of_a_run_in_which_the_simulator_says("the same", 3)
+    assert sorted(logs) == [(), (), (), ("MuJoCo: the same",)]
 
 
 def test_outside_its_runs_a_worker_leaves_the_simulators_log_alone(caplog):

@@ -100,19 +100,23 @@ def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, epis
 
 
 class _LogCollector(logging.Handler):
-    """Keeps what the simulator logs, for the results of the task at hand."""
+    """Keeps what the simulator logs, for the results of the task at hand; what it repeats in a generation, once."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.lines: list[str] = []
+        self._told: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        if len(self.lines) < _MAX_LOG_LINES:
-            self.lines.append(f"MuJoCo: {record.getMessage()}")
+        line = f"MuJoCo: {record.getMessage()}"
+        if line not in self._told and len(self.lines) < _MAX_LOG_LINES:
+            self._told.add(line)
+            self.lines.append(line)
 
     @contextmanager
     def listening(self) -> Iterator[None]:
         """Keep what the simulator logs meanwhile, and keep it from other handlers: it is reported with the results."""
+        self._told.clear()
         propagated, _SIMULATOR_LOG.propagate = _SIMULATOR_LOG.propagate, False
         _SIMULATOR_LOG.addHandler(self)
         try:

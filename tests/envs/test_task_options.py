@@ -132,3 +132,22 @@ def test_options_that_were_checked_are_checked_again_without_a_change():
     options = TaskOptions(spec="hiro", target=[1, 2])
     assert TaskOptions(**vars(options)) == options
     assert options.integrator == "rk4"
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("point-gather", {"fall_penalty": False}, "penalty for falls in specification hiro alone.*--spec hiro"),
+        (
+            "point-maze",
+            {"target": (1, 2), "target_sampling": "free_cells"},
+            r"target \(1.0, 2.0\) fixes training's target, so target_sampling 'free_cells' does nothing.*Leave --target ",
+        ),
+    ],
+)
+def test_what_an_option_beside_it_makes_idle_is_refused(name, options, message):
+    with pytest.raises(ConfigError, match=message):
+        make_task(name, 1, TaskOptions(**options))
+    for option, value in options.items():
+        spec = "hiro" if option == "fall_penalty" else "shes"
+        make_task(name, 1, TaskOptions(spec=spec, **{option: value}))

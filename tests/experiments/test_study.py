@@ -1,10 +1,12 @@
 """Studies: order of the cells, resumption, cells that fail; what the ablation consists of, and its statistics."""
 
 import csv
+import itertools
 import math
 import shutil
 import signal
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -311,9 +313,29 @@ def test_rows_of_other_cells_stay_in_the_tables(finished, tmp_path):
     assert len(rows(tmp_path / "runs.csv")) == 2
 
 
-def test_a_table_that_does_not_say_of_which_settings_it_is_counts_for_nothing(finished, tmp_path):
-    (tmp_path / "runs.csv").write_text("group,variant,env,seed\nchoices,base,point-gather,5\n", encoding="utf-8")
-    assert read_tables([cell()], tmp_path) == {}
+def test_a_table_that_does_not_say_of_which_settings_it_is_is_refused_and_kept(finished, tmp_path):
+    text = "group,variant,env,seed\nchoices,base,point-gather,5\n"
+    (tmp_path / "runs.csv").write_text(text, encoding="utf-8")
+    for use in (lambda: read_tables([cell()], tmp_path), lambda: write_tables([cell()], {}, tmp_path)):
+        with pytest.raises(RunFolderError, match=r"runs\.csv cannot be .*no column settings.*Move it elsewhere"):
+            use()
+    assert (tmp_path / "runs.csv").read_text(encoding="utf-8") == text
+
+
+def test_the_tables_of_the_ablation_in_results_are_whole():
+    assert cells_left(ablation(), Path(__file__).parents[2] / "results" / "ablation") == []
+
+
+@pytest.mark.parametrize(("first", "second"), [([1.0, 2.0, 4.0], [3.0, 7.0, 9.0, 9.5]), ([1.0, 1.0], [1.0, 1.0])])
+def test_the_permutation_test_of_few_values_is_exact(first, second):
+    values, least = [*first, *second], abs(np.mean(first) - np.mean(second)) - 1e-12
+    splits = list(itertools.combinations(range(len(values)), len(first)))
+    found = [
+        abs(np.mean([values[i] for i in split]) - np.mean([v for i, v in enumerate(values) if i not in split]))
+        for split in splits
+    ]
+    expected = sum(each >= least for each in found) / len(splits)
+    assert ablations.permutation_test(np.array(first), np.array(second)) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("scale", ablations.SCALES)

@@ -18,6 +18,7 @@ from shes.envs.layout import ObservationElement, elements
 from shes.envs.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
 from shes.envs.task_options import TaskOptions
 from shes.envs.worlds import GATHER, add_grid, add_square_walls, empty_world
+from shes.errors import ConfigError
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
@@ -80,6 +81,15 @@ class Gather(Task):
         self._offset: F64Array = xp.zeros(self._places.shape)
         self._squared_distance: F64Array = xp.zeros(self.present.shape)
         self._observation: F64Array = xp.zeros((n, self.observation_size))
+
+    @classmethod
+    def _check(cls, options: TaskOptions) -> None:
+        super()._check(options)
+        if options.spec == "shes" and not options.fall_penalty:
+            raise ConfigError(
+                "gather has a penalty for falls in specification hiro alone, got fall_penalty False with shes. "
+                "Leave --no-fall-penalty away, or set --spec hiro."
+            )
 
     @classmethod
     def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:

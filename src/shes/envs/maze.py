@@ -7,7 +7,9 @@ from typing import ClassVar
 import numpy as np
 
 from shes.envs.target_task import TargetTask
+from shes.envs.task_options import TARGET_SAMPLINGS, TaskOptions
 from shes.envs.worlds import MAZE, Grid, is_free
+from shes.errors import ConfigError
 from shes.types import F64Array
 
 __all__ = ["Maze"]
@@ -29,6 +31,15 @@ class Maze(TargetTask):
     grid: ClassVar[Grid] = MAZE
     own_target: ClassVar[tuple[float, ...]] = (0.0, 16.0)
     target_scale: ClassVar[float] = 0.01
+
+    @classmethod
+    def _check(cls, options: TaskOptions) -> None:
+        super()._check(options)
+        if options.target is not None and options.target_sampling != TARGET_SAMPLINGS[0]:
+            raise ConfigError(
+                f"target {options.target} fixes training's target, so target_sampling {options.target_sampling!r} does "
+                "nothing. Leave --target or --target-sampling away."
+            )
 
     def _training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
         """Draw x and y together."""

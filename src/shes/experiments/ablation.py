@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -348,17 +349,21 @@ def _compare_group(group: str, env: str, variants: dict[str, F64Array], base: F6
 def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_000, seed: int = 0) -> float:
     """Return the two-sided p of the difference of means between `first` [N] and `second` [M].
 
-    It is the share of random divisions of all values into N and M whose difference is at least as large; the division
-    at hand counts as one of them, so that p is never 0 (Phipson and Smyth 2010).
+    It is the share of divisions of all values into N and M whose difference is at least as large: of all of them, if
+    there are no more than `permutations`, else of so many random ones, with the division at hand as one more, so that
+    p is never 0 (Phipson and Smyth 2010).
     """
-    pooled = np.concatenate([first, second])
-    rng = np.random.default_rng(seed)
-    shuffled = rng.permuted(np.tile(pooled, (permutations, 1)), axis=1)
-    count = len(first)
-    differences = np.abs(shuffled[:, :count].mean(axis=1) - shuffled[:, count:].mean(axis=1))
-    observed = abs(first.mean() - second.mean())
+    pooled, count = np.concatenate([first, second]), len(first)
     tolerance = 1e-12 * max(1.0, float(np.abs(pooled).max()))  # equal sums in another order
-    return float((1 + np.count_nonzero(differences >= observed - tolerance)) / (1 + permutations))
+    least = abs(first.mean() - second.mean()) - tolerance
+    if math.comb(len(pooled), count) <= permutations:
+        chosen = np.array(list(combinations(range(len(pooled)), count)))
+        sums = pooled[chosen].sum(axis=1)
+        differences = np.abs(sums / count - (pooled.sum() - sums) / (len(pooled) - count))
+        return float(np.mean(differences >= least))
+    shuffled = np.random.default_rng(seed).permuted(np.tile(pooled, (permutations, 1)), axis=1)
+    differences = np.abs(shuffled[:, :count].mean(axis=1) - shuffled[:, count:].mean(axis=1))
+    return float((1 + np.count_nonzero(differences >= least)) / (1 + permutations))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

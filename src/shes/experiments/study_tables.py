@@ -113,25 +113,25 @@ def _place(row: Row) -> tuple[Any, ...]:
 
 
 def _read(path: Path) -> list[Row]:
-    """Return the rows of a table, none if there is no table, or one that does not say of which settings it is.
+    """Return the rows of a table, none if there is no table.
 
     Raises:
-        RunFolderError: It is damaged.
+        RunFolderError: It is damaged, or does not say of which settings it is.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         for row in rows[:1]:
             _check_columns(row)
-        return [{name: _value(name, text) for name, text in row.items()} for row in rows if _SETTINGS in row]
+        return [{name: _value(name, text) for name, text in row.items()} for row in rows]
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError) as error:
-        raise RunFolderError(f"{path} cannot be read as a table of runs: {error!r}. Remove it.") from error
+        raise RunFolderError(f"{path} cannot be read as a table of runs: {error!r}. Move it elsewhere.") from error
 
 
 def _check_columns(row: Mapping[str, str]) -> None:
-    missing = set(_PLACE) - row.keys()
+    missing = {*_PLACE, _SETTINGS} - row.keys()
     if missing:
         raise ValueError(f"it has no column {', '.join(sorted(missing))}")
 

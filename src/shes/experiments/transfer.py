@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from shes.errors import ConfigError
+from shes.errors import CheckpointError, ConfigError
 from shes.es.level import LevelState, TrainState
 from shes.experiments.build import build_task, primitive_inputs
 from shes.experiments.config import TrainConfig
@@ -47,6 +47,12 @@ def _read(path: str, checkpoint: str) -> tuple[TrainConfig, LevelState, Transfer
     """
     folder = RunFolder.open(Path(path))
     config = folder.read_config()
+    if not folder.checkpoint_path(checkpoint).is_file():
+        there = sorted(file.stem for file in folder.checkpoints.glob("*.npz"))
+        raise CheckpointError(
+            f"{path} has no checkpoint {checkpoint!r}; there are {', '.join(there) or 'none'}. Set "
+            "--primitive-checkpoint to best, last or the number of a generation."
+        )
     state = folder.load(checkpoint).state
     levels = {level.name: level for level in state.levels}
     if "primitive" not in levels:

@@ -19,7 +19,7 @@ from shes.envs.external.success import check_last_info
 from shes.envs.task import SimulatorFactory
 from shes.envs.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
-from shes.sim.cpu import CpuSimulator
+from shes.sim.cpu import CpuSimulator, log_physics_warnings
 from shes.types import IntArray
 
 if TYPE_CHECKING:
@@ -206,6 +206,7 @@ def _make(spec: EnvSpec, description: ExternalDescription, render_mode: str | No
     settings: dict[str, Any] = {**description.kwargs, "max_episode_steps": -1, "disable_env_checker": True}
     if render_mode is not None:
         settings["render_mode"] = render_mode
+    log_physics_warnings()  # of its compiler, too
     with explained(spec.id, "be made"):
         return gymnasium.make(spec, **settings)
 

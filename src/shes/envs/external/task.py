@@ -16,7 +16,7 @@ from shes.envs.external.environment import ExternalEnvironment, explained
 from shes.envs.external.reader import ExternalReader
 from shes.envs.external.success import check_last_info, read_success
 from shes.errors import ConfigError
-from shes.sim.cpu import count_divergences, forget_divergences, log_physics_warnings
+from shes.sim.cpu import count_divergences, forget_divergences
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ class ExternalTask(EpisodeBatch):
 
     def __init__(self, environment: ExternalEnvironment, num_episodes: int) -> None:
         """Make room for `num_episodes` environments."""
-        log_physics_warnings()
         self.environment = environment
         self.num_episodes = num_episodes
         self.step_s = environment.step_s
