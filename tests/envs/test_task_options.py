@@ -141,7 +141,7 @@ def test_options_that_were_checked_are_checked_again_without_a_change():
         (
             "point-maze",
             {"target": (1, 2), "target_sampling": "free_cells"},
-            r"target \(1.0, 2.0\) fixes training's target, so target_sampling 'free_cells' does nothing.*Leave --target ",
+            r"target \(1.0, 2.0\) fixes training's target, so target_sampling 'free_cells' does nothing.*Leave --t",
         ),
     ],
 )
