@@ -1,6 +1,7 @@
 """What every test shares: one BLAS thread, no display, no touch of the user's cache."""
 
 import os
+import signal
 
 # Before NumPy is imported: BLAS reads them once, and its thread count changes bits. Worker processes inherit them.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
@@ -9,6 +10,10 @@ os.environ["MPLBACKEND"] = "Agg"
 
 import hypothesis
 import pytest
+
+# A job in a shell's background ignores Ctrl-C, and so would the processes that tests interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # No deadline: a busy machine is no failure. In CI the examples are the same each time.
 hypothesis.settings.register_profile("shes", deadline=None, derandomize="CI" in os.environ)
