@@ -20,7 +20,7 @@ from shes.es.level import LevelParameters
 from shes.es.statistics import normalise
 from shes.hierarchy.clock import Clock
 from shes.hierarchy.moments import Moments
-from shes.policies.mlp import MLP, Layers, aligned_rows
+from shes.policies.mlp import MLP, Layers, Rows, aligned_rows
 from shes.types import F32Array, F64Array, IntArray
 
 __all__ = ["Agent", "AgentDesign", "columns"]
@@ -118,6 +118,16 @@ class Agent(ABC):
         """Steps since the start of each lane's episodes [P]."""
         self.goals_reached: IntArray = xp.zeros(rows, dtype=np.int64)
         """Goals that each episode has reached since its start [N]."""
+        self._rows_of_levels: tuple[Rows, ...] = tuple(
+            tuple(
+                (
+                    xp.zeros((num_lanes, num_episodes, size), np.float32),
+                    xp.zeros((num_lanes, num_episodes, size), np.float32),
+                )
+                for size in policy.sizes[1:]
+            )
+            for policy in (design.policies if shares_noise else ())
+        )
         self._policies = design.policies
         self._control_limit = np.float32(design.control_limit)
         self._clock = design.clock
@@ -156,6 +166,17 @@ class Agent(ABC):
             moments.clear(rows)
         if self.xp is not np:
             self._layers = [self._contiguous(*each) for each in zip(self._policies, self.theta, strict=True)]
+        if self.shares_noise:
+            self._spread(lanes)
+
+    def _spread(self, lanes: slice | IntArray) -> None:
+        """Work out scale and biases of the policies in `lanes`, from what they take of their noise."""
+        for level, rows in enumerate(self._rows_of_levels):
+            scale = self.scale[level][lanes]
+            layers = zip(rows, self._mean_layers[level], self._layers[level], strict=True)
+            for (scales, biases), (_, mean), (_, noise) in layers:
+                scales[lanes] = scale
+                biases[lanes] = scale * noise[lanes] + mean
 
     @abstractmethod
     def act(
@@ -225,7 +246,10 @@ class Agent(ABC):
             layers = policy.layers(self._aligned_copy(self.theta[level], lanes))
         if not self.shares_noise:
             return policy.forward(layers, observation)
-        return policy.forward_around(self._mean_layers[level], layers, self.scale[level][lanes], observation)
+        rows = self._rows_of_levels[level]
+        if not isinstance(lanes, slice):
+            rows = tuple((scales[lanes], biases[lanes]) for scales, biases in rows)
+        return policy.forward_around(self._mean_layers[level], layers, rows, observation)
 
     @staticmethod
     def _aligned_copy(theta: F32Array, lanes: IntArray) -> F32Array:

@@ -15,13 +15,17 @@ import numpy as np
 from shes.errors import ConfigError, UnknownNameError
 from shes.types import F32Array
 
-__all__ = ["BIAS_INITIALISATIONS", "MLP", "Layers", "aligned_rows"]
+__all__ = ["BIAS_INITIALISATIONS", "MLP", "Layers", "Rows", "aligned_rows"]
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
 """`glorot_normal` is the paper's code: a bias vector of n has fan (1, n), so standard deviation sqrt(2 / (1 + n))."""
 
 Layers: TypeAlias = tuple[tuple[F32Array, F32Array], ...]
 """Weights [P, in, out] and biases [P, 1, out] of each layer of P policies."""
+
+Rows: TypeAlias = tuple[tuple[F32Array, F32Array], ...]
+"""What each of R rows takes of its stack's noise, and its own biases, [P, R, out] both, at each layer: spread over all
+outputs, because NumPy is several times slower where it has to spread them itself."""
 
 _CACHE_LINE = 64  # bytes
 
@@ -91,7 +95,7 @@ class MLP:
         return layer
 
     @staticmethod
-    def forward_around(mean: Layers, noise: Layers, scale: F32Array, observation: F32Array) -> F32Array:
+    def forward_around(mean: Layers, noise: Layers, rows: Rows, observation: F32Array) -> F32Array:
         """Return the outputs [P, R, A] of policies `mean + scale * noise` on normalised `observation` [P, R, O].
 
         The R rows of a stack share a noise vector, which is read once for all of them: `x (W + s N) = x W + s (x N)`.
@@ -100,13 +104,12 @@ class MLP:
         Args:
             mean: Layers of one policy, P = 1.
             noise: Layers of the P noise vectors.
-            scale: What each row's policy takes of its noise [P, R, 1].
+            rows: Scale and biases of each row's policy, at each layer.
             observation: What each row's policy sees.
         """
         layer = observation
-        for (weights, biases), (noise_weights, noise_biases) in zip(mean, noise, strict=True):
+        for (weights, _), (noise_weights, _), (scale, biases) in zip(mean, noise, rows, strict=True):
             perturbed = layer @ noise_weights
-            perturbed += noise_biases
             perturbed *= scale
             perturbed += layer @ weights
             perturbed += biases
