@@ -16,7 +16,7 @@ from time import perf_counter
 import gymnasium
 import mujoco
 import numpy as np
-from run import LAPTOP, bench
+from run import LAPTOP, SECONDS, bench
 
 import shes  # registers
 from shes.envs.registry import ENVIRONMENTS, make_task
@@ -36,7 +36,7 @@ def tasks() -> list[dict[str, object]]:
     print(f"|{'-' * 18}|------------:|---------------:|------:|---------:|")
     rows: list[dict[str, object]] = []
     for name in ENVIRONMENTS:
-        found = bench(["rollout", name, "--workers", "1", *LAPTOP])
+        found = bench(["rollout", name, "--workers", "1", *LAPTOP, *SECONDS])
         speed, bare, ratio = found["env_steps_per_s"], found["bare_steps_per_s"], found["ratio"]
         print(f"| {name:16} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {LEAST:>8} |", flush=True)
         rows.append({"what": name, "steps_per_s": speed, "bare_per_s": bare, "ratio": ratio})
