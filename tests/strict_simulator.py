@@ -25,6 +25,19 @@ class DeviceSimulator(Simulator):
         assert isinstance(ids, np.ndarray)
         self._cpu.reset(ids)
 
+    @property
+    def state_size(self):
+        return self._cpu.state_size
+
+    def states(self, ids):
+        assert isinstance(ids, np.ndarray)
+        return self._cpu.states(ids)
+
+    def set_states(self, ids, states):
+        assert isinstance(ids, np.ndarray)
+        assert isinstance(states, np.ndarray)
+        self._cpu.set_states(ids, states)
+
     def _advance(self, ids, nstep):
         assert isinstance(ids, np.ndarray)
         self._cpu.step(ids, nstep)

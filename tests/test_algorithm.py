@@ -41,7 +41,7 @@ def test_generations_are_the_textbooks(table, mirrored, members, ties):
     rule = UpdateRule(weight_decay=0.005, shaping=CentredRanks(ties=ties))
     settings = replace(SETTINGS, population_size=12, mirrored=mirrored, updates=(rule, rule))
     for report in check_against_textbook(table, settings, ties=ties):
-        assert report.noise_index.shape == (2, 12 // members)
+        assert report.population.work.noise_index.shape == (2, 12 // members)
 
 
 @pytest.mark.parametrize("mirrored", ["quad", "pair", "none"])
@@ -142,7 +142,7 @@ def test_a_population_may_share_its_episodes(table):
 def test_common_random_numbers_change_no_noise(table):
     _, on = formula_run(table, 1)
     _, off = formula_run(table, 1, replace(SETTINGS, common_random_numbers="off"))
-    assert np.array_equal(on[0].noise_index, off[0].noise_index)
+    assert np.array_equal(on[0].population.work.noise_index, off[0].population.work.noise_index)
 
 
 def test_tasks_say_who_perturbs_how(table):
@@ -152,7 +152,7 @@ def test_tasks_say_who_perturbs_how(table):
     assert sorted(members) == list(range(8))
     for member, task in members.items():
         assert task.signs == (signs[member % 4],)
-        assert task.noise_index == tuple(reports[0].noise_index[:, member // 4].tolist())
+        assert task.noise_index == tuple(reports[0].population.work.noise_index[:, member // 4].tolist())
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
@@ -218,6 +218,6 @@ def test_another_seed_has_other_noise_and_other_episodes(table):
     (backend, reports), (other_backend, other) = (
         formula_run(table, 1, state=replace(state, seed=seed)) for seed in (3, 4)
     )
-    assert not set(reports[0].noise_index.ravel()) & set(other[0].noise_index.ravel())
+    assert not set(reports[0].population.work.noise_index.ravel()) & set(other[0].population.work.noise_index.ravel())
     seeds, other_seeds = ({seed for task in b.tasks[0] for seed in task.seeds} for b in (backend, other_backend))
     assert not seeds & other_seeds

@@ -62,6 +62,8 @@ class WorkerPlan:
     """Contacts that a device makes room for, per simulation; none chooses."""
     njmax: int | None = None
     """Constraint rows that a device makes room for, per simulation; none chooses."""
+    branch_design: AgentDesign | None = None
+    """What acts in branches, where the primitive is judged by intervals."""
 
     @property
     def simulator(self) -> SimulatorFactory:
@@ -133,8 +135,8 @@ class RolloutWorker:
         """Open the noise table; environments are built when first used."""
         self.plan = plan
         self.table = NoiseTable.open_file(plan.noise_table)
-        self._rollouts: dict[bool, Rollout] = {}
-        self._room: dict[tuple[bool, int], int] = {}  # lanes that a device's memory has room for, by kind of generation
+        self._rollouts: dict[str, Rollout] = {}  # by kind of generation
+        self._room: dict[tuple[str, int], int] = {}  # lanes that a device's memory has room for, by kind of generation
         self._lanes = 1
         self._generation: Generation | None = None
         self._collector = _LogCollector()
@@ -179,7 +181,7 @@ class RolloutWorker:
     def _rollout(self, generation: Generation, share: int) -> Rollout:
         """Return the rollout for this generation with lanes for `share` tasks, building it where needed."""
         plan, shape = self.plan, (generation.rows, generation.members_per_lane)
-        rollout = self._rollouts.get(generation.is_evaluation)
+        rollout = self._rollouts.get(generation.kind)
         if rollout is not None and (rollout.num_episodes, rollout.members_per_lane) != shape:
             rollout = self._drop(generation)
         waves = max(1, -(-share // self._chunk(generation, share)))
@@ -191,22 +193,23 @@ class RolloutWorker:
                 WarpDevice(plan.device).release_memory()
             make = partial(plan.env.make, options=self._options(generation), simulator=plan.simulator)
             horizon = self._horizon(generation)
-            rollout = Rollout(plan.design, make, self._lanes, generation.rows, horizon, generation.members_per_lane)
-            self._rollouts[generation.is_evaluation] = rollout
+            design = self._design(generation)
+            rollout = Rollout(design, make, self._lanes, generation.rows, horizon, generation.members_per_lane)
+            self._rollouts[generation.kind] = rollout
         return rollout
 
     def _drop(self, generation: Generation) -> None:
         """Close the rollout for generations of this kind, if there is one."""
-        rollout = self._rollouts.pop(generation.is_evaluation, None)
+        rollout = self._rollouts.pop(generation.kind, None)
         if rollout is not None:
             rollout.task.close()
 
     def _chunk(self, generation: Generation, share: int) -> int:
         """Return how many lanes to run in lockstep at most: all on a device, if its memory has room for them."""
-        plan, kind = self.plan, _kind(generation)
+        plan, kind = self.plan, (generation.kind, generation.rows)
         asked = -(-plan.chunk_size // generation.members_per_lane)  # policies are asked for
         if plan.device == "cpu":
-            return asked or lanes_that_fit(sum(plan.design.dims), generation.rows)
+            return asked or lanes_that_fit(sum(self._design(generation).dims), generation.rows)
         if kind not in self._room and not plan.chunk_size:
             self._lanes = 1  # what is measured is too little memory for one, if it does not fit
             self._room[kind] = self._measure_room(generation)
@@ -217,7 +220,8 @@ class RolloutWorker:
         free = WarpDevice(self.plan.device).free_bytes()
         if free is None:
             return sys.maxsize
-        return lanes_in_memory(free, self._sim_bytes, self.plan.design, generation.rows, self._horizon(generation))
+        design = self._design(generation)
+        return lanes_in_memory(free, self._sim_bytes, design, generation.rows, self._horizon(generation))
 
     @cached_property
     def _sim_bytes(self) -> float:
@@ -245,7 +249,7 @@ class RolloutWorker:
                 "Set --nconmax or --njmax lower, use --device cpu, or start another run with fewer "
                 "--episodes-per-policy or --mirrored none: they are computed together."
             ) from error
-        half = self._room[_kind(generation)] = -(-lanes // 2)
+        half = self._room[generation.kind, generation.rows] = -(-lanes // 2)
         self._drop(generation)
         before, now = (each * generation.members_per_lane for each in (lanes, half))
         self._collector.lines.append(
@@ -255,13 +259,14 @@ class RolloutWorker:
     def _options(self, generation: Generation) -> TaskOptions:
         return self.plan.evaluation if generation.is_evaluation else self.plan.training
 
+    def _design(self, generation: Generation) -> AgentDesign:
+        plan = self.plan
+        return plan.branch_design if generation.branch_steps and plan.branch_design is not None else plan.design
+
     def _horizon(self, generation: Generation) -> int:
+        if generation.branch_steps:
+            return generation.branch_steps
         return self.plan.evaluation_horizon if generation.is_evaluation else self.plan.horizon
-
-
-def _kind(generation: Generation) -> tuple[bool, int]:
-    """Return what the memory that a policy takes depends on."""
-    return generation.is_evaluation, generation.rows
 
 
 def _noted(work: Iterator[Work], pending: dict[int, EpisodeTask]) -> Iterator[Work]:

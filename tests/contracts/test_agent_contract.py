@@ -266,7 +266,8 @@ def _expected_inputs(design, step, seen, goal):
         turns = design.clock.frequency_hz * design.clock.step_s * step
         parts.append(np.tile([np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns)], (EPISODES, 1)))
     view = getattr(design, "primitive_view", None)
-    parts.append(seen.observation if view is None else seen.observation[:, list(view)])
+    indices = None if view is None else view.indices
+    parts.append(seen.observation if indices is None else seen.observation[:, list(indices)])
     return np.hstack(parts)
 
 

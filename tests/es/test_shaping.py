@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 
 from shes.errors import ConfigError, PolicyError, UnknownNameError
 from shes.es.ranking import TIES, centred_ranks
-from shes.es.shaping import FITNESS_SHAPINGS, CentredRanks, TopFraction, ZScore, make_fitness_shaping
+from shes.es.shaping import FITNESS_SHAPINGS, CentredRanks, PairRanks, TopFraction, ZScore, make_fitness_shaping
 
 # Few values, so many ties, and all exact in binary after any shift and scale below.
 fitnesses = st.lists(st.integers(-6, 6), min_size=2, max_size=50)
 wide = st.lists(st.floats(-1e300, 1e300), min_size=2, max_size=40)
-every_name = pytest.mark.parametrize("name", FITNESS_SHAPINGS)
+pairs = st.lists(st.tuples(st.integers(-6, 6), st.integers(-6, 6)), min_size=1, max_size=25)
+every_name = pytest.mark.parametrize("name", [name for name in FITNESS_SHAPINGS if name != "pair_rank"])
+"""Those of a whole population; ranks of pairs have tests of their own."""
 every_ties = pytest.mark.parametrize("ties", TIES)
 
 
@@ -90,6 +92,30 @@ def test_a_fitness_that_is_not_finite_is_refused_by_its_member(name, value, word
 
 
 # ------------------------------------------------------------------------------------------------------ the numbers
+
+
+@given(pairs=pairs)
+def test_pair_ranks_are_the_signed_ranks_of_scipy(pairs):
+    from scipy.stats import rankdata
+
+    difference = np.array([one - other for one, other in pairs])
+    expected = np.sign(difference) * rankdata(np.abs(difference)) / len(pairs)
+    shaped = PairRanks()(_array(pairs).ravel())
+    assert shaped[0::2] - shaped[1::2] == pytest.approx(expected, abs=1e-12)
+    assert shaped[0::2] == pytest.approx(-shaped[1::2])
+
+
+def test_what_both_of_a_pair_have_in_common_does_not_count():
+    base, shifts = _array([1, 2, 5, 3, 0, 0]), np.repeat([10.0, -40.0, 3.0], 2)
+    assert PairRanks()(base + shifts).tolist() == PairRanks()(base).tolist()
+    assert PairRanks()(base).tolist() == pytest.approx([-2 / 6, 2 / 6, 0.5, -0.5, 0, 0])
+
+
+def test_pair_ranks_refuse_an_odd_population_and_a_fitness_that_is_not_finite():
+    with pytest.raises(ConfigError, match=r"3 fitnesses are no pairs\. Set --mirrored pair"):
+        PairRanks()(_array([1, 2, 3]))
+    with pytest.raises(PolicyError, match="fitness of member 1 is nan"):
+        PairRanks()(_array([1, np.nan]))
 
 
 @every_ties

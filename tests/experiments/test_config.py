@@ -9,7 +9,7 @@ import pytest
 from shes.envs.point import Point
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.errors import ConfigError, UnknownNameError
-from shes.experiments.build import build_settings
+from shes.experiments.build import build_design, build_settings
 from shes.experiments.config import EXECUTION_FIELDS, TrainConfig, check_fields
 from shes.experiments.presets import make_config
 from shes.experiments.settings import NAMES as WORDS
@@ -28,6 +28,7 @@ WHOLE_NUMBERS = {
     "evaluation_interval": 1,
     "generations": 1,
     "horizon": 1,
+    "intervals": 1,
     "keep_checkpoints": 1,
     "noise_table_size": 2,
     "novelty_neighbours": 1,
@@ -35,8 +36,16 @@ WHOLE_NUMBERS = {
     "schedule_generations": 1,
     "seed": 0,
 }
-POSITIVE = ["clock_frequency", "goal_distance", "learning_rate", "minutes", "sigma"]
-NOT_NEGATIVE = ["controller_weight_decay", "evaluation_reset_noise", "reset_noise", "weight_decay"]
+POSITIVE = [
+    "clock_frequency",
+    "goal_distance",
+    "learning_rate",
+    "minutes",
+    "primitive_learning_rate",
+    "primitive_sigma",
+    "sigma",
+]
+NOT_NEGATIVE = ["controller_weight_decay", "evaluation_reset_noise", "fall_price", "reset_noise", "weight_decay"]
 SHARES = {
     "momentum": ("at least 0 and less than 1", [0, 0.99], [-0.1, 1]),
     "statistics_fraction": ("between 0 and 1", [0, 1], [-0.1, 1.1]),
@@ -48,6 +57,7 @@ NAMES = [
     "biases",
     "common_random_numbers",
     "controller_output",
+    "controller_view",
     "device",
     "fitness_shaping",
     "goal_encoding",
@@ -55,20 +65,33 @@ NAMES = [
     "mirrored",
     "novelty",
     "optimizer",
+    "output_weights",
     "perturbation",
+    "primitive_estimate",
+    "primitive_fitness_shaping",
     "primitive_reward",
     "primitive_view",
     "rank_ties",
     "spec",
+    "symmetry",
     "target_sampling",
+    "weight_decay_form",
 ]
 SCHEDULES = ["episodes_schedule", "learning_rate_schedule", "sigma_schedule"]
 ENDS = ["episodes_end", "learning_rate_end", "sigma_end"]
-SWITCHES = ["fall_penalty", "freeze_primitive", "hide_position", "minimum_goal_distance", "observe_block"]
+SWITCHES = ["fall_penalty", "freeze_primitive", "hide_position", "hold_tied", "minimum_goal_distance", "observe_block"]
 PLACES = ["evaluation_target", "target"]
 BUFFERS = ["nconmax", "njmax"]
 LAYERS = ["hidden", "primitive_hidden"]
-OTHERS = ["env", "external", "population_size", "preset", "primitive", "primitive_checkpoint"]
+OTHERS = [
+    "env",
+    "external",
+    "population_size",
+    "preset",
+    "primitive",
+    "primitive_checkpoint",
+    "primitive_population_size",
+]
 NUMBERS = [WHOLE_NUMBERS, POSITIVE, NOT_NEGATIVE, SHARES, BUFFERS]
 KINDS = [*NUMBERS, NAMES, SCHEDULES, ENDS, SWITCHES, PLACES, LAYERS, OTHERS]
 
@@ -276,8 +299,14 @@ def test_flags_are_the_fields_with_dashes():
 def test_every_choice_of_a_name_is_allowed(name):
     """Where it needs another setting beside it, it says so and is not unknown."""
     ends = {kind: {end: 1} for kind, end in SCHEDULED.values()}.get(name, {})
+    beside = {
+        "pair_rank": {"mirrored": "pair"} if name == "fitness_shaping" else {},
+        "interval": {"primitive_view": "egocentric"},
+        "rotation": {"primitive_view": "egocentric"},
+        "dihedral": {"primitive_view": "egocentric"},
+    }
     for choice in choices(name):
-        settings = {} if choice == "constant" else ends
+        settings = {} if choice == "constant" else ends or beside.get(choice, {})
         assert getattr(make(population_size=8, **{name: choice}, **settings), name) == choice
     assert choices("env") == ()
     assert set(NAMES) | set(SCHEDULES) == set(WORDS) - {"preset", "primitive_checkpoint"}
@@ -384,10 +413,10 @@ def test_a_frozen_primitive_asks_for_groups_of_one_level(mirrored, size):
 
 OF_CONTROLLERS = {
     "controller_output": "one_hot",
+    "controller_view": "egocentric",
     "controller_weight_decay": 0.1,
     "minimum_goal_distance": False,
     "primitive_hidden": (8,),
-    "primitive_view": "proprioception",
 }
 OF_PRIMITIVES = {
     **OF_CONTROLLERS,
@@ -395,7 +424,10 @@ OF_PRIMITIVES = {
     "goal_distance": 2.0,
     "goal_encoding": "vector",
     "hide_position": True,
+    "fall_price": 2.0,
+    "primitive_estimate": "interval",
     "primitive_reward": "cosine",
+    "primitive_view": "proprioception",
 }
 UNHEEDED = [
     *(("point-flagrun", "shes", "primitive", name) for name in OF_CONTROLLERS),
@@ -436,6 +468,61 @@ def test_a_preset_may_hold_what_does_nothing_here(preset):
     """Only what somebody asked for is refused."""
     for settings in ({"algorithm": "es"}, {}):
         assert make_config("point-flagrun", preset, settings).preset == preset
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            {"fitness_shaping": "pair_rank"},
+            r"'pair_rank' ranks mirrored pairs, but with mirrored 'quad' a group has 4 mem",
+        ),
+        (
+            {"fitness_shaping": "pair_rank", "mirrored": "none"},
+            r"mirrored 'none' a group has 1 member.*--mirrored pair",
+        ),
+        (
+            {"symmetry": "rotation"},
+            r"symmetry is 'rotation', but the primitive's view is 'observation'.*Set --primitive-v",
+        ),
+        (
+            {"primitive_estimate": "interval"},
+            r"'interval', but the primitive sees the task's observation.*egocentric or ",
+        ),
+        (
+            {"primitive_estimate": "interval", "primitive_view": "egocentric", "primitive_population_size": 3},
+            r"primitive_population_size must be an even number: branches are mirrored pairs, got 3\.",
+        ),
+    ],
+)
+def test_an_estimate_that_cannot_be_made_is_refused(settings, message):
+    with pytest.raises(ConfigError, match=message):
+        make(**settings)
+
+
+def test_an_external_environment_cannot_be_branched():
+    with pytest.raises(ConfigError, match=r"the physics of robotics-point-maze is Gymnasium's and cannot be branched"):
+        make_config("robotics-point-maze", "smoke", {"primitive_estimate": "interval"})
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "message"),
+    [
+        (
+            "point-gather",
+            {"primitive_view": "egocentric", "symmetry": "rotation"},
+            "what symmetry the point of point-ga",
+        ),
+        (
+            "point-gather",
+            {"primitive_view": "egocentric", "hide_position": True},
+            "an egocentric view shows no absolute",
+        ),
+    ],
+)
+def test_a_robot_that_cannot_be_seen_so_is_refused(env, settings, message):
+    with pytest.raises(ConfigError, match=message):
+        build_design(make_config(env, "smoke", settings))
 
 
 # What version 0.1 wrote.

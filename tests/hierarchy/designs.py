@@ -9,13 +9,14 @@ from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, make_controller_output
 from shes.hierarchy.primitive import PrimitiveDesign
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS, make_primitive_reward
+from shes.hierarchy.views import ColumnsView
 from shes.policies.mlp import MLP
 
 OBSERVED = 5
 ACTIONS = 2
 INTERVAL = 4
 CLOCK = Clock(frequency_hz=1.3, step_s=0.1)
-VIEWS = {"all": None, "first three": (0, 1, 2), "picked": (3, 0, 4)}
+VIEWS = {"all": ColumnsView(), "first three": ColumnsView((0, 1, 2)), "picked": ColumnsView((3, 0, 4))}
 """What the primitive sees of the observation; the last one is no slice."""
 
 
@@ -27,7 +28,7 @@ def flat(clock=None, hidden=(8,)):
 
 def _reaching(encoding, clock, view, hidden, reward):
     features = make_goal_encoding(encoding).size + (clock.size if clock else 0)
-    seen = OBSERVED if VIEWS[view] is None else len(VIEWS[view])
+    seen = VIEWS[view].size(OBSERVED)
     return {
         "primitive": MLP(features + seen, hidden, ACTIONS),
         "primitive_view": VIEWS[view],

@@ -132,7 +132,10 @@ def formula_run(table, generations, settings=SETTINGS, state=None, pool=None, di
 
 
 def noise_of(report, table):
-    return [[table.slice(i, dim) for i in row.tolist()] for row, dim in zip(report.noise_index, DIMS, strict=True)]
+    return [
+        [table.slice(i, dim) for i in row.tolist()]
+        for row, dim in zip(report.population.work.noise_index, DIMS, strict=True)
+    ]
 
 
 def check_against_textbook(table, settings, generations=5, **options):
@@ -164,6 +167,8 @@ def state_bits(state):
     if search is not None:
         counts.append((len(search.archive), search.weight, search.best_return, search.stalled))
         arrays.append(search.archive)
+    if state.running is not None:
+        arrays += [state.running.states, state.running.steps]
     return [a.tobytes() for a in arrays], counts, state.generation, state.env_steps, state.seed
 
 
@@ -171,20 +176,22 @@ def run_bits(reports):
     return [
         (
             state_bits(report.state),
-            *(
-                a.tobytes()
-                for a in (
-                    report.results.returns, report.results.score, report.results.success, report.results.steps,
-                    report.results.has_terminated, report.results.has_diverged, report.results.goals_reached,
-                    report.results.final_position, report.results.environment_returns, report.noise_index,
-                )
-            ),
-            report.sigma,
-            report.learning_rate,
+            population_bits(report.population),
+            None if report.branches is None else population_bits(report.branches),
             [repr((u.gradient_norm, u.halves_cosine, u.update_ratio)) for u in report.updates],
         )
         for report in reports
-    ]  # fmt: skip
+    ]
+
+
+def population_bits(population):
+    results, work = population.members, population.work
+    arrays = (
+        results.returns, results.score, results.success, results.steps, results.has_terminated, results.has_diverged,
+        results.goals_reached, results.final_position, results.environment_returns, work.noise_index, work.signs,
+    )  # fmt: skip
+    left = [(place, end.state.tobytes(), end.steps, end.goals.tobytes()) for place, end in results.snapshots.items()]
+    return [array.tobytes() for array in arrays], left, work.generation.sigma, population.learning_rate
 
 
 def same_level(one, other):

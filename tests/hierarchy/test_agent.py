@@ -12,6 +12,7 @@ from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.moments import Moments
 from shes.hierarchy.outputs import OneHotOutput, VectorOutput
 from shes.hierarchy.rewards import ProgressReward
+from shes.hierarchy.views import ColumnsView
 from shes.policies.mlp import MLP
 from shes.types import CONTROLLER, PRIMITIVE
 
@@ -212,7 +213,7 @@ def test_a_controller_output_turns_the_goal_with_the_robot():
 
 def test_a_primitive_sees_the_part_of_the_observation_that_is_its_view():
     # Columns 1 and 0, in this order: not a slice.
-    agent = _agent(output=(0.5, 0), primitive_view=(1, 0))
+    agent = _agent(output=(0.5, 0), primitive_view=ColumnsView((1, 0)))
     agent.is_recording = True
     _act(agent, observation=(7, -8))
     assert agent.moments[PRIMITIVE].total[0] == pytest.approx([0, 1, 0.002, -8, 7], abs=1e-6)

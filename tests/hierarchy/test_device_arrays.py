@@ -43,6 +43,17 @@ CHOICES = {
     "flat": ("point-gather", {"algorithm": "es"}),
     "flat with a clock": ("point-gather", {"algorithm": "es", "clock_frequency": 1.5}),
     "one level in turns": ("point-gather", {"perturbation": "one_to_many"}),
+    "egocentric": (
+        "ant-gather",
+        {
+            "primitive_view": "egocentric",
+            "symmetry": "dihedral",
+            "controller_view": "egocentric",
+            "controller_output": "heading_vector",
+            "primitive_reward": "metres",
+        },
+    ),
+    "egocentric, alone": ("ant-flagrun", {"primitive_view": "egocentric", "symmetry": "rotation"}),
     "few statistics": ("point-gather", {"statistics_fraction": 0.5}),
 }
 
@@ -61,7 +72,8 @@ def run(name, simulator, num_lanes, xp=np, episodes=3):
     """Return the results of a generation, by number, and the waits for the device of every step."""
     config, design, table, plan = make(name, episodes_per_policy=episodes)
     state, settings = build_state(config, design), build_settings(config)
-    _, tasks, generation = generation_work(state, settings, table.size)
+    work = generation_work(state, settings, table.size)
+    tasks, generation = work.tasks, work.generation
     rollout = Rollout(
         design,
         lambda n: plan.env.make(n, plan.training, simulator),

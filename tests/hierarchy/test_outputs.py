@@ -19,7 +19,7 @@ from shes.hierarchy.outputs import (
 )
 
 NAMES = sorted(CONTROLLER_OUTPUTS)
-TURNS_WITH_THE_ROBOT = {"one_hot": True, "vector": False}
+TURNS_WITH_THE_ROBOT = {"one_hot": True, "heading_vector": True, "vector": False}
 HALF = math.sqrt(0.5)
 DIRECTIONS = [(-HALF, -HALF), (0, -1), (HALF, -HALF), (1, 0), (HALF, HALF), (0, 1), (-HALF, HALF), (-1, 0)]
 """Of the eight outputs, for a robot that faces +x: ahead is +x, its left is +y."""
@@ -44,6 +44,9 @@ def _one_hot(largest, value, others=-1.0):
 def _second_implementation(name, output, heading, goal_distance):
     if name == "vector":
         return (output[0] * goal_distance, output[1] * goal_distance)
+    if name == "heading_vector":
+        turned = complex(*output) * goal_distance * complex(math.cos(heading), math.sin(heading))
+        return (turned.real, turned.imag)
     best = 0
     for index, value in enumerate(output):
         if value > output[best]:
@@ -213,7 +216,7 @@ def test_outputs_are_made_by_name(name, output, size):
 @pytest.mark.parametrize("refuse", [check_controller_output, make_controller_output])
 def test_an_unknown_output_is_refused_with_the_nearest_name(refuse):
     message = (
-        r"unknown controller output 'onehot'\. Did you mean 'one_hot'\? Known: one_hot, vector\. "
+        r"unknown controller output 'onehot'\. Did you mean 'one_hot'\? Known: one_hot, heading_vector, vector\. "
         r"Set --controller-output\. Register your own first: shes\.register_controller_output, or --import MODULE"
     )
     with pytest.raises(UnknownNameError, match=message):

@@ -39,6 +39,7 @@ def _second_implementation(name, displacement, goal):
     both = abs(moved) * abs(way)
     return {
         "progress": 1 - left / start + (1 if left < 1 else 0),
+        "metres": 4 * (start - left) + (0.2 if left < 1 else 0),
         "negative_distance": -left,
         "cosine": (moved.real * way.real + moved.imag * way.imag) / both if both else 0,
     }[name]
@@ -116,6 +117,15 @@ def test_the_cosine_of_a_straight_way_is_1_and_never_more_whatever_its_length(an
     assert reward == pytest.approx(1)
     assert reward <= 1
     assert -1 <= _pay("cosine", -factor * way, way)[0][0] < -0.999
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_metres_alone_are_paid_by_what_the_step_itself_has_won(name):
+    distance, before, start = (np.array([metres]) for metres in (2.0, 2.5, 5.0))
+    made, away = make_primitive_reward(name), np.ones((1, 2))
+    paid = made.of_step(distance, before, start, away, away)
+    expected = 4 * 0.5 if name == "metres" else made(distance, start, away, away)
+    assert paid == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("name", NAMES)

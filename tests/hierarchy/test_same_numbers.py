@@ -1,7 +1,7 @@
 """`evolve` with every option: the same bits on any workers, in any lockstep, and from any generation on."""
 
 import itertools
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
@@ -17,14 +17,16 @@ from shes.es.noise import NoiseTable
 from shes.es.novelty import NOVELTY_RULES, NS, NSR, NSRA, AuthorsNSRA
 from shes.es.optimizers import OPTIMIZERS, make_optimizer
 from shes.es.perturbation import PERTURBATIONS, OneToMany, make_perturbation
-from shes.es.shaping import FITNESS_SHAPINGS, TopFraction, make_fitness_shaping
+from shes.es.shaping import FITNESS_SHAPINGS, PairRanks, TopFraction, make_fitness_shaping
 from shes.hierarchy.flat import FlatDesign
-from shes.hierarchy.goals import AngleEncoding
+from shes.hierarchy.goals import AngleEncoding, MetreAngleEncoding
 from shes.hierarchy.hierarchical import HierarchicalDesign
-from shes.hierarchy.outputs import VectorOutput
+from shes.hierarchy.intervals import IntervalEstimate
+from shes.hierarchy.outputs import HeadingVectorOutput, VectorOutput
 from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
-from shes.hierarchy.primitive import PrimitiveDesign
-from shes.hierarchy.rewards import ProgressReward
+from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
+from shes.hierarchy.rewards import MetresReward, ProgressReward
+from shes.hierarchy.views import ColumnsView, EgocentricView
 from shes.policies.mlp import MLP
 from shes.worker import RolloutWorker, WorkerPlan
 from tests.hierarchy import designs
@@ -66,6 +68,8 @@ NOVELTY = {
 assert NOVELTY.keys() == NOVELTY_RULES.keys()
 OPTIONS = {
     **{name: {"updates": (rule, rule)} for name, rule in RULES.items()},
+    "pair_rank": {"updates": (RULES["pair_rank"],) * 2, "mirrored": "pair"},
+    "decoupled decay": {"updates": (UpdateRule(weight_decay=0.01, decouples_decay=True),) * 2},
     **{name: {"perturbation": make_perturbation(name)} for name in PERTURBATIONS if name != "many_to_many"},
     **{f"{name} mirroring": {"mirrored": name} for name in ("pair", "none")},
     **{f"{name} common numbers": {"common_random_numbers": name} for name in COMMON_RANDOM_NUMBERS if name != "group"},
@@ -133,7 +137,7 @@ def _primitive_point():
     view = tuple(task.proprioception.tolist())
     return "point-flagrun", PrimitiveDesign(
         primitive=MLP(3 + len(view), (9,), task.action_size),
-        primitive_view=view,
+        primitive_view=ColumnsView(view),
         goal_encoding=AngleEncoding(),
         primitive_reward=ProgressReward(),
         controller_interval=8,
@@ -141,10 +145,44 @@ def _primitive_point():
     )
 
 
+def _branched_point():
+    """Return environment and design of a primitive that is judged by intervals beside a controller."""
+    task = make_task("point-push", 1)
+    view = EgocentricView(task.robot, task.proprioception.tolist())
+    return "point-push", HierarchicalDesign(
+        controller=MLP(task.observation_size, (7,), 2),
+        primitive=MLP(3 + view.size(task.observation_size), (7,), task.action_size),
+        primitive_view=view,
+        controller_output=HeadingVectorOutput(),
+        goal_encoding=MetreAngleEncoding(),
+        primitive_reward=MetresReward(),
+        goal_distance=4.0,
+        controller_interval=8,
+        has_minimum_goal_distance=False,
+        control_limit=task.control_limit,
+    )
+
+
+def _running_point():
+    """Return environment and design of a primitive alone whose episodes run from generation to generation."""
+    env, design = _primitive_point()
+    return env, replace(design, primitive=MLP(design.primitive.sizes[0], (10,), 2))
+
+
+def _estimate(**changes):
+    """Return how a primitive of these runs is judged by intervals; its episodes are over in the third generation."""
+    numbers = {"population_size": 12, "intervals": 2, "interval_steps": 8, "horizon": 32, "goal_range": 4.0}
+    rule = UpdateRule(shaping=PairRanks(), fall_price=0.5)
+    rates = {"sigma": constant("sigma", 0.1), "learning_rate": constant("learning_rate", 0.03)}
+    return IntervalEstimate(update=rule, **{**numbers, **rates, **changes})
+
+
 POINTS = {
     "point, both": (_hierarchical_point, SETTINGS),
     "point, primitive": (_primitive_point, SINGLE),
     "point, flat": (_flat_point, SINGLE),
+    "point, branches": (_branched_point, replace(SETTINGS, intervals=_estimate(), horizon=HORIZON)),
+    "point, running": (_running_point, replace(SINGLE, intervals=_estimate())),
 }
 
 
@@ -160,7 +198,13 @@ def _point_plan(of, table, chunk_size):
         horizon=HORIZON,
         evaluation_horizon=HORIZON,
         chunk_size=chunk_size,
+        branch_design=_branches_of(design) if of is _branched_point else None,
     )
+
+
+def _branches_of(design):
+    """Return what acts in the branches of a `design` with a controller."""
+    return BranchDesign(num_goals=2, **{field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)})
 
 
 def _design_and_settings(case):
@@ -230,7 +274,14 @@ def processes(request, table):
         yield backend
 
 
-QUICK = ("point, both", "everything", "primitive, novelty, schedule", "flat, novelty, schedule")
+QUICK = (
+    "point, both",
+    "point, branches",
+    "point, running",
+    "everything",
+    "primitive, novelty, schedule",
+    "flat, novelty, schedule",
+)
 
 
 @pytest.mark.parametrize(
@@ -241,7 +292,7 @@ def test_the_number_of_worker_processes_changes_no_bit(table, case, processes, e
     assert run_bits(_run(case, table, processes)) == run_bits(expected(case))
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [*CASES, "point, branches", "point, running"])
 @pytest.mark.parametrize("stop", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_goes_on_with_other_workers_as_if_it_had_not_stopped(table, case, stop, lockstep, expected):
     whole = expected(case)
@@ -251,7 +302,8 @@ def test_a_run_goes_on_with_other_workers_as_if_it_had_not_stopped(table, case, 
 
 @pytest.mark.parametrize(
     ("case", "chunk_size"),
-    [("point, both", 0), ("point, both", 2), ("point, both", 5), ("point, primitive", 5), ("point, flat", 0)],
+    [("point, both", 0), ("point, both", 2), ("point, both", 5), ("point, primitive", 5), ("point, flat", 0)]
+    + [(case, size) for case in ("point, branches", "point, running") for size in (0, 2, 5)],
 )
 def test_the_number_of_members_in_lockstep_changes_no_bit(table, case, chunk_size, expected):
     of, _ = POINTS[case]
@@ -281,14 +333,17 @@ def test_levels_that_learn_move_with_every_option(expected):
 
 def test_generations_on_a_point_do_something(expected):
     for case in POINTS:
-        run = expected(case)
+        run, (_, settings) = expected(case), _design_and_settings(case)
         assert [report.state.generation for report in run] == [1, 2, 3]
-        steps = [int(report.results.steps.sum()) for report in run]
-        assert steps == [8 * EPISODES * HORIZON] * 3  # a point cannot fall
+        steps = [report.num_steps for report in run]
+        branches = 0 if settings.intervals is None else settings.intervals.population_size * 16
+        whole = 0 if case == "point, running" else 8 * EPISODES * HORIZON
+        assert steps == [whole + branches] * 3  # a point cannot fall
         assert [report.state.env_steps for report in run] == list(itertools.accumulate(steps))
         for report in run:
             assert np.ptp(report.results.fitness[-1]) > 0
-            assert report.state.levels[-1].statistics.count == report.state.env_steps
+            observed = report.state.generation * (branches or whole)
+            assert report.state.levels[-1].statistics.count == observed
         thetas = [level.theta.tobytes() for report in run for level in report.state.levels]
         assert len(set(thetas)) == len(thetas) == 3 * len(run[0].state.levels)
 

@@ -25,6 +25,10 @@ class AnyWorker:
     def __init__(self, plans):
         self.workers = {plan.design.dims: RolloutWorker(plan) for plan in plans}
         assert len(self.workers) == len(plans), "two designs have policies of the same sizes"
+        for plan in plans:
+            if plan.branch_design is not None:
+                assert plan.branch_design.dims not in self.workers, "two designs have policies of the same sizes"
+                self.workers[plan.branch_design.dims] = self.workers[plan.design.dims]
 
     def receive(self, generation):
         self.at_work = self.workers[tuple(len(level.theta) for level in generation.levels)]

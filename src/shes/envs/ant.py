@@ -12,6 +12,7 @@ import numpy as np
 
 from shes.envs.body import Body
 from shes.envs.layout import ObservationElement, elements
+from shes.envs.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Ant"]
@@ -33,6 +34,10 @@ _LEGS = {
     4: (1, -1, (1, 1, 0), (30.0, 70.0)),
 }
 _ACTUATOR_ORDER = (4, 1, 2, 3)  # not the order of the legs in qpos
+_FLEXION = {1: 1, 2: -1, 3: -1, 4: 1}
+"""An ankle's angle times this is how far it is bent: the same for all legs that look the same."""
+_NEXT_LEG = {1: 2, 2: 3, 3: 4, 4: 1}  # to the left, by a quarter turn
+_MIRRORED_LEG = {1: 4, 2: 3, 3: 2, 4: 1}  # left for right
 _JOINTS = [f"{joint}_{number}" for number in _LEGS for joint in ("hip", "ankle")]
 
 
@@ -56,6 +61,14 @@ class Ant(Body):
     control_unit: ClassVar[str] = "N m"
     control_limit: ClassVar[float] = 30.0
     quaternion: ClassVar[slice | None] = slice(3, 7)
+    egocentric: ClassVar[tuple[ObservationElement, ...]] = (
+        *elements(["torso_z"], "{} in the world", "m"),
+        *elements(["tilt_ahead", "tilt_left"], "{}: that component of the torso's own z axis"),
+        *elements(["velocity_ahead", "velocity_left", "velocity_up"], "{} of the torso", "m/s"),
+        *elements([f"torso_w{axis}" for axis in "xyz"], "{}: angular velocity about an axis of the torso", "rad/s"),
+        *elements(_JOINTS, "angle of {}", "rad"),
+        *elements([f"{joint}_velocity" for joint in _JOINTS], "{}", "rad/s"),
+    )
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
         """Add torso, legs and motors to `spec`."""
@@ -99,3 +112,70 @@ class Ant(Body):
         """Return whether the torso's height is outside `HEALTHY_Z_M` [N]."""
         height = qpos[..., 2]
         return ~((height >= HEALTHY_Z_M[0]) & (height <= HEALTHY_Z_M[1]))
+
+    def frame_angle(self, qpos: F64Array) -> F64Array:
+        """Return the twist of the torso about the vertical [N].
+
+        Deviation: not the heading. Seen from above, the x and y axes of a tilted torso are not a quarter turn apart, so
+        that the frame of the heading breaks the symmetry by as much as the square of the tilt.
+        """
+        return 2 * np.arctan2(qpos[:, 6], qpos[:, 3])
+
+    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Write height, tilt, velocity, angular velocity and joints [N, 25]; see `Body.write_egocentric`.
+
+        MuJoCo gives the angular velocity in the torso's own frame: it is egocentric as it is.
+        """
+        cosine, sine = np.cos(angle), np.sin(angle)
+        w, x, y, z = (qpos[:, i] for i in range(3, 7))
+        out[:, 0] = qpos[:, 2]
+        _turn_back(2 * (x * z + w * y), 2 * (y * z - w * x), cosine, sine, out[:, 1:3])
+        _turn_back(qvel[:, 0], qvel[:, 1], cosine, sine, out[:, 3:5])
+        out[:, 5:9] = qvel[:, 2:6]
+        out[:, 9:17] = qpos[:, 7:15]
+        out[:, 17:25] = qvel[:, 6:14]
+
+    def symmetry(self, *, is_mirrored: bool) -> SymmetryGroup:
+        """Return the four quarter turns, with their mirror images the eight elements of the square's symmetry."""
+        # In the frame turned by a quarter to the left: x' = y, y' = -x, and the leg that comes next is leg 1.
+        turned = ([2, 1], [1, -1])
+        turn = _view_element(turned, turned, turned, _NEXT_LEG, hip_sign=1)
+        # A rotation about an axis in the mirror's plane changes its sense, one about the axis across it does not.
+        mirrored = ([1, 2], [1, -1])
+        mirror = _view_element(mirrored, mirrored, ([1, 2], [-1, 1]), _MIRRORED_LEG, hip_sign=-1)
+        controls = [_leg_element(_ACTUATOR_ORDER, legs, sign) for legs, sign in ((_NEXT_LEG, 1), (_MIRRORED_LEG, -1))]
+        return dihedral_group(4, (turn, controls[0]), (mirror, controls[1]), is_mirrored=is_mirrored)
+
+
+_Plane = tuple[list[int], list[int]]
+"""What becomes of the x and y of a vector: which of them (1 or 2) each comes from, and with which sign."""
+
+
+def _view_element(
+    tilt: _Plane, velocity: _Plane, rotation: _Plane, legs: dict[int, int], hip_sign: int
+) -> SignedPermutation:
+    """Return what an element of the symmetry does to the egocentric view: its generators differ in these."""
+    joints = _leg_element(tuple(_LEGS), legs, hip_sign)
+    index = [0, *tilt[0], *(2 + i for i in velocity[0]), 5, *(5 + i for i in rotation[0]), 8]
+    # Left for right, the rotation about the vertical changes its sense, as the hips about theirs do.
+    sign = [1, *tilt[1], *velocity[1], 1, *rotation[1], hip_sign]
+    return SignedPermutation(
+        np.array([*index, *(9 + joints.source), *(17 + joints.source)]), np.array([*sign, *joints.sign, *joints.sign])
+    )
+
+
+def _leg_element(order: tuple[int, ...], legs: dict[int, int], hip_sign: int) -> SignedPermutation:
+    """Return what it does to a hip's and an ankle's value of every leg, which stand in this `order` of legs."""
+    index, sign = list[int](), list[float]()
+    for leg in order:
+        source = legs[leg]
+        first = 2 * order.index(source)
+        index += [first, first + 1]
+        sign += [hip_sign, _FLEXION[leg] * _FLEXION[source]]
+    return SignedPermutation(np.array(index), np.array(sign, dtype=np.float64))
+
+
+def _turn_back(x: F64Array, y: F64Array, cosine: F64Array, sine: F64Array, out: F64Array) -> None:
+    """Write the vectors (`x`, `y`) [N], turned back by the angle of `cosine` and `sine`, into `out` [N, 2]."""
+    np.add(cosine * x, sine * y, out=out[:, 0])
+    np.subtract(cosine * y, sine * x, out=out[:, 1])

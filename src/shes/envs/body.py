@@ -8,6 +8,7 @@ from typing import ClassVar
 import mujoco
 
 from shes.envs.layout import ObservationElement
+from shes.envs.symmetry import SymmetryGroup
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Body"]
@@ -29,6 +30,8 @@ class Body(ABC):
     """Controls lie in [-control_limit, control_limit]."""
     quaternion: ClassVar[slice | None]
     """Where the torso's unit quaternion stands in qpos, if there is one."""
+    egocentric: ClassVar[tuple[ObservationElement, ...]]
+    """Its state with nothing of the world in it but gravity: what `write_egocentric` writes."""
 
     @property
     def num_qpos(self) -> int:
@@ -56,6 +59,32 @@ class Body(ABC):
     @abstractmethod
     def fallen(self, qpos: F64Array) -> BoolArray:
         """Return whether robots at `qpos` [N, num_qpos] have fallen over [N]."""
+
+    def frame_angle(self, qpos: F64Array) -> F64Array:
+        """Return the angle [N] of the frame that the egocentric view is seen from, about the vertical, in radians.
+
+        It turns with the robot: a robot with a symmetry must have one that no element of its group tells from another.
+        """
+        return self.heading(qpos)
+
+    @abstractmethod
+    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Write the robot's state as it looks in its own frame, without its place.
+
+        Args:
+            qpos: Generalised coordinates [N, num_qpos].
+            qvel: Generalised velocities [N, num_qvel].
+            angle: The frame's angle at `qpos` [N], in radians; see `frame_angle`.
+            out: Where the values of `egocentric` go [N, V].
+        """
+
+    def symmetry(self, *, is_mirrored: bool) -> SymmetryGroup | None:
+        """Return the turns after which the robot looks the same, with their mirror images if wanted.
+
+        None stands for a robot without a symmetry, or whose symmetry nobody has told.
+        """
+        del is_mirrored
+        return None
 
     def position(self, qpos: F64Array) -> F64Array:
         """Return the place [N, 2] in metres of robots at `qpos` [N, num_qpos]: a view."""

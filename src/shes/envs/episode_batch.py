@@ -15,9 +15,16 @@ import numpy as np
 
 from shes.drawing.drawer import Drawer, Window
 from shes.drawing.markers import Marker
+from shes.envs.body import Body
+from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 
 __all__ = ["EpisodeBatch", "Reader"]
+
+_NO_STATES = (
+    "episodes of an environment that Gymnasium makes cannot be branched: its physics state is its own. "
+    "Set --primitive-estimate episode."
+)
 
 
 class Reader(ABC):
@@ -123,6 +130,11 @@ class EpisodeBatch(ABC):
         """Indices in the observation of the robot's absolute x and y; none where it does not show them."""
 
     @property
+    def robot(self) -> Body | None:
+        """The robot, where it is one of our own."""
+        return None
+
+    @property
     def goal(self) -> F64Array | None:
         """Where the environment itself tells the robot to go [N, 2], in metres; none where a controller decides."""
         return None
@@ -177,8 +189,27 @@ class EpisodeBatch(ABC):
         """Return what is observed now [N, O]: a live array, rewritten by the next call."""
 
     @abstractmethod
-    def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
-        """Start episodes `ids` anew, each from its own seed (a non-negative integer)."""
+    def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
+        """Start episodes `ids` anew, each from its own seed (a non-negative integer).
+
+        Args:
+            ids: The episodes.
+            seeds: What each draws from.
+            states: Whole physics states [S] that episodes begin in instead of a reset pose, as `states` returned them;
+                none, or None for an episode, leaves it in its reset pose. What belongs to the task is drawn anew.
+
+        Raises:
+            ConfigError: States were given, and episodes of this kind have none.
+        """
+
+    def states(self, ids: IntArray) -> F64Array:
+        """Return copies of the whole physics states of episodes `ids` [ids, S], in NumPy's array.
+
+        Raises:
+            ConfigError: Nobody can read them: the physics is somebody else's.
+        """
+        del ids
+        raise ConfigError(_NO_STATES)
 
     @abstractmethod
     def step(self, ids: IntArray, action: FloatArray) -> None:

@@ -33,6 +33,7 @@ class Point(Body):
         ["torso_vx", "torso_vy"], "{}: velocity along a world axis", "m/s"
     )
     controls: ClassVar[tuple[str, ...]] = ("slide_x", "slide_y")
+    egocentric: ClassVar[tuple[ObservationElement, ...]] = velocity
     control_unit: ClassVar[str] = "6 N"
     control_limit: ClassVar[float] = 1.0
     quaternion: ClassVar[slice | None] = None
@@ -58,6 +59,11 @@ class Point(Body):
         """Return zeros [N]."""
         return np.zeros_like(qpos[..., 0])
 
+    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Write the velocity [N, 2]: the point looks along x for ever."""
+        del qpos, angle
+        out[:] = qvel
+
     def fallen(self, qpos: F64Array) -> BoolArray:
         """Return False [N]."""
         return np.zeros_like(qpos[..., 0], dtype=np.bool_)
@@ -70,6 +76,13 @@ class FallingPoint(Point):
     velocity: ClassVar[tuple[ObservationElement, ...]] = elements(
         ["torso_vx", "torso_vy", "torso_vz"], "{}: velocity along a world axis", "m/s"
     )
+    egocentric: ClassVar[tuple[ObservationElement, ...]] = (pose[2], *velocity)
+
+    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Write height and velocity [N, 4]."""
+        del angle
+        out[:, 0] = qpos[:, 2]
+        out[:, 1:] = qvel
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
         """Add the sphere, its slides and its motors to `spec`; the third coordinate is the height itself."""

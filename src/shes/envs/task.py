@@ -104,6 +104,11 @@ class Task(EpisodeBatch):
         return self.sim.xp
 
     @property
+    def robot(self) -> Body:
+        """The robot."""
+        return self.body
+
+    @property
     def starts_together(self) -> bool:
         """Whether episodes had best be reset all together."""
         return self.sim.starts_together
@@ -284,13 +289,20 @@ class Task(EpisodeBatch):
         scaled = "" if scale == 1 else f", times {scale}"
         return elements(["time"], f"control steps since the reset{scaled}", low=0.0)
 
-    def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
-        """Start episodes `ids` anew, each from its own seed (a non-negative integer)."""
+    def states(self, ids: IntArray) -> F64Array:
+        """Return copies of the whole physics states of episodes `ids` [ids, S]."""
+        return self.sim.states(ids)
+
+    def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
+        """Start episodes `ids` anew, each from its own seed; see `EpisodeBatch.reset`."""
         self.sim.reset(ids)
         rngs = [
             np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed), spawn_key=(0,)))) for seed in seeds
         ]
         self._place_robots(ids, rngs)
+        given = [i for i, state in enumerate(states) if state is not None]
+        if given:
+            self.sim.set_states(ids[given], np.array([states[i] for i in given]))
         self._heading = None
         rows = self.xp.asarray(ids)
         self.time[rows] = 0

@@ -26,6 +26,7 @@ __all__ = [
     "LevelParameters",
     "LevelState",
     "LevelUpdate",
+    "RunningEpisodes",
     "TrainState",
     "UpdateRule",
     "draw_noise_index",
@@ -49,6 +50,16 @@ class LevelState:
     """Moments of what the level observes."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunningEpisodes:
+    """Episodes from which pairs of primitives branch off, generation after generation."""
+
+    states: F64Array
+    """Whole physics states [G, S], the solver's warm start included."""
+    steps: IntArray
+    """Control steps that each has made [G]; -1 for one that is to begin anew, whose state means nothing."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainState:
     """Everything that a run carries from one generation to the next."""
@@ -63,6 +74,8 @@ class TrainState:
     """The levels, controller first."""
     novelty: NoveltyState | None = None
     """Archive and weight of the search for novelty, if there is one."""
+    running: RunningEpisodes | None = None
+    """Episodes that go on from generation to generation, if there are any."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +103,15 @@ class UpdateRule:
 
     weight_decay: float = 0.0
     """Coefficient of the parameters subtracted from the gradient estimate."""
+    decouples_decay: bool = False
+    """Whether the decay goes round the optimizer: the step then has `-learning_rate * weight_decay * theta` beside it.
+
+    Source: Loshchilov and Hutter 2019 (AdamW), Algorithm 2.
+    """
+    holds_when_tied: bool = False
+    """Whether a level whose members are all worth the same stays as it is, its optimizer's state too."""
+    fall_price: float = 0.0
+    """What a fall takes off a member's shaped fitness: what ends an episode by the task's own rule."""
     shaping: FitnessShaping = CentredRanks()
     """What a fitness counts."""
     optimizer: Optimizer = Adam()
@@ -101,8 +123,9 @@ class UpdateRule:
         Raises:
             ConfigError: `weight_decay` is out of range.
         """
-        if not 0 <= self.weight_decay < float("inf"):
-            raise ConfigError(f"weight_decay must be zero or positive, got {self.weight_decay}.")
+        for name in ("weight_decay", "fall_price"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise ConfigError(f"{name} must be zero or positive, got {getattr(self, name)}.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,11 +142,16 @@ class LevelUpdate:
     """Length of the step over that of the parameters before it."""
 
 
-def draw_noise_index(seed: int, generation: int, num_groups: int, dims: tuple[int, ...], table_size: int) -> IntArray:
-    """Return the start [L, G] of each group's slice of the noise table, one row per level of `dims` parameters."""
+def draw_noise_index(
+    seed: int, generation: int, num_groups: int, dims: tuple[int, ...], table_size: int, first_level: int = 0
+) -> IntArray:
+    """Return the start [L, G] of each group's slice of the noise table, one row per level of `dims` parameters.
+
+    `first_level` is the number of the first of these levels: each level has a stream of its own.
+    """
     rows = [
         stream(seed, Purpose.NOISE_INDEX, generation, level).integers(0, table_size - dim + 1, num_groups)
-        for level, dim in enumerate(dims)
+        for level, dim in enumerate(dims, first_level)
     ]
     return np.stack(rows)
 
@@ -154,7 +182,7 @@ def update_level(  # noqa: PLR0917 - a formula's terms
 ) -> LevelUpdate:
     """Return `level` after one update from the shaped fitness [n'] of the members that perturbed it.
 
-    The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`.
+    The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`, unless `rule` decouples the decay.
 
     Deviation: no factor 1/sigma (the paper's Algorithm 1 has it, its code does not): Adam's step does not depend on the
     scale of the gradient, only the weight decay beside it does.
@@ -173,6 +201,8 @@ def update_level(  # noqa: PLR0917 - a formula's terms
     if not active.any():
         return LevelUpdate(level=level)
     weights = group_weights(shaped, signs[active]) / np.float32(len(shaped))
+    if rule.holds_when_tied and not weights.any():
+        return LevelUpdate(level=level, gradient_norm=0.0, update_ratio=0.0)
     indices, middle = noise_index[active], len(weights) // 2
     halves = [
         weighted_noise_sum(table, indices[half], weights[half], len(level.theta), pool)
@@ -180,9 +210,11 @@ def update_level(  # noqa: PLR0917 - a formula's terms
     ]
     gradient = halves[0] + halves[1]
     norm = _length(gradient)
-    if rule.weight_decay:
+    if rule.weight_decay and not rule.decouples_decay:
         gradient -= np.float32(rule.weight_decay) * level.theta
     step, optimizer = rule.optimizer.step(gradient, level.optimizer, learning_rate)
+    if rule.decouples_decay:
+        step -= np.float32(learning_rate * rule.weight_decay) * level.theta
     return LevelUpdate(
         level=replace(level, theta=level.theta + step, optimizer=optimizer),
         gradient_norm=norm,

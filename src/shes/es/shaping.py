@@ -16,7 +16,15 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.es.ranking import TIES, centred_ranks, check_finite
 from shes.types import F64Array
 
-__all__ = ["FITNESS_SHAPINGS", "CentredRanks", "FitnessShaping", "TopFraction", "ZScore", "make_fitness_shaping"]
+__all__ = [
+    "FITNESS_SHAPINGS",
+    "CentredRanks",
+    "FitnessShaping",
+    "PairRanks",
+    "TopFraction",
+    "ZScore",
+    "make_fitness_shaping",
+]
 
 
 class FitnessShaping(ABC):
@@ -84,6 +92,32 @@ class ZScore(FitnessShaping):
 
 
 @dataclass(frozen=True, kw_only=True)
+class PairRanks(FitnessShaping):
+    """Ranks of the differences within mirrored pairs: `sign(d) rank(|d|) / G` is what a pair of G counts, in (0, 1].
+
+    Members 2 g and 2 g + 1 are a pair. A pair without a difference counts nothing, equal sizes share their average
+    rank. What two members have in common, their start and their goals, does not enter.
+
+    Source: learning specification, section 2; Wilcoxon 1945 (signed ranks).
+    """
+
+    def __call__(self, fitness: F64Array) -> F64Array:
+        """Return plus and minus half of what its pair counts for each member [n]."""
+        check_finite(fitness)
+        if len(fitness) % 2:
+            raise ConfigError(
+                f"pair_rank ranks mirrored pairs, but {len(fitness)} fitnesses are no pairs. Set --mirrored pair."
+            )
+        difference = fitness[0::2] - fitness[1::2]
+        size, place = np.unique(np.abs(difference), return_inverse=True)
+        count = np.bincount(place, minlength=len(size))
+        last = np.cumsum(count)  # ranks begin at 1
+        rank = (last - (count - 1) / 2)[place]
+        half = np.sign(difference) * rank / (2 * len(difference))
+        return np.stack([half, -half], axis=1).ravel()
+
+
+@dataclass(frozen=True, kw_only=True)
 class TopFraction(FitnessShaping):
     """Truncation selection with equal weights: the best `ceil(fraction * n)` count 1, the rest 0, minus the mean.
 
@@ -136,6 +170,7 @@ class TopFraction(FitnessShaping):
 
 FITNESS_SHAPINGS: dict[str, type[FitnessShaping]] = {
     "centred_rank": CentredRanks,
+    "pair_rank": PairRanks,
     "z_score": ZScore,
     "top_fraction": TopFraction,
 }

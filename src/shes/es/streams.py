@@ -19,6 +19,8 @@ class Purpose(IntEnum):
     STATISTICS_SAMPLE = 4
     FRESH_EPISODES = 5
     NOVELTY_EPISODES = 6
+    SNAPSHOTS = 7
+    BRANCHES = 8
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:

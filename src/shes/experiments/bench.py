@@ -88,7 +88,7 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
         start = perf_counter()
         while len(whole) < repeats or perf_counter() - start < seconds:
             report = next(evolve(state, settings, table, backend, pool))
-            whole.append(int(report.results.steps.sum()) / (report.rollout_s + report.update_s))
+            whole.append(report.num_steps / (report.rollout_s + report.update_s))
             after = _replay(episodes)
             bare.append((before + after) / 2)  # a machine shared with others drifts: look at it on both sides
             before = after
@@ -148,7 +148,8 @@ def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjMo
     """Return the model and the first episodes of the first generation."""
     state, settings = build_state(config, plan.design), build_settings(config)
     table = open_noise_table(config, plan.design)
-    _, tasks, generation = generation_work(state, settings, table.size)
+    work = generation_work(state, settings, table.size)
+    tasks, generation = work.tasks, work.generation
     lanes, rows = max(1, _REPLAYED // generation.rows), generation.rows
     task = make_task(config.env, lanes * rows, plan.training)
     recorder = _Recorder(task)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from shes.algorithm import Settings
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.registry import EnvironmentMaker, find_environment
+from shes.envs.symmetry import SymmetryGroup
 from shes.envs.task_options import TaskOptions
 from shes.errors import ConfigError, ShapeError
 from shes.es.level import LevelState, TrainState, UpdateRule
@@ -27,21 +28,25 @@ from shes.es.shaping import make_fitness_shaping
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.experiments.config import TrainConfig
-from shes.experiments.settings import SCHEDULED
+from shes.experiments.settings import SCHEDULED, flag
 from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.clock import Clock
 from shes.hierarchy.flat import FlatDesign
 from shes.hierarchy.goals import make_goal_encoding
 from shes.hierarchy.hierarchical import HierarchicalDesign
+from shes.hierarchy.intervals import IntervalEstimate
 from shes.hierarchy.outputs import make_controller_output
-from shes.hierarchy.primitive import PrimitiveDesign
+from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
+from shes.hierarchy.views import ColumnsView, EgocentricView, View
 from shes.policies.mlp import MLP
+from shes.populations import Settings
 from shes.sim.warp_device import is_out_of_memory
 from shes.worker import RolloutWorker, WorkerPlan, simulator_factory
 
 __all__ = [
     "build_backend",
+    "build_branch_design",
     "build_design",
     "build_environment",
     "build_plan",
@@ -113,48 +118,122 @@ def build_design(config: TrainConfig) -> AgentDesign:
     if config.clock_frequency is not None:
         clock = Clock(frequency_hz=config.clock_frequency, step_s=task.step_s)
     acting: dict[str, Any] = {"control_limit": task.control_limit, "clock": clock}
-    extra = 0 if clock is None else clock.size
     if config.level_names == ("policy",):
-        return FlatDesign(policy=MLP(extra + task.observation_size, config.hidden, task.action_size), **acting)
-    encoding, view = make_goal_encoding(config.goal_encoding), primitive_view(config, task)
-    hidden = config.hidden if config.primitive_hidden is None else config.primitive_hidden
-    reaching: dict[str, Any] = {
-        "primitive": MLP(encoding.size + extra + len(view), hidden, task.action_size),
-        "primitive_view": view,
-        "goal_encoding": encoding,
-        "primitive_reward": make_primitive_reward(config.primitive_reward),
-        "controller_interval": config.controller_interval,
-        **acting,
-    }
+        return FlatDesign(
+            policy=MLP(_clock_size(config) + task.observation_size, config.hidden, task.action_size), **acting
+        )
+    reaching = _reaching(config, task) | acting
     if config.level_names == ("primitive",):
         return PrimitiveDesign(**reaching)
-    output = make_controller_output(config.controller_output)
+    output, view = make_controller_output(config.controller_output), _controller_view(config, task)
     return HierarchicalDesign(
-        controller=MLP(task.observation_size, config.hidden, output.size),
+        controller=MLP(view.size(task.observation_size), config.hidden, output.size),
         controller_output=output,
+        controller_view=view,
         goal_distance=config.goal_distance,
         has_minimum_goal_distance=config.minimum_goal_distance,
         **reaching,
     )
 
 
-def primitive_view(config: TrainConfig, task: EpisodeBatch) -> tuple[int, ...]:
-    """Return the indices in the observation of `task` of what the primitive of `config` sees.
+def build_branch_design(config: TrainConfig, design: AgentDesign) -> BranchDesign | None:
+    """Return what acts in branches beside a controller, by the `design` of the run's agent; None without branches."""
+    if config.primitive_estimate != "interval" or not isinstance(design, HierarchicalDesign):
+        return None
+    shared = {field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)}
+    return BranchDesign(num_goals=config.intervals, **shared)
+
+
+def _reaching(config: TrainConfig, task: EpisodeBatch) -> dict[str, Any]:
+    """Return what an agent of `config` is made of that concerns its primitive."""
+    encoding, view = make_goal_encoding(config.goal_encoding), primitive_view(config, task)
+    hidden = config.hidden if config.primitive_hidden is None else config.primitive_hidden
+    return {
+        "primitive": MLP(
+            encoding.size + _clock_size(config) + view.size(task.observation_size), hidden, task.action_size
+        ),
+        "primitive_view": view,
+        "symmetry": _symmetry(config, task),
+        "goal_encoding": encoding,
+        "primitive_reward": make_primitive_reward(config.primitive_reward),
+        "controller_interval": config.controller_interval,
+    }
+
+
+def _clock_size(config: TrainConfig) -> int:
+    """Return the number of the clock's features."""
+    return 0 if config.clock_frequency is None else Clock.size
+
+
+def _symmetry(config: TrainConfig, task: EpisodeBatch) -> SymmetryGroup | None:
+    """Return the symmetry that the primitive of `config` uses, if any.
 
     Raises:
-        ConfigError: Its position is to be hidden, and it sees none.
+        ConfigError: The robot of `task` has none that is known.
     """
+    if config.symmetry == "none":
+        return None
+    group = None if task.robot is None else task.robot.symmetry(is_mirrored=config.symmetry == "dihedral")
+    if group is None:
+        robot = "an external robot" if task.robot is None else f"the {task.robot.name}"
+        raise ConfigError(
+            f"symmetry is {config.symmetry!r}, but nobody has told what symmetry {robot} of {config.env} has. "
+            "Leave --symmetry away, or name an environment of the ant."
+        )
+    return group
+
+
+def _egocentric(config: TrainConfig, task: EpisodeBatch, setting: str, others: Sequence[int] = ()) -> EgocentricView:
+    """Return the egocentric view of the robot of `task`, then of the observation's values at `others`.
+
+    Raises:
+        ConfigError: Nobody knows how to look at this robot from its own frame.
+    """
+    if task.robot is None:
+        raise ConfigError(
+            f"{setting} is 'egocentric', but {config.env} is Gymnasium's: what its robot looks like from its own frame "
+            f"is not known. Set {flag(setting)} to another one."
+        )
+    return EgocentricView(task.robot, task.proprioception.tolist(), others)
+
+
+def _controller_view(config: TrainConfig, task: EpisodeBatch) -> View:
+    """Return what the controller of `config` sees of the observation of `task`.
+
+    Raises:
+        ConfigError: Nobody knows how to look at this robot from its own frame.
+    """
+    if config.controller_view == "observation":
+        return ColumnsView()
+    others = sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
+    return _egocentric(config, task, "controller_view", others)
+
+
+def primitive_view(config: TrainConfig, task: EpisodeBatch) -> View:
+    """Return what the primitive of `config` sees of the observation of `task`.
+
+    Raises:
+        ConfigError: Its position is to be hidden, and it sees none; or nobody knows how to look at this robot from its
+            own frame.
+    """
+    if config.primitive_view == "egocentric":
+        if config.hide_position:
+            raise ConfigError(
+                "hide_position: an egocentric view shows no absolute position that could be hidden. "
+                "Leave --hide-position away."
+            )
+        return _egocentric(config, task, "primitive_view")
     sees_all = config.primitive_view == "observation" and config.level_names != ("primitive",)
     view = (task.primitive_view if sees_all else task.proprioception).tolist()
     if not config.hide_position:
-        return tuple(view)
+        return ColumnsView(view)
     hidden = [column for column in view if column in task.position_columns]
     if not hidden:
         raise ConfigError(
             f"hide_position: a primitive in {config.env} sees no absolute position that could be hidden. "
             "Leave --hide-position away."
         )
-    return tuple(column for column in view if column not in hidden)
+    return ColumnsView([column for column in view if column not in hidden])
 
 
 def primitive_inputs(config: TrainConfig) -> tuple[str, ...]:
@@ -163,7 +242,7 @@ def primitive_inputs(config: TrainConfig) -> tuple[str, ...]:
     task.close()
     features = [f"goal {config.goal_encoding} {i}" for i in range(make_goal_encoding(config.goal_encoding).size)]
     clock = [] if config.clock_frequency is None else [f"clock {x} {config.clock_frequency} Hz" for x in ("sin", "cos")]
-    return (*features, *clock, *(task.observation_names[i] for i in primitive_view(config, task)))
+    return (*features, *clock, *primitive_view(config, task).names(task.observation_names))
 
 
 def build_settings(config: TrainConfig) -> Settings:
@@ -188,6 +267,28 @@ def build_settings(config: TrainConfig) -> Settings:
         statistics_fraction=config.statistics_fraction,
         novelty=None if config.novelty == "none" else make_novelty_rule(config.novelty),
         novelty_neighbours=config.novelty_neighbours,
+        intervals=_interval_estimate(config, schedule("sigma"), schedule("learning_rate")),
+        horizon=config.horizon,
+    )
+
+
+def _interval_estimate(config: TrainConfig, sigma: Schedule, learning_rate: Schedule) -> IntervalEstimate | None:
+    """Return how the primitive is judged by intervals, if it is and learns; the schedules are those of the run."""
+    if config.primitive_estimate != "interval" or not config.learns[-1]:
+        return None
+
+    def own(quantity: str, value: float | None, shared: Schedule) -> Schedule:
+        return shared if value is None else make_schedule(quantity, "constant", value, value, 1)
+
+    return IntervalEstimate(
+        population_size=config.primitive_population_size or config.population_size,
+        intervals=config.intervals,
+        interval_steps=config.controller_interval,
+        horizon=config.horizon,
+        goal_range=config.goal_distance,
+        update=build_update_rules(config)[-1],
+        sigma=own("primitive_sigma", config.primitive_sigma, sigma),
+        learning_rate=own("primitive_learning_rate", config.primitive_learning_rate, learning_rate),
     )
 
 
@@ -195,12 +296,18 @@ def build_update_rules(config: TrainConfig) -> tuple[UpdateRule, ...]:
     """Return how fitness becomes a step, for each level."""
     rule = UpdateRule(
         weight_decay=config.weight_decay,
+        decouples_decay=config.weight_decay_form == "decoupled",
+        holds_when_tied=config.hold_tied,
         shaping=make_fitness_shaping(config.fitness_shaping, ties=config.rank_ties, fraction=config.top_fraction),
         optimizer=make_optimizer(config.optimizer, momentum=config.momentum),
     )
-    of_controller = config.weight_decay if config.controller_weight_decay is None else config.controller_weight_decay
-    decays = {"controller": of_controller}
-    return tuple(replace(rule, weight_decay=decays.get(name, rule.weight_decay)) for name in config.level_names)
+    own: dict[str, dict[str, Any]] = {"primitive": {"fall_price": config.fall_price}}
+    if config.controller_weight_decay is not None:
+        own["controller"] = {"weight_decay": config.controller_weight_decay}
+    if config.primitive_estimate == "interval":
+        name = config.primitive_fitness_shaping
+        own["primitive"]["shaping"] = make_fitness_shaping(name, ties=config.rank_ties, fraction=config.top_fraction)
+    return tuple(replace(rule, **own.get(name, {})) for name in config.level_names)
 
 
 def build_state(config: TrainConfig, design: AgentDesign) -> TrainState:
@@ -208,7 +315,8 @@ def build_state(config: TrainConfig, design: AgentDesign) -> TrainState:
     levels: list[LevelState] = []
     rules = build_update_rules(config)
     for number, (policy, size) in enumerate(zip(design.policies, design.observation_sizes, strict=True)):
-        theta = policy.initial(stream(config.seed, Purpose.INITIAL_PARAMETERS, number), config.biases)
+        rng = stream(config.seed, Purpose.INITIAL_PARAMETERS, number)
+        theta = policy.initial(rng, config.biases, config.output_weights)
         levels.append(
             LevelState(
                 name=design.level_names[number],
@@ -245,6 +353,7 @@ def build_plan(config: TrainConfig, design: AgentDesign, table: NoiseTable) -> W
         device=config.device,
         nconmax=config.nconmax,
         njmax=config.njmax,
+        branch_design=build_branch_design(config, design),
     )
 
 

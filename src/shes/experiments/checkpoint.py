@@ -13,7 +13,7 @@ from typing import IO, Any
 import numpy as np
 
 from shes.errors import CheckpointError
-from shes.es.level import LevelState, TrainState
+from shes.es.level import LevelState, RunningEpisodes, TrainState
 from shes.es.novelty import NoveltyState
 from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
@@ -90,6 +90,8 @@ def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
             "novelty/best_return": np.float64(state.novelty.best_return),
             "novelty/stalled": np.int64(state.novelty.stalled),
         }
+    if state.running is not None:
+        arrays |= {"running/states": state.running.states, "running/steps": state.running.steps}
     return {name: np.asarray(value) for name, value in arrays.items()}
 
 
@@ -148,6 +150,7 @@ def _from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Checkpoint:
             env_steps=int(arrays["env_steps"]),
             levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
             novelty=_novelty(arrays),
+            running=_running(arrays),
         ),
         best=Best(
             generation=int(arrays["best_generation"]),
@@ -185,6 +188,13 @@ def _novelty(arrays: dict[str, np.ndarray]) -> NoveltyState | None:
         best_return=float(arrays["novelty/best_return"]),
         stalled=int(arrays["novelty/stalled"]),
     )
+
+
+def _running(arrays: dict[str, np.ndarray]) -> RunningEpisodes | None:
+    """Return the episodes that go on, if there are any."""
+    if "running/states" not in arrays:
+        return None
+    return RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
 
 
 def _from_first_format(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

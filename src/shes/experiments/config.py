@@ -13,6 +13,7 @@ import numpy as np
 from shes.envs.external.description import ExternalDescription
 from shes.envs.registry import check_external_name, find_description, find_environment
 from shes.errors import ConfigError
+from shes.es.mirror import sign_matrix
 from shes.es.perturbation import check_perturbation
 from shes.es.schedules import make_schedule
 from shes.experiments.settings import NAMES, SCHEDULED, check_value, flag, out_of_range
@@ -49,6 +50,7 @@ HEADINGS: dict[str, str] = {
     "novelty": "novelty",
     "hidden": "networks",
     "controller_interval": "hierarchy",
+    "primitive_estimate": "estimate of the primitive",
     "primitive": "transfer",
     "horizon": "episodes and environment",
     "evaluation_interval": "evaluation, checkpoints, memory",
@@ -103,6 +105,8 @@ class TrainConfig:
     """Learning rate (Table I, for Adam: 0.01); with clipup the length of a step, at most twice that."""
     weight_decay: float = 0.005
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
+    weight_decay_form: str = "gradient"
+    """Where the decay enters: gradient (before the optimizer, as the authors' code), or decoupled (AdamW)."""
     controller_weight_decay: float | None = None
     """The same for the controller, which a sparse reward leaves to the decay alone; as for the primitive if none."""
     mirrored: str = "quad"
@@ -110,7 +114,9 @@ class TrainConfig:
     perturbation: str = "many_to_many"
     """What a generation perturbs (section II-E): both levels, one_to_many: in turns, one_to_many_halves: half each."""
     fitness_shaping: str = "centred_rank"
-    """What a fitness counts: centred_rank, z_score or top_fraction."""
+    """What a fitness counts: centred_rank, pair_rank (the differences within mirrored pairs), z_score, top_fraction."""
+    hold_tied: bool = True
+    """Whether a level stays as it is where all its members are worth the same (the paper's method: no)."""
     rank_ties: str = "average"
     """How equal fitnesses rank: average or index."""
     top_fraction: float = 0.2
@@ -150,6 +156,8 @@ class TrainConfig:
     """Hidden layers of the primitive; the same as the controller's if none."""
     biases: str = "zero"
     """How biases start: zero or glorot_normal."""
+    output_weights: str = "glorot_normal"
+    """How the output layer starts: glorot_normal, or zero (a policy that does nothing yet)."""
     controller_interval: int = 25
     """Steps that a goal is held (c in Table I: 25)."""
     goal_distance: float = 4.0
@@ -157,17 +165,38 @@ class TrainConfig:
     minimum_goal_distance: bool = True
     """Whether goals nearer than 1 m are pushed outward."""
     controller_output: str = "vector"
-    """What the controller's outputs say: vector (to the goal), or one_hot (a direction of eight, a distance)."""
+    """What the controller's outputs say: vector (to the goal), heading_vector (that, ahead and left of the robot), or
+    one_hot (a direction of eight, a distance)."""
+    controller_view: str = "observation"
+    """What the controller sees: the observation, or egocentric (the robot in its own frame, then the rest)."""
     goal_encoding: str = "angle"
     """What the primitive is told about its goal (section II-C): angle, unit_vector, vector or angle_metres."""
     primitive_reward: str = "progress"
-    """What the primitive is paid (section II-B): progress (equation 1), negative_distance or cosine."""
+    """What the primitive is paid (section II-B): progress (equation 1), metres, negative_distance or cosine."""
     primitive_view: str = "observation"
-    """What the primitive sees beside its goal: the observation, or proprioception (the robot's coordinates)."""
+    """What the primitive sees beside its goal: the observation, proprioception (the robot's coordinates), or egocentric
+    (the robot in its own frame, without its place)."""
+    symmetry: str = "none"
+    """The body's symmetry that turns every goal to the front, for an egocentric view: none, rotation or dihedral."""
     hide_position: bool = False
     """Whether the robot's absolute x and y are hidden from the primitive (as in Gymnasium's Ant by default)."""
     clock_frequency: float | None = None
     """Frequency, in Hz, of a clock that the primitive (with es: the policy) observes; no clock if none."""
+
+    primitive_estimate: str = "episode"
+    """How the primitive is judged: by whole episodes, or by interval (pairs that branch off the same state)."""
+    primitive_fitness_shaping: str = "pair_rank"
+    """What a primitive's fitness counts that is judged by intervals: as fitness_shaping."""
+    intervals: int = 2
+    """Intervals of a goal that a branch plays."""
+    fall_price: float = 0.0
+    """What a fall takes off a primitive's shaped fitness; the best pair's is worth 1."""
+    primitive_population_size: int | None = None
+    """Policies in the branches of a generation beside a controller; the same as population_size if none."""
+    primitive_sigma: float | None = None
+    """Standard deviation of the perturbations in branches beside a controller; sigma, with its schedule, if none."""
+    primitive_learning_rate: float | None = None
+    """Learning rate of a primitive in branches beside a controller; learning_rate, with its schedule, if none."""
 
     primitive: str | None = None
     """Run whose primitive this one begins with (section II-D): its parameters and its observation statistics."""
@@ -231,7 +260,8 @@ class TrainConfig:
             raise out_of_range("seed", self.seed, "less than 2**63")
         self._check_schedules()
         self._check_transfer()
-        check_perturbation(self.perturbation, self.population_size, self.mirrored, self.learns)
+        self._check_estimate()
+        check_perturbation(self.perturbation, self.population_size, self.mirrored, self._by_episodes)
 
     def _check_schedules(self) -> None:
         """Refuse a schedule without an end, an end without a schedule, and one that cannot be reached."""
@@ -265,6 +295,43 @@ class TrainConfig:
                 f"novelty is {self.novelty!r}, but it concerns what the environment pays, and {self.env} trains a "
                 "primitive alone, which its goals pay. Leave --novelty away."
             )
+
+    def _check_estimate(self) -> None:
+        """Refuse pairs where members are no pairs, and branches of a primitive that cannot be branched."""
+        members = len(sign_matrix(self.mirrored, max(1, sum(self._by_episodes))))
+        if self.fitness_shaping == "pair_rank" and members != 2:
+            raise ConfigError(
+                f"fitness_shaping 'pair_rank' ranks mirrored pairs, but with mirrored {self.mirrored!r} a group has "
+                f"{members} member(s) here. Set --mirrored pair, or another --fitness-shaping."
+            )
+        if self.symmetry != "none" and self.primitive_view != "egocentric":
+            raise ConfigError(
+                f"symmetry is {self.symmetry!r}, but the primitive's view is {self.primitive_view!r}: only what is seen "
+                "from the robot's own frame can be turned. Set --primitive-view egocentric."
+            )
+        if self.primitive_estimate != "interval" or "primitive" not in self.level_names:
+            return
+        if self.external is not None:
+            raise ConfigError(
+                f"primitive_estimate is 'interval', but the physics of {self.env} is Gymnasium's and cannot be branched. "
+                "Set --primitive-estimate episode."
+            )
+        is_beside = self.level_names == ("controller", "primitive")
+        if is_beside and self.learns[-1] and self.primitive_view == "observation":
+            raise ConfigError(
+                "primitive_estimate is 'interval', but the primitive sees the task's observation, which a branch does "
+                "not go on with. Set --primitive-view egocentric or proprioception."
+            )
+        pairs = self.population_size if self.primitive_population_size is None else self.primitive_population_size
+        if pairs % 2:
+            name = "population_size" if self.primitive_population_size is None else "primitive_population_size"
+            raise out_of_range(name, pairs, "an even number: branches are mirrored pairs")
+
+    @property
+    def _by_episodes(self) -> tuple[bool, ...]:
+        """Which levels whole episodes judge; a primitive alone that branches do counts, for the size of its pairs."""
+        is_branched = self.primitive_estimate == "interval" and len(self.level_names) > 1
+        return (*self.learns[:-1], False) if is_branched else self.learns
 
     @property
     def has_schedule(self) -> bool:

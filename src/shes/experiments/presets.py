@@ -23,6 +23,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "population_size": 1000,
         "episodes_per_policy": 5,
         "sigma": 0.02,
+        "hold_tied": False,
         "generations": 3000,
         "hidden": (256, 256, 256),
         "biases": "glorot_normal",
@@ -102,11 +103,33 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
 
 
 _OF_CONTROLLERS = frozenset(
-    {"controller_output", "controller_weight_decay", "minimum_goal_distance", "primitive_hidden", "primitive_view"}
+    {
+        "controller_output",
+        "controller_view",
+        "controller_weight_decay",
+        "minimum_goal_distance",
+        "primitive_hidden",
+        "primitive_learning_rate",
+        "primitive_population_size",
+        "primitive_sigma",
+    }
 )
 """Settings that concern two levels only."""
 _OF_PRIMITIVES = frozenset(
-    {"controller_interval", "goal_distance", "goal_encoding", "hide_position", "primitive_reward"} | _OF_CONTROLLERS
+    {
+        "controller_interval",
+        "fall_price",
+        "goal_distance",
+        "goal_encoding",
+        "hide_position",
+        "intervals",
+        "primitive_estimate",
+        "primitive_fitness_shaping",
+        "primitive_reward",
+        "primitive_view",
+        "symmetry",
+    }
+    | _OF_CONTROLLERS
 )
 """Settings that concern goals."""
 _OF_RANDOM_CONTROLLERS = frozenset({"controller_interval", "goal_distance"})
@@ -114,6 +137,12 @@ _OF_RANDOM_CONTROLLERS = frozenset({"controller_interval", "goal_distance"})
 
 _NEEDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "momentum": ("optimizer", ("sgd", "clipup")),
+    "intervals": ("primitive_estimate", ("interval",)),
+    "primitive_fitness_shaping": ("primitive_estimate", ("interval",)),
+    "primitive_learning_rate": ("primitive_estimate", ("interval",)),
+    "primitive_population_size": ("primitive_estimate", ("interval",)),
+    "primitive_sigma": ("primitive_estimate", ("interval",)),
+    "symmetry": ("primitive_view", ("egocentric",)),
     "novelty_neighbours": ("novelty", tuple(NOVELTY_RULES)),
     "rank_ties": ("fitness_shaping", ("centred_rank", "top_fraction")),
     "top_fraction": ("fitness_shaping", ("top_fraction",)),

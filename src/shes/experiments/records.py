@@ -33,14 +33,15 @@ def progress_row(report: GenerationReport, wall_time_s: float, generation_s: flo
     `physics_s`, `policy_s` and `task_s` are added up over the workers; NaN stands for what a generation has not.
     """
     results, levels = report.results, report.state.levels
-    steps = int(results.steps.sum())
+    populations = [each for each in (report.population, report.branches) if each is not None]
     row: Row = {
         "generation": report.state.generation,
         "env_steps": report.state.env_steps,
         "wall_time_s": round(wall_time_s, 3),
-        "env_steps_per_s": round(steps / generation_s, 1),
+        "env_steps_per_s": round(report.num_steps / generation_s, 1),
     }
-    for level, fitness in zip(levels, results.fitness, strict=True):
+    for level, (population, i) in zip(levels, report.sources, strict=True):
+        fitness = population.members.fitness[i]
         row[f"{level.name}_return_mean"] = float(fitness.mean())
         row[f"{level.name}_return_max"] = float(fitness.max())
     row |= {
@@ -51,18 +52,18 @@ def progress_row(report: GenerationReport, wall_time_s: float, generation_s: flo
         "diverged_rate": float(results.has_diverged.mean()),
         "diverged_episodes": int(results.has_diverged.sum()),
         "episodes_per_policy": results.score.shape[1],
-        "sigma": report.sigma,
-        "learning_rate": report.learning_rate,
+        "sigma": report.population.work.generation.sigma,
+        "learning_rate": report.population.learning_rate,
     }
     if any(level.name == "primitive" for level in levels):
         row["goals_reached_mean"] = float(results.goals_reached.mean())
-    for i, (level, update) in enumerate(zip(levels, report.updates, strict=True)):
-        signs = report.signs[:, :, i]
-        indices = report.noise_index[i][signs.any(axis=1)]
+    for level, update, (population, i) in zip(levels, report.updates, report.sources, strict=True):
+        signs = population.work.signs[:, :, i]
+        indices = population.work.noise_index[i][signs.any(axis=1)]
         row |= {
             f"{level.name}_noise_distinct": len(np.unique(indices)),
             f"{level.name}_noise_overlapping": _overlapping(indices, len(level.theta)),
-            f"{level.name}_rank_ties": _tied(select_fitness(results.fitness[i], signs)),
+            f"{level.name}_rank_ties": _tied(select_fitness(population.members.fitness[i], signs)),
             f"{level.name}_gradient_norm": update.gradient_norm,
             f"{level.name}_halves_cosine": update.halves_cosine,
             f"{level.name}_update_ratio": update.update_ratio,
@@ -74,8 +75,17 @@ def progress_row(report: GenerationReport, wall_time_s: float, generation_s: flo
             "novelty_archive": len(report.state.novelty.archive),
             "novelty_best_return": report.state.novelty.best_return,
         }
+    if report.branches is not None:
+        branches = report.branches.members
+        row |= {
+            "branch_steps_mean": float(branches.steps.mean()),
+            "branch_terminated_rate": float(branches.has_terminated.mean()),
+            "primitive_sigma": report.branches.work.generation.sigma,
+            "primitive_learning_rate": report.branches.learning_rate,
+        }
     row |= {"rollout_s": round(report.rollout_s, 4), "update_s": round(report.update_s, 4)}
-    return row | {f"{part}_s": round(float(s), 4) for part, s in zip(PARTS, results.seconds, strict=True)}
+    seconds = np.sum([each.results.seconds for each in populations], axis=0)
+    return row | {f"{part}_s": round(float(s), 4) for part, s in zip(PARTS, seconds, strict=True)}
 
 
 def _tied(fitness: F64Array) -> float:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from shes.envs.symmetry import SYMMETRIES
 from shes.envs.task_options import SPECS, TARGET_SAMPLINGS
 from shes.envs.worlds import INTEGRATORS
 from shes.errors import ConfigError, UnknownNameError
@@ -21,7 +22,7 @@ from shes.hierarchy.goals import GOAL_ENCODINGS, check_goal_encoding
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, check_controller_output
 from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS, check_primitive_reward
-from shes.policies.mlp import BIAS_INITIALISATIONS
+from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.sim.warp_device import DEVICES
 
 __all__ = [
@@ -39,14 +40,22 @@ __all__ = [
 ALGORITHMS = ("shes", "es")
 """`shes`: controller and primitive, or the primitive alone where the environment sets goals; `es`: one policy, S-ES."""
 BACKENDS = ("processes", "serial")
-PRIMITIVE_VIEWS = ("observation", "proprioception")
-"""What of the observation a primitive sees: what its environment shows it, or the robot's own coordinates alone."""
+PRIMITIVE_VIEWS = ("observation", "proprioception", "egocentric")
+"""What a primitive sees: what its environment shows it, the robot's own coordinates alone, or these in the frame of the
+robot's heading and without its place."""
+CONTROLLER_VIEWS = ("observation", "egocentric")
+"""What a controller sees of the robot: what its environment shows, or that in the frame of the robot's heading."""
+PRIMITIVE_ESTIMATES = ("episode", "interval")
+"""How a primitive is judged: by whole episodes, or by intervals that branch off the same state."""
+WEIGHT_DECAY_FORMS = ("gradient", "decoupled")
+"""Where the weight decay enters: in the gradient, before the optimizer, or beside the optimizer's step."""
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "algorithm": ALGORITHMS,
     "backend": BACKENDS,
     "biases": BIAS_INITIALISATIONS,
     "common_random_numbers": COMMON_RANDOM_NUMBERS,
+    "controller_view": CONTROLLER_VIEWS,
     "device": ("cpu", *DEVICES),
     "episodes_schedule": tuple(SCHEDULES),
     "fitness_shaping": tuple(FITNESS_SHAPINGS),
@@ -55,12 +64,17 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "mirrored": MIRRORINGS,
     "novelty": ("none", *NOVELTY_RULES),
     "optimizer": tuple(OPTIMIZERS),
+    "output_weights": OUTPUT_INITIALISATIONS,
     "perturbation": tuple(PERTURBATIONS),
+    "primitive_estimate": PRIMITIVE_ESTIMATES,
+    "primitive_fitness_shaping": tuple(FITNESS_SHAPINGS),
     "primitive_view": PRIMITIVE_VIEWS,
     "rank_ties": TIES,
     "sigma_schedule": tuple(SCHEDULES),
     "spec": tuple(SPECS),
+    "symmetry": SYMMETRIES,
     "target_sampling": TARGET_SAMPLINGS,
+    "weight_decay_form": WEIGHT_DECAY_FORMS,
 }
 _REGISTERED: dict[str, Callable[[str], None]] = {
     "controller_output": check_controller_output,
@@ -83,6 +97,7 @@ _AT_LEAST: dict[str, int] = {
     "evaluation_interval": 1,
     "generations": 1,
     "horizon": 1,
+    "intervals": 1,
     "keep_checkpoints": 1,
     "nconmax": 1,
     "njmax": 1,
@@ -90,6 +105,7 @@ _AT_LEAST: dict[str, int] = {
     "noise_table_size": 2,
     "num_workers": 0,
     "population_size": 1,
+    "primitive_population_size": 2,
     "schedule_generations": 1,
     "seed": 0,
 }
@@ -98,12 +114,15 @@ _POSITIVE = (
     "goal_distance",
     "learning_rate",
     "minutes",
+    "primitive_learning_rate",
+    "primitive_sigma",
     "sigma",
     "sigma_end",
 )
 _NOT_NEGATIVE = (
     "controller_weight_decay",
     "evaluation_reset_noise",
+    "fall_price",
     "learning_rate_end",
     "reset_noise",
     "weight_decay",
@@ -113,7 +132,7 @@ _BETWEEN: dict[str, tuple[str, Callable[[float], bool]]] = {
     "statistics_fraction": ("between 0 and 1", lambda number: 0 <= number <= 1),
     "top_fraction": ("more than 0 and less than 1", lambda number: 0 < number < 1),
 }
-_SWITCHES = ("fall_penalty", "freeze_primitive", "hide_position", "minimum_goal_distance", "observe_block")
+_SWITCHES = ("fall_penalty", "freeze_primitive", "hide_position", "hold_tied", "minimum_goal_distance", "observe_block")
 _PLACES = ("evaluation_target", "target")
 _HIDDEN = ("hidden", "primitive_hidden")
 SCHEDULED = {
@@ -131,6 +150,9 @@ _OPTIONAL = (
     "njmax",
     "observe_block",
     "primitive_hidden",
+    "primitive_learning_rate",
+    "primitive_population_size",
+    "primitive_sigma",
     *_PLACES,
     *(end for _, end in SCHEDULED.values()),
 )

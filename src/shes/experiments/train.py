@@ -242,7 +242,7 @@ class _Session:
         row = progress_row(report, self._earlier_s + now - self._start, now - self._generation_start)
         self._generation_start = now
         row["evaluation_s"] = 0.0
-        self._tell_events(report.results.log)
+        self._tell_events(report.log)
         # `last` last: a run that dies before it does this generation, its evaluation and its other checkpoints again.
         best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
         if state.generation == 1 or state.generation % self._config.evaluation_interval == 0:

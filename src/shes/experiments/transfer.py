@@ -1,6 +1,6 @@
 """Transfer: a run that begins with the primitive of another one. Source: SHES paper II-D; algorithm specification, 6.
 
-The primitive brings what it was trained to observe: goal encoding, clock, hidden position, view, sizes of its layers.
+The primitive brings what it was trained to observe: goal encoding, clock, view, symmetry, sizes of its layers.
 From then on these are settings of the new run, which needs the other's folder no more.
 """
 
@@ -20,7 +20,7 @@ from shes.experiments.settings import flag
 
 __all__ = ["Transferred", "brought_settings", "transfer_primitive"]
 
-_BROUGHT = ("goal_encoding", "clock_frequency", "hide_position")
+_BROUGHT = ("goal_encoding", "clock_frequency", "hide_position", "symmetry")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +83,8 @@ def brought_settings(path: str, checkpoint: str, asked: Mapping[str, Any]) -> di
     brought: dict[str, Any] = {name: getattr(source, name) for name in _BROUGHT}
     brought["primitive_hidden"] = source.hidden if source.primitive_hidden is None else source.primitive_hidden
     is_alone = source.level_names == ("primitive",)
-    brought["primitive_view"] = "proprioception" if is_alone else source.primitive_view
+    is_plain = is_alone and source.primitive_view == "observation"
+    brought["primitive_view"] = "proprioception" if is_plain else source.primitive_view
     for name in sorted(brought.keys() & asked.keys()):
         wanted = tuple(asked[name]) if isinstance(asked[name], list) else asked[name]
         if wanted != brought[name]:
@@ -131,5 +132,5 @@ def _layout(config: TrainConfig) -> str:
     task.close()
     return (
         f"{len(inputs)} inputs ({', '.join(inputs)}) of specification {config.spec} and {task.action_size} controls "
-        f"of up to {task.control_limit:g}"
+        f"of up to {task.control_limit:g}, symmetry {config.symmetry}"
     )

@@ -23,7 +23,7 @@ from shes.hierarchy.moments import Moments
 from shes.policies.mlp import MLP, Layers, Rows, aligned_rows
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = ["Agent", "AgentDesign", "columns"]
+__all__ = ["Agent", "AgentDesign"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,6 +169,18 @@ class Agent(ABC):
         if self.shares_noise:
             self._spread(lanes)
 
+    def go_on(self, lane: int, steps: int, goals: F64Array) -> None:
+        """Let the episodes of `lane`, just started, be ones that were reset `steps` control steps ago.
+
+        Args:
+            lane: Number of the lane.
+            steps: A multiple of the decision interval.
+            goals: Goals to pursue one after another [K, 2], each from where the robot is when it is set, in metres;
+                none where the environment sets them.
+        """
+        del goals
+        self.clock[lane] = steps
+
     def _spread(self, lanes: slice | IntArray) -> None:
         """Work out scale and biases of the policies in `lanes`, from what they take of their noise."""
         for level, rows in enumerate(self._rows_of_levels):
@@ -261,10 +273,3 @@ class Agent(ABC):
     def _by_lane(self, rows: F32Array) -> F32Array:
         """View rows [N, O] as [P, R, O]."""
         return rows.reshape(-1, self.num_episodes, rows.shape[1])
-
-
-def columns(indices: tuple[int, ...] | None) -> slice | IntArray:
-    """Return what picks columns `indices`, all if None: a slice where it can be one, because that is quicker."""
-    if indices is None or indices == tuple(range(len(indices))):
-        return slice(None if indices is None else len(indices))
-    return np.array(indices, dtype=np.int64)

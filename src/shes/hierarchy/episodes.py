@@ -13,10 +13,25 @@ import numpy as np
 from shes.es.level import LevelParameters, TrainState
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["PARTS", "EpisodeResults", "EpisodeTask", "Generation", "LevelMoments", "spread"]
+__all__ = ["PARTS", "EpisodeResults", "EpisodeTask", "Generation", "LevelMoments", "Snapshot", "spread"]
 
 PARTS = ("physics", "policy", "task")
 """What a roll-out spends its time on: MuJoCo; the agent; the task's observations and rewards, and the rest."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Snapshot:
+    """An episode at a decision: what another one needs to go on from there."""
+
+    state: F64Array | None
+    """Whole physics state [S], the solver's warm start included; None stands for a reset."""
+    steps: int
+    """Control steps since the reset."""
+    goals: F64Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """This decision's goal and those of the next ones [K, 2]: from where the robot was when each was set, in metres.
+
+    Empty where the environment sets the goals.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +50,15 @@ class Generation:
     """Members of the population that share a noise vector, and one matmul (M')."""
     has_frozen_control: bool = False
     """Whether the level that acts is frozen: no noise of any kind is put on it then."""
+    branch_steps: int = 0
+    """Control steps of a branch, where the primitive is judged by intervals; 0 for whole episodes."""
+    goals_noted: int = 0
+    """Goals of a snapshot that whole episodes leave; 0 if they leave none."""
+
+    @property
+    def kind(self) -> str:
+        """What its episodes are: `evaluation`, `branch` or `training`."""
+        return "evaluation" if self.is_evaluation else "branch" if self.branch_steps else "training"
 
     @property
     def rows(self) -> int:
@@ -43,9 +67,15 @@ class Generation:
 
     @classmethod
     def of_training(
-        cls, state: TrainState, sigma: float, episodes: int, learns: Sequence[bool], members_per_lane: int
+        cls,
+        state: TrainState,
+        sigma: float,
+        episodes: int,
+        learns: Sequence[bool],
+        members_per_lane: int,
+        goals_noted: int = 0,
     ) -> Generation:
-        """Return what the tasks of training after `state` have in common; `learns` says which levels do."""
+        """Return what the tasks of training after `state` have in common; `learns` says which levels they perturb."""
         return cls(
             levels=LevelParameters.of_all(state.levels),
             sigma=sigma,
@@ -53,6 +83,7 @@ class Generation:
             is_evaluation=False,
             has_frozen_control=not learns[-1],
             members_per_lane=members_per_lane,
+            goals_noted=goals_noted,
         )
 
 
@@ -72,6 +103,12 @@ class EpisodeTask:
     """Seed of each episode."""
     records_statistics: bool = True
     """Whether the observations of these episodes are summed."""
+    start: Snapshot | None = None
+    """Where these episodes begin; at a reset if None."""
+    kept_slot: int | None = None
+    """Of whose end a snapshot is wanted, if it ends at the time limit."""
+    noted_steps: tuple[int, ...] = ()
+    """After how many control steps of each episode a snapshot is wanted; an episode that ends before leaves none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +147,8 @@ class EpisodeResults:
     """Summed reward of the environment [K]."""
     moments: tuple[LevelMoments, ...] | None
     """Sums of the observations of each level, if asked for."""
+    snapshots: list[Snapshot | None] = field(default_factory=list)
+    """What each episode left [K]; empty if nothing was asked for."""
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """What the worker spent on each of `PARTS` since the result before this one."""
     log: tuple[str, ...] = ()
@@ -124,8 +163,8 @@ def spread(tasks: list[EpisodeTask], num_workers: int) -> list[EpisodeTask]:
     """
     whole = len(tasks) - len(tasks) % num_workers
     singles = [
-        replace(task, slots=(slot,), seeds=(seed,))
+        replace(task, slots=(slot,), seeds=(seed,), noted_steps=task.noted_steps[i : i + 1])
         for task in tasks[whole:]
-        for slot, seed in zip(task.slots, task.seeds, strict=True)
+        for i, (slot, seed) in enumerate(zip(task.slots, task.seeds, strict=True))
     ]
     return tasks[:whole] + singles

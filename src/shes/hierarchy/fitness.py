@@ -60,5 +60,8 @@ def shaped_fitness(
             novel = novelty(results.final_position, search.archive, neighbours)
             novel[results.has_diverged.any(axis=1)] = 0  # where blown-up physics ends says nothing
             worth = blend(worth, rule.shaping(select_fitness(novel, signs[:, :, level])), search.weight)
+        if rule.fall_price:
+            falls = select_fitness(results.has_terminated.mean(axis=1), signs[:, :, level])
+            worth = worth - rule.fall_price * (falls - falls.mean())
         shaped.append(worth)
     return shaped

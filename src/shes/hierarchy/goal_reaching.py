@@ -1,19 +1,22 @@
 """Acting on a goal: what a primitive does every step, whoever set the goal.
 
-Source: SHES paper II-A to II-C; algorithm specification sections 2 and 3.
+Source: SHES paper II-A to II-C; algorithm specification sections 2 and 3; learning specification, section 1.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import ModuleType
 
 import numpy as np
 
-from shes.hierarchy.agent import Agent, AgentDesign, columns
+from shes.envs.symmetry import SymmetryGroup
+from shes.hierarchy.agent import Agent, AgentDesign
+from shes.hierarchy.frames import Frames, turned_back
 from shes.hierarchy.goals import GoalEncoding
 from shes.hierarchy.rewards import REACHED_M, PrimitiveReward
+from shes.hierarchy.views import ColumnsView, View
 from shes.policies.mlp import MLP
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
@@ -31,8 +34,10 @@ class GoalReachingDesign(AgentDesign):
     primitive_reward: PrimitiveReward
     controller_interval: int
     """Steps that a goal is held (c)."""
-    primitive_view: tuple[int, ...] | None = None
-    """Indices in the observation of what the primitive sees; all of it if None."""
+    primitive_view: View = field(default_factory=ColumnsView)
+    """What the primitive sees of the observation."""
+    symmetry: SymmetryGroup | None = None
+    """The turns and mirrorings from which a frame is chosen for every goal, if any; for an egocentric view."""
 
     @property
     def decision_interval(self) -> int:
@@ -59,16 +64,19 @@ class GoalReachingAgent(Agent):
         """Where the robots stood when their goals were set [N, 2]."""
         self.goal_start_distance: F64Array = xp.ones(rows)
         """Distance to the goal when it was set [N]."""
+        self._distance: F64Array = xp.ones(rows)  # to the goal, before the step
         self._way: F64Array = xp.zeros((rows, 2))  # from where goals were set to the goals
         self._goal: F64Array = xp.ones((rows, 2))
         self._has_reached: BoolArray = xp.zeros(rows, dtype=np.bool_)
         self._interval = design.controller_interval
         self._encoding, self._reward = design.goal_encoding, design.primitive_reward
-        view = columns(design.primitive_view)
-        self._view = view if isinstance(view, slice) else xp.asarray(view)
+        self._view = design.primitive_view.on(xp)
+        self._frames = None if design.symmetry is None else Frames(design.symmetry, rows, xp)
         self._clock_start = design.goal_encoding.size
         self._view_start = self._clock_start + design.clock_size
         self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
+        self._seen: F64Array = xp.zeros((rows, design.observation_sizes[-1] - self._view_start))
+        self._straight: F64Array = xp.zeros(rows)  # the angle of a frame as seen from itself
 
     @property
     def goal(self) -> F64Array:
@@ -102,19 +110,38 @@ class GoalReachingAgent(Agent):
         control_noise: F32Array | None = None,
     ) -> F32Array:
         """Return the controls [N, A] of one step, setting new goals where they are due; see `Agent.act`."""
-        is_due = self.clock % self._interval == 0
+        is_due, angle = self.clock % self._interval == 0, self._view.angle(observation, heading)
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self._rows(due)
             goals = self._choose_goals(due, rows, observation, position, heading, goal, decision_noise)
             self._hold(rows, goals, position)
+            if self._frames is not None:
+                self._frames.choose(rows, turned_back(self._way[rows], angle[rows]))
         inputs = self._inputs
-        vector = self._goal - position
-        self._encoding.encode(vector, _length(vector), heading, inputs[:, : self._clock_start])
+        self._observe_goal(position, angle, inputs[:, : self._clock_start])
         self._write_clock(inputs[:, self._clock_start : self._view_start])
-        inputs[:, self._view_start :] = observation[:, self._view]
+        if self._frames is None:
+            self._view.write(observation, angle, inputs[:, self._view_start :])
+            self.clock += 1
+            return self._control(inputs, control_noise)
+        self._view.write(observation, angle, self._seen)
+        self._frames.view(self._seen, inputs[:, self._view_start :])
         self.clock += 1
-        return self._control(inputs, control_noise)
+        return self._frames.controls(self._control(inputs, control_noise))
+
+    def _observe_goal(self, position: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Write the features of the goals into `out` [N, features]: from where the view is seen, if it is egocentric.
+
+        Every encoding is then one of a vector in the robot's own frame, or in the one that its symmetry chose.
+        """
+        vector = self._goal - position
+        distance = _length(vector)
+        if self._view.is_egocentric:
+            vector, angle = turned_back(vector, angle), self._straight
+        if self._frames is not None:
+            vector = self._frames.turned(vector)
+        self._encoding.encode(vector, distance, angle, out)
 
     def internal_reward(self, position: F64Array) -> F64Array:
         """Return the primitives' reward [N] for having come to `position` [N, 2]; goals reached are counted."""
@@ -122,7 +149,9 @@ class GoalReachingAgent(Agent):
         near = distance < REACHED_M
         self.goals_reached += near & ~self._has_reached
         self._has_reached |= near
-        return self._reward(distance, self.goal_start_distance, position - self.goal_origin, self._way)
+        before, self._distance = self._distance, distance
+        moved = position - self.goal_origin
+        return self._reward.of_step(distance, before, self.goal_start_distance, moved, self._way)
 
     def _hold(self, rows: slice | IntArray, goals: F64Array, position: F64Array) -> None:
         """Set the goals of episodes `rows`, whose robots are at `position[rows]`."""
@@ -132,7 +161,8 @@ class GoalReachingAgent(Agent):
         # Not the controller's vector: rounding must not make this differ from the distance of the step.
         way = goals - position[rows]
         self._way[rows] = way
-        self.goal_start_distance[rows] = np.maximum(_length(way), _MIN_START_M)
+        self._distance[rows] = _length(way)
+        self.goal_start_distance[rows] = np.maximum(self._distance[rows], _MIN_START_M)
 
 
 def _length(vector: F64Array) -> F64Array:

@@ -5,7 +5,7 @@ Source: SHES paper II-A to II-C; algorithm specification sections 1 to 3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Final
 
@@ -14,6 +14,7 @@ import numpy as np
 from shes.es.statistics import normalise
 from shes.hierarchy.goal_reaching import GoalReachingAgent, GoalReachingDesign
 from shes.hierarchy.outputs import ControllerOutput
+from shes.hierarchy.views import ColumnsView, View
 from shes.policies.mlp import MLP
 from shes.types import CONTROLLER, PRIMITIVE, F32Array, F64Array, IntArray
 
@@ -33,6 +34,8 @@ class HierarchicalDesign(GoalReachingDesign):
     """Metres that an output of 1 of the controller stands for."""
     has_minimum_goal_distance: bool
     """Whether goals nearer than 1 m are pushed outward."""
+    controller_view: View = field(default_factory=ColumnsView)
+    """What the controller sees of the observation."""
 
     @property
     def level_names(self) -> tuple[str, ...]:
@@ -76,6 +79,8 @@ class HierarchicalAgent(GoalReachingAgent):
         """Make room for `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
         super().__init__(design, num_lanes, num_episodes, xp, shares_noise=shares_noise)
         self._design = design
+        self._controller_view = design.controller_view.on(xp)
+        self._controller_inputs: F64Array = xp.zeros((num_lanes * num_episodes, design.observation_sizes[CONTROLLER]))
 
     def _choose_goals(
         self,
@@ -89,7 +94,9 @@ class HierarchicalAgent(GoalReachingAgent):
     ) -> F64Array:
         """Let the controllers of lanes `due` decide."""
         del goal
-        design, seen = self._design, observation[rows]
+        design, seen = self._design, self._controller_inputs[rows]
+        observed = observation[rows]
+        self._controller_view.write(observed, self._controller_view.angle(observed, heading[rows]), seen)
         if self.is_recording:
             self.moments[CONTROLLER].add(rows, seen)
         scaled = normalise(seen, *self._normalisation[CONTROLLER])

@@ -17,6 +17,7 @@ from shes.types import F64Array
 __all__ = [
     "CONTROLLER_OUTPUTS",
     "ControllerOutput",
+    "HeadingVectorOutput",
     "OneHotOutput",
     "VectorOutput",
     "check_controller_output",
@@ -58,6 +59,22 @@ class VectorOutput(ControllerOutput):
         return output.astype(np.float64) * goal_distance
 
 
+class HeadingVectorOutput(ControllerOutput):
+    """The two outputs are the vector in the frame of the heading, ahead and left, in goal distances.
+
+    Deviation: the paper's controller says where to go in the world's frame. Where the task shows things relative to the
+    heading, as Gather does, a network then has to learn to rotate before it can learn where to go.
+    """
+
+    size = 2
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return `output` times the goal distance, turned by the heading."""
+        ahead, left = (output[:, i].astype(np.float64) * goal_distance for i in range(2))
+        cosine, sine = np.cos(heading), np.sin(heading)
+        return np.stack([cosine * ahead - sine * left, sine * ahead + cosine * left], axis=1)
+
+
 class OneHotOutput(ControllerOutput):
     """The largest of eight outputs picks a direction relative to the heading, and its value the distance, at least 1 m.
 
@@ -83,7 +100,11 @@ class OneHotOutput(ControllerOutput):
         return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
 
 
-CONTROLLER_OUTPUTS: dict[str, type[ControllerOutput]] = {"vector": VectorOutput, "one_hot": OneHotOutput}
+CONTROLLER_OUTPUTS: dict[str, type[ControllerOutput]] = {
+    "vector": VectorOutput,
+    "heading_vector": HeadingVectorOutput,
+    "one_hot": OneHotOutput,
+}
 
 
 def register_controller_output(name: str, output: type[ControllerOutput]) -> None:

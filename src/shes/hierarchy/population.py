@@ -5,14 +5,17 @@ Source: SHES paper, Algorithm 1 lines 2 and 3, II-E, II-F; Conti et al. 2018 for
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 from shes.errors import UnknownNameError
 from shes.es.level import TrainState
 from shes.es.perturbation import Signs
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.episodes import EpisodeTask
+from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.types import IntArray
 
-__all__ = ["COMMON_RANDOM_NUMBERS", "mean_policy_task", "members_per_lane", "population_tasks"]
+__all__ = ["COMMON_RANDOM_NUMBERS", "Work", "mean_policy_task", "members_per_lane", "population_tasks"]
 
 _ENOUGH_ROWS = 3
 """Episodes of a member with which its own weights are read for enough rows: then it has a matmul of its own.
@@ -29,6 +32,20 @@ takes the difference between episodes out of the comparison within a group.
 """
 
 
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """The roll-outs of a population, and how its members are perturbed."""
+
+    signs: Signs
+    """Signs of every member at each level [G, M, L]; 0 where it is not perturbed."""
+    noise_index: IntArray
+    """Start of the noise slice of each group [L, G]."""
+    tasks: list[EpisodeTask]
+    """The roll-outs, in the order of the members."""
+    generation: Generation
+    """What they have in common."""
+
+
 def population_tasks(
     state: TrainState,
     signs: Signs,
@@ -36,6 +53,7 @@ def population_tasks(
     episodes: int,
     common_random_numbers: str = "group",
     statistics_fraction: float = 1.0,
+    noted_steps: Sequence[int] = (),
 ) -> list[EpisodeTask]:
     """Return the tasks of all members: their group's noise, their own signs, their episodes' seeds.
 
@@ -46,6 +64,8 @@ def population_tasks(
         episodes: Episodes of a member, E.
         common_random_numbers: One of `COMMON_RANDOM_NUMBERS`.
         statistics_fraction: Share of the groups, drawn at random, whose observations enter the statistics.
+        noted_steps: After how many control steps each of the G * M * E episodes leaves a snapshot; none leaves one if
+            empty.
 
     Raises:
         UnknownNameError: `common_random_numbers` is not known.
@@ -73,6 +93,7 @@ def population_tasks(
                 for seed in seeds[group % draws[0], member % draws[1]].tolist()
             ),
             records_statistics=records[group],
+            noted_steps=tuple(noted_steps[(group * members + first) * episodes :][: shared * episodes]),
         )
         for group in range(groups)
         for first in range(0, members, shared)

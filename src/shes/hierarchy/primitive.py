@@ -1,6 +1,7 @@
-"""A primitive alone, in an environment that sets the goals: the first phase of transfer.
+"""A primitive alone, on goals that come from elsewhere: from its environment, or written down beforehand.
 
-Source: SHES paper II-D; algorithm specification section 6. What it learns goes into any task of the same robot.
+Source: SHES paper II-D; algorithm specification section 6; learning specification, section 2. What it learns goes into
+any task of the same robot.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from shes.hierarchy.goal_reaching import GoalReachingAgent, GoalReachingDesign
 from shes.policies.mlp import MLP
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = ["PrimitiveAgent", "PrimitiveDesign"]
+__all__ = ["BranchAgent", "BranchDesign", "PrimitiveAgent", "PrimitiveDesign"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,3 +61,63 @@ class PrimitiveAgent(GoalReachingAgent):
         del due, observation, position, heading, noise
         assert goal is not None, "only an environment that sets goals trains a primitive alone"
         return goal[rows]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BranchDesign(PrimitiveDesign):
+    """What a primitive is made of that pursues goals which were written down when a controller set them."""
+
+    num_goals: int
+    """Goals of a branch, K."""
+
+    def make(
+        self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False
+    ) -> BranchAgent:
+        """Return an agent of `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
+        return BranchAgent(self, num_lanes, num_episodes, xp, shares_noise=shares_noise)
+
+
+class BranchAgent(PrimitiveAgent):
+    """P lanes of R episodes each, on goals that `go_on` gives to a lane: the same for all its episodes."""
+
+    def __init__(
+        self,
+        design: BranchDesign,
+        num_lanes: int,
+        num_episodes: int,
+        xp: ModuleType = np,
+        *,
+        shares_noise: bool = False,
+    ) -> None:
+        """Make room for `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
+        super().__init__(design, num_lanes, num_episodes, xp, shares_noise=shares_noise)
+        self._planned: F64Array = np.ones((num_lanes, design.num_goals, 2))
+        self._num_used: IntArray = np.zeros(num_lanes, dtype=np.int64)
+
+    def start(self, lanes: slice | IntArray) -> None:
+        """Begin new episodes in `lanes`."""
+        super().start(lanes)
+        self._num_used[lanes] = 0
+
+    def go_on(self, lane: int, steps: int, goals: F64Array) -> None:
+        """Let the episodes of `lane` pursue `goals` [K, 2]; see `Agent.go_on`."""
+        super().go_on(lane, steps, goals)
+        self._planned[lane] = goals
+
+    def _choose_goals(
+        self,
+        due: slice | IntArray,
+        rows: slice | IntArray,
+        observation: F64Array,
+        position: F64Array,
+        heading: F64Array,
+        goal: F64Array | None,
+        noise: F32Array | None,
+    ) -> F64Array:
+        """Take the next goal of each lane that is `due`; one that has none left, because it is over, the last."""
+        del observation, heading, goal, noise
+        lanes = np.arange(self.num_lanes)[due]
+        number = np.minimum(self._num_used[lanes], self._planned.shape[1] - 1)
+        self._num_used[lanes] += 1
+        planned = np.repeat(self._planned[lanes, number], self.num_episodes, axis=0)
+        return position[rows] + self.xp.asarray(planned)

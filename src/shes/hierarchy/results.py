@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shes.es.level import LevelState
-from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, LevelMoments
+from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["PopulationResults", "lower_diverged"]
@@ -54,6 +54,8 @@ class PopulationResults:
     """What the workers spent on each of `PARTS`, added up over workers."""
     log: list[str] = field(default_factory=list)
     """What the simulators had to say."""
+    snapshots: dict[tuple[int, int], Snapshot] = field(default_factory=dict)
+    """What episodes left that were asked to, by member and episode, in the order of the tasks."""
 
     @classmethod
     def empty(cls, num_levels: int, members: int, episodes: int) -> PopulationResults:
@@ -113,6 +115,9 @@ class PopulationResults:
         self.environment_returns[place] = result.environment_returns
         self.seconds[:] += result.seconds
         self.log.extend(result.log)
+        for member, episode, left in zip(*place, result.snapshots, strict=False):
+            if left is not None:
+                self.snapshots[int(member), int(episode)] = left
         if result.moments is None:
             return
         if not self.moments:

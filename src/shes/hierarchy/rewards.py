@@ -13,6 +13,7 @@ from shes.types import F64Array
 __all__ = [
     "PRIMITIVE_REWARDS",
     "CosineReward",
+    "MetresReward",
     "NegativeDistanceReward",
     "PrimitiveReward",
     "ProgressReward",
@@ -21,6 +22,8 @@ __all__ = [
     "register_primitive_reward",
 ]
 
+METRE_REWARD, NEAR_REWARD = 4.0, 0.2
+"""With `metres`: of a metre nearer to the goal, and of a step near it."""
 REACHED_M = 1.0
 """A goal nearer than this is reached (L in the paper)."""
 
@@ -41,6 +44,13 @@ class PrimitiveReward(ABC):
             goal: From where the goal was set to the goal [N, 2].
         """
 
+    def of_step(
+        self, distance: F64Array, before: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
+    ) -> F64Array:
+        """Return the reward [N] of a step that began `before` metres [N] from the goal; see `__call__`."""
+        del before
+        return self(distance, start_distance, displacement, goal)
+
 
 class ProgressReward(PrimitiveReward):
     """`1 - d_t / d_c`, plus 1 within 1 m of the goal (paper, equation 1)."""
@@ -51,6 +61,31 @@ class ProgressReward(PrimitiveReward):
         """Return the share of the way covered, plus the bonus at the goal [N]."""
         del displacement, goal
         return 1 - distance / start_distance + (distance < REACHED_M)
+
+
+class MetresReward(PrimitiveReward):
+    """Four times the metres that a step came nearer to the goal, plus 0.2 within 1 m of it.
+
+    What a step is worth does not depend on how far away the goal was set, so that a near goal is not worth more effort
+    than a far one, and speed pays everywhere.
+
+    Deviation: not the paper's equation 1, which pays for the share of the way in every step.
+    Source: learning specification, section 3; Ng et al. 1999 (a reward by potential differences).
+    """
+
+    def __call__(
+        self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
+    ) -> F64Array:
+        """Return what the way since the goal was set is worth [N], if it was set a step ago."""
+        del displacement, goal
+        return METRE_REWARD * (start_distance - distance) + NEAR_REWARD * (distance < REACHED_M).astype(np.float64)
+
+    def of_step(
+        self, distance: F64Array, before: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
+    ) -> F64Array:
+        """Return what the step's own way is worth [N]."""
+        del start_distance
+        return self(distance, before, displacement, goal)
 
 
 class NegativeDistanceReward(PrimitiveReward):
@@ -97,6 +132,7 @@ def _direction(vector: F64Array) -> F64Array:
 
 PRIMITIVE_REWARDS: dict[str, type[PrimitiveReward]] = {
     "progress": ProgressReward,
+    "metres": MetresReward,
     "negative_distance": NegativeDistanceReward,
     "cosine": CosineReward,
 }

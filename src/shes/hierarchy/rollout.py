@@ -24,7 +24,8 @@ from shes.errors import PolicyError
 from shes.es.level import perturb
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, LevelMoments
+from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot
+from shes.hierarchy.snapshots import Notes
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 __all__ = ["EXPLORATION_STD", "Rollout"]
@@ -83,6 +84,7 @@ class Rollout:
         self._internal_return: F64Array = self.xp.zeros(rows)
         self._explores = self._has_frozen_control = False
         self._seconds: F64Array = np.zeros(len(PARTS))
+        self._notes: Notes | None = None
 
     @property
     def num_lanes(self) -> int:
@@ -97,7 +99,8 @@ class Rollout:
         Raises:
             PolicyError: A policy returned NaN or infinity.
         """
-        self._explores = not generation.is_evaluation
+        self._explores = not generation.is_evaluation and not generation.branch_steps
+        self._notes = self._make_notes(generation.goals_noted)
         self._has_frozen_control = generation.has_frozen_control
         self.agent.normalise_by(generation.levels)
         if self.agent.shares_noise:
@@ -118,6 +121,10 @@ class Rollout:
                 return
             yield from self._until_one_ends()
 
+    def _make_notes(self, num_goals: int) -> Notes | None:
+        """Return what notes snapshots with `num_goals` goals, if any are wanted."""
+        return Notes(self.task, self.agent, self.design.decision_interval, num_goals) if num_goals else None
+
     def _start(
         self, started: dict[int, Work], means: list[F32Array], generation: Generation, table: NoiseTable
     ) -> None:
@@ -133,9 +140,14 @@ class Rollout:
             results = _empty_results(task, self.design.observation_sizes)
             self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(task.slots))), results=results)
         rows = np.array(slots)
-        self.task.reset(rows, seeds)
+        _begin(self.task, rows, seeds, [task for _, task in started.values()])
         # Lanes without work keep the others' time: then what all decide together is quicker.
         self.agent.start(np.array(list(started)) if len(self._running) else slice(None))
+        for place, (_, task) in started.items():
+            if task.start is not None:
+                self.agent.go_on(place, task.start.steps, task.start.goals)
+        if self._notes is not None:
+            self._notes.begin(started)
         if self._explores:
             self._decision_noise, self._control_noise = (self.xp.asarray(noise) for noise in self._drawn)
         self._internal_return[self.xp.asarray(rows)] = 0
@@ -181,6 +193,8 @@ class Rollout:
         action = agent.act(*seen, goal=task.goal, **self._exploration())
         if not np.isfinite(action).all():
             self._refuse(action)
+        if self._notes is not None:
+            self._notes.take(self._is_running, self._steps)
         acted = perf_counter()
         task.step(self._running, action)
         self._steps += 1  # of those that do not run it is not asked
@@ -232,12 +246,23 @@ class Rollout:
             for mine, summed in zip(results.moments or (), moments, strict=False):
                 for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
                     taken[k] = of_all[i]
+            if lane.task.kept_slot == slot:
+                has_ended_early = outcome[5] or outcome[6]
+                results.snapshots[k] = None if has_ended_early else self._snapshot(row, lane.task)
+            if self._notes is not None:
+                results.snapshots[k] = self._notes.of(row)
             lane.running.discard(k)
             if not lane.running:
                 self._lanes[place] = None
                 results.seconds[:] = self._seconds
                 self._seconds[:] = 0
                 yield lane.number, results
+
+    def _snapshot(self, row: int, task: EpisodeTask) -> Snapshot:
+        """Return what another episode needs to go on where the one in `row` has ended."""
+        before = 0 if task.start is None else task.start.steps
+        state = self.task.states(np.array([row]))[0]
+        return Snapshot(state=state, steps=before + int(self._steps[row]))
 
     def _outcomes(self, rows: IntArray) -> tuple[list[list[float]], list[tuple[F64Array, ...]]]:
         """Return what came of the episodes in `rows`, and what each level has observed in them, in one transfer each.
@@ -275,6 +300,15 @@ class Rollout:
             )
 
 
+def _begin(batch: EpisodeBatch, rows: IntArray, seeds: list[int], tasks: list[EpisodeTask]) -> None:
+    """Reset the episodes of `tasks`, which take `rows` of `batch` one after another, or put them where they start."""
+    starts = [None if task.start is None else task.start.state for task in tasks for _ in task.slots]
+    if any(state is not None for state in starts):
+        batch.reset(rows, seeds, starts)
+    else:
+        batch.reset(rows, seeds)
+
+
 def _at(noise: F32Array, place: int | IntArray) -> F32Array:
     """Return `noise[place[p], p]` [P, ...] for each lane p, or that of all at one place: a view."""
     return noise[place] if isinstance(place, int) else noise[place, np.arange(len(place))]
@@ -298,4 +332,5 @@ def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
         final_position=np.zeros((k, 2)),
         environment_returns=np.zeros(k),
         moments=moments if task.records_statistics else None,
+        snapshots=[None] * k,
     )

@@ -15,10 +15,13 @@ import numpy as np
 from shes.errors import ConfigError, UnknownNameError
 from shes.types import F32Array
 
-__all__ = ["BIAS_INITIALISATIONS", "MLP", "Layers", "Rows", "aligned_rows"]
+__all__ = ["BIAS_INITIALISATIONS", "MLP", "OUTPUT_INITIALISATIONS", "Layers", "Rows", "aligned_rows"]
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
 """`glorot_normal` is the paper's code: a bias vector of n has fan (1, n), so standard deviation sqrt(2 / (1 + n))."""
+
+OUTPUT_INITIALISATIONS = ("glorot_normal", "zero")
+"""`zero` begins with a policy that does nothing; the random gains of a linear one drive its outputs to their limits."""
 
 Layers: TypeAlias = tuple[tuple[F32Array, F32Array], ...]
 """Weights [P, in, out] and biases [P, 1, out] of each layer of P policies."""
@@ -55,12 +58,18 @@ class MLP:
             )
         self.num_params = sum((fan_in + 1) * fan_out for fan_in, fan_out in pairwise(self.sizes))
 
-    def initial(self, rng: np.random.Generator, bias_initialisation: str = "zero") -> F32Array:
-        """Return start parameters [D]: Glorot-normal weights, and biases as named.
+    def initial(
+        self, rng: np.random.Generator, bias_initialisation: str = "zero", output_initialisation: str = "glorot_normal"
+    ) -> F32Array:
+        """Return start parameters [D]: Glorot-normal weights, and biases and the output layer as named.
 
         Raises:
-            UnknownNameError: `bias_initialisation` is not one of `BIAS_INITIALISATIONS`.
+            UnknownNameError: One is not among `BIAS_INITIALISATIONS` or `OUTPUT_INITIALISATIONS`.
         """
+        if output_initialisation not in OUTPUT_INITIALISATIONS:
+            raise UnknownNameError(
+                "output initialisation", output_initialisation, OUTPUT_INITIALISATIONS, "Set --output-weights."
+            )
         if bias_initialisation not in BIAS_INITIALISATIONS:
             raise UnknownNameError("bias initialisation", bias_initialisation, BIAS_INITIALISATIONS, "Set --biases.")
         parts: list[F32Array] = []
@@ -68,6 +77,8 @@ class MLP:
             weights = rng.standard_normal(fan_in * fan_out) * np.sqrt(2 / (fan_in + fan_out))
             biases = rng.standard_normal(fan_out) * np.sqrt(2 / (1 + fan_out))
             parts += [weights.astype(np.float32), (biases * (bias_initialisation != "zero")).astype(np.float32)]
+        if output_initialisation == "zero":
+            parts[-2:] = [np.zeros_like(part) for part in parts[-2:]]
         return np.concatenate(parts)
 
     def layers(self, theta: F32Array) -> Layers:

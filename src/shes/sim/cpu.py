@@ -9,7 +9,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from shes.sim.simulator import Simulator
-from shes.types import IntArray
+from shes.types import F64Array, IntArray
 
 __all__ = ["CpuSimulator", "count_divergences", "forget_divergences", "log_physics_warnings"]
 
@@ -72,6 +72,20 @@ class CpuSimulator(Simulator):
         self._batch.state[ids] = self._default
         self._batch.warning[ids] = 0  # MuJoCo counts from 0 again when it resets by itself: every divergence reads 1
         self.diverged[ids] = False
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of `mjSTATE_INTEGRATION`: time, qpos, qvel, warm start, controls, and what else a model has."""
+        return len(self._default)
+
+    def states(self, ids: IntArray) -> F64Array:
+        """Return copies of the whole states of simulations `ids` [ids, S]."""
+        return self._batch.state[ids]
+
+    def set_states(self, ids: IntArray, states: F64Array) -> None:
+        """Put simulations `ids` into `states` [ids, S]."""
+        self.reset(ids)
+        self._batch.state[ids] = states
 
     def _advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""

@@ -44,6 +44,23 @@ class Simulator(ABC):
     def reset(self, ids: IntArray) -> None:
         """Put simulations `ids` into the model's default state, exactly, and forget that they diverged."""
 
+    @property
+    @abstractmethod
+    def state_size(self) -> int:
+        """Numbers of a whole state, S."""
+
+    @abstractmethod
+    def states(self, ids: IntArray) -> F64Array:
+        """Return copies of the whole states of simulations `ids` [ids, S], in NumPy's array.
+
+        A whole state is all that the next step depends on, the solver's warm start included: a simulation that is put
+        into it by `set_states`, here or in another simulator of the same kind and model, goes on with the same bits.
+        """
+
+    @abstractmethod
+    def set_states(self, ids: IntArray, states: F64Array) -> None:
+        """Put simulations `ids` into `states` [ids, S], and forget that they diverged."""
+
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps; the others do not move."""
         start = perf_counter()

@@ -16,11 +16,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from shes.arrays import to_host
 from shes.errors import ConfigError
 from shes.sim.simulator import Simulator
 from shes.sim.warp_buffers import BufferPeaks, BufferSizes, default_sizes
 from shes.sim.warp_device import WarpDevice, WarpTimer, load_warp
-from shes.types import IntArray
+from shes.types import F64Array, IntArray
 
 __all__ = ["WarpSimulator"]
 
@@ -110,6 +111,25 @@ class WarpSimulator(Simulator):
         self.qpos[ids] = self.xp.asarray(self.model.qpos0, dtype=self.xp.float32)
         for array in (self.qvel, self.ctrl, self._warmstart, self._time, self.diverged):
             array[ids] = 0
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of qpos, qvel, the solver's warm start and time."""
+        return self.model.nq + 2 * self.model.nv + 1
+
+    def states(self, ids: IntArray) -> F64Array:
+        """Return copies of the whole states of simulations `ids` [ids, S]; the device is waited for."""
+        rows = self.xp.asarray(ids)
+        parts = (self.qpos[rows], self.qvel[rows], self._warmstart[rows], self._time[rows, None])
+        return to_host(self.xp.concatenate(parts, axis=1)).astype(np.float64)
+
+    def set_states(self, ids: IntArray, states: F64Array) -> None:
+        """Put simulations `ids` into `states` [ids, S]."""
+        self.reset(ids)
+        rows, values = self.xp.asarray(ids), self.xp.asarray(states.astype(np.float32))
+        nq, nv = self.model.nq, self.model.nv
+        self.qpos[rows], self.qvel[rows] = values[:, :nq], values[:, nq : nq + nv]
+        self._warmstart[rows], self._time[rows] = values[:, nq + nv : -1], values[:, -1]
 
     def _advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps.

@@ -126,12 +126,14 @@ class ExternalTask(EpisodeBatch):
         """Return what is observed now [N, O]; zeros where the simulation diverged."""
         return self._rows[:, : self.observation_size]
 
-    def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
+    def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
         """Start episodes `ids` anew, each from its own seed.
 
         Raises:
             ConfigError: The environment failed, or shows something else than it said.
         """
+        if any(state is not None for state in states):
+            self.states(ids)
         for values in (self.time, self.reward, self.running_return, self._terminated, self._diverged):
             values[ids] = 0
         with explained(self.environment.spec.id, "reset"):
