@@ -170,7 +170,7 @@ class TrainConfig:
     """Frequency, in Hz, of a clock that the primitive (with es: the policy) observes; no clock if none."""
 
     primitive: str | None = None
-    """Run whose primitive this one begins with (section II-D): its parameters and its observation statistics."""
+    """Run or shipped agent whose primitive this one begins with (section II-D): parameters, observation statistics."""
     primitive_checkpoint: str = "best"
     """Which checkpoint of that run: best, last or the number of a generation."""
     freeze_primitive: bool = True
