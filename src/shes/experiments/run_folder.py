@@ -138,7 +138,7 @@ class RunFolder:
             RunFolderError: `config.json` is damaged.
             ConfigError: A setting in it is unknown, or its value is not allowed.
         """
-        record = self._read_record()
+        record = self.read_record()
         try:
             return TrainConfig.from_dict(record["config"])
         except (KeyError, TypeError, AttributeError) as error:
@@ -154,14 +154,14 @@ class RunFolder:
         """
         origin = {} if transferred is None else {"primitive": dict(transferred)}
         record = {"format": _FORMAT, "config": config.to_dict(), **origin, **provenance(config.device), "resumed": []}
-        self._write_record(record)
+        self.write_record(record)
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
         """Write down that the run went on from `generation`; return what is other than before, on what numbers depend.
 
         Versions are compared with those that the run began with, the device with that of the part before.
         """
-        record = self._read_record()
+        record = self.read_record()
         here, began = provenance(config.device), record.get("versions", {})
         changes = [
             f"{name} {began.get(name)} -> {now}" for name, now in here["versions"].items() if began.get(name) != now
@@ -170,7 +170,7 @@ class RunFolder:
         changes += device_changes(before, here["device"])
         record["config"] = config.to_dict()
         record["resumed"] = [*record.get("resumed", []), {"generation": generation, **here}]
-        self._write_record(record)
+        self.write_record(record)
         return changes
 
     def checkpoint_path(self, name: str | int) -> Path:
@@ -206,7 +206,12 @@ class RunFolder:
             )
         return checkpoint
 
-    def _read_record(self) -> dict[str, Any]:
+    def read_record(self) -> dict[str, Any]:
+        """Return what `config.json` holds: the settings, and what made the run.
+
+        Raises:
+            RunFolderError: It is damaged, or of another format.
+        """
         try:
             record = json.loads(self.config.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
@@ -218,6 +223,11 @@ class RunFolder:
             )
         return record
 
-    def _write_record(self, record: dict[str, Any]) -> None:
+    def write_record(self, record: dict[str, Any]) -> None:
+        """Write `config.json`.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
         text = json.dumps(record, indent=2) + "\n"
         write_atomically(self.config, lambda file: file.write(text.encode()))
