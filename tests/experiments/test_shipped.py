@@ -13,6 +13,7 @@ import pytest
 import shes
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.experiments import shipped
+from shes.experiments.build import build_task
 from shes.experiments.checkpoint import load_checkpoint, save_checkpoint
 from shes.experiments.evaluate import evaluate
 from shes.experiments.plot import plot
@@ -305,5 +306,10 @@ def test_every_shipped_agent_is_small_complete_and_acts():
         for values in (read_csv(folder.progress), read_csv(folder.evaluation)):
             assert 0 < len(values["generation"]) <= 300
         assert "/home/" not in folder.config.read_text()
-        agent = shes.load(shipped_path(name))
-        assert np.isfinite(agent.act(np.zeros(agent.observation_size))).all()
+        agent, task = shes.load(shipped_path(name)), build_task(folder.read_config(), 1, is_evaluation=True)
+        task.reset(np.array([0]), [1])
+        control = agent.control(task.observe(), task.position, task.heading, task.goal)
+        assert np.isfinite(control).all()
+        task.step(np.array([0]), control)
+        assert not task.diverged.any()
+        task.close()
