@@ -15,7 +15,10 @@ from shes.cli import main
 from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError
+from shes.experiments import shipped
 from shes.experiments.run_folder import RunFolder
+from shes.experiments.ship import ship
+from shes.experiments.shipped import read_agent
 from tests.e2e import runs
 
 TINY = runs.flags(**runs.TINY)
@@ -56,6 +59,74 @@ def test_envs_lists_the_registry(shes):
         assert all(row[word] for word in ("about", "reward", "ends", "score"))
     for words in ("minus the distance to the target", "highest running return", "1 if the last distance is below 5 m"):
         assert words.split()[0] in text
+
+
+@pytest.fixture
+def agent(tiny_run, tmp_path, monkeypatch):
+    """The name of a shipped agent, the only one."""
+    told = {"description": "Collects food.", "commands": ["shes train point-gather"]}
+    ship(tiny_run, "point-food", **told, episodes=2, num_workers=1, into=tmp_path / "agents")
+    monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    return "point-food"
+
+
+def test_list_shows_the_shipped_agents(shes, agent, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    assert re.search(r"point-food +│ point-gather +│ -?[\d.]+ ± [\d.]+ +│ 640 +│ Collects food\. ", shes("list"))
+    (line,) = shes("list", "--json").splitlines()
+    assert json.loads(line) == {agent: read_agent(agent).to_dict()}
+
+
+def test_list_says_if_there_is_none(shes, tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped, "AGENTS", tmp_path)
+    assert shes("list") == "This version of SHES ships no agent.\n"
+    assert json.loads(shes("list", "--json")) == {}
+
+
+def test_a_shipped_agent_is_named_where_a_run_is_read(shes, agent, tiny_run):
+    one, other = (
+        json.loads(shes("evaluate", run, "--episodes", 2, "--workers", 1, "--json")) for run in (agent, tiny_run)
+    )
+    assert one == {**other, "run": agent}
+    assert shes("plot", agent) == "Learning curves: curves.png\n"
+    shes(
+        "train",
+        "point-gather",
+        *TINY,
+        "--generations",
+        1,
+        "--primitive-hidden",
+        4,
+        "--primitive",
+        agent,
+        "--out",
+        "run",
+    )
+    assert RunFolder.open("run").read_config().primitive == agent
+    assert {path.name for path in Path().iterdir()} == {"curves.png", "run"}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ["resume", "point-food"],
+            r"Error: point-food is a shipped agent, part of the package.*--primitive point-food",
+        ),
+        (["evaluate", "./point-food"], r"Error: point-food does not exist\. Give the folder .*\(its --out\)\.$"),
+        (
+            ["evaluate", "point-fod"],
+            r"Error: point-fod does not exist\. .*shipped agent: point-food\. Did you mean 'po",
+        ),
+    ],
+)
+def test_a_shipped_agent_is_not_resumed_and_a_path_is_no_name(capsys, agent, words, message):
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert re.search(message, err)
 
 
 def test_train_says_where_the_run_is_and_what_to_do_next(shes, tmp_path, tiny_run):
@@ -193,7 +264,7 @@ def test_render_hands_on_its_flags_and_says_where_the_video_is(shes, monkeypatch
     assert shes("render", "--checkpoint", "0", "last", "--out=x.mp4", "a run", *rest) == "Video: b.mp4\n"
     plain = {"checkpoints": ("best",), "camera": "both", "episode": 0, "seed": None, "size": 480, "steps": None}
     asked = {"checkpoints": ("0", "last"), "camera": "top", "episode": 3, "seed": 7, "size": 240, "steps": 50}
-    assert given == [(Path("a run"), Path("walk.mp4"), plain), (Path("a run"), Path("b.mp4"), asked)]
+    assert given == [("a run", Path("walk.mp4"), plain), ("a run", Path("b.mp4"), asked)]
 
 
 def test_watch_hands_on_its_flags(shes, monkeypatch):
@@ -206,8 +277,8 @@ def test_watch_hands_on_its_flags(shes, monkeypatch):
     shes("watch", "a run")
     shes("watch", "a run", "--checkpoint", "12", "--seed", 3)
     assert given == [
-        (Path("a run"), {"checkpoint": "best", "seed": None}),
-        (Path("a run"), {"checkpoint": "12", "seed": 3}),
+        ("a run", {"checkpoint": "best", "seed": None}),
+        ("a run", {"checkpoint": "12", "seed": 3}),
     ]
 
 

@@ -9,6 +9,7 @@ from shes.cli import main
 from shes.cli.commands import SUMMARIES
 from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
+from shes.experiments import shipped
 from shes.experiments.config import WITHOUT_FLAG, TrainConfig
 from shes.experiments.settings import flag
 
@@ -28,6 +29,17 @@ def script(capsys):
         return out
 
     return make
+
+
+@pytest.fixture
+def agents(tmp_path_factory, monkeypatch):
+    """The names of two shipped agents."""
+    names, place = ["ant-one", "point-two"], tmp_path_factory.mktemp("agents")
+    for name in names:
+        (place / name).mkdir()
+        (place / name / "agent.json").touch()
+    monkeypatch.setattr(shipped, "AGENTS", place)
+    return names
 
 
 @pytest.fixture
@@ -85,6 +97,28 @@ def test_bash_completes_commands_flags_environments_presets_and_choices(complete
     assert {line: sorted(words) for line, words in found.items()} == {
         line: sorted(words) for line, words in expected.items()
     }
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_offers_shipped_agents_beside_folders_where_a_run_is_read(agents, complete):
+    expected = {
+        "shes evaluate ": ["a run", *agents],
+        "shes plot point-": [agents[1]],
+        "shes plot a": ["a run", agents[0]],
+        "shes train ant-gather --primitive a": ["a file", "a run", agents[0]],
+        "shes resume ": ["a run"],
+        "shes evaluate --": [],
+    }
+    found = dict(zip(expected, complete(*expected), strict=True))
+    assert all(word.startswith("--") for word in found.pop("shes evaluate --"))
+    assert {line: sorted(words) for line, words in found.items()} == {
+        line: sorted(words) for line, words in expected.items() if line in found
+    }
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_offer_shipped_agents_too(script, agents, shell):
+    assert script(shell).count(" ".join(agents)) == 6  # evaluate, plot, render, watch; train and bench --primitive
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

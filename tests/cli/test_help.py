@@ -54,6 +54,7 @@ def test_the_commands_are_the_files_in_their_folder():
     assert files == set(SUMMARIES) == {load_command(name).name for name in SUMMARIES}
     assert {
         "envs",
+        "list",
         "train",
         "resume",
         "evaluate",

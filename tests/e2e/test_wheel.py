@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from shes.experiments.shipped import shipped_names
+
 ROOT = Path(__file__).parents[2]
 
 pytestmark = [pytest.mark.extras, pytest.mark.timeout(600)]
@@ -37,8 +39,10 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     assert {name for name in names if ".dist-info/" not in name} == package
     assert "shes/py.typed" in package
     assert any(name.endswith("licenses/LICENSE") for name in names)
-    assert all(name.endswith((".py", "py.typed")) for name in package)
-    assert wheel.stat().st_size < 1_000_000
+    agents = {name for name in package if name.startswith("shes/agents/")}
+    assert all(name.endswith((".py", "py.typed")) for name in package - agents)
+    assert all(name.endswith((".csv", ".json", ".npz")) for name in agents)
+    assert wheel.stat().st_size < 3_000_000
 
 
 def find_python(version):
@@ -81,6 +85,7 @@ def test_an_empty_environment_can_train_evaluate_render_and_play(wheel, tmp_path
     run(shes, "train", "point-gather", "--preset", "smoke", "--generations", "2", "--workers", "2", "--out", "run")
     found = json.loads(run(shes, "evaluate", "run", "--episodes", "3", "--json"))
     assert found["episodes"] == 3
+    assert set(json.loads(run(shes, "list", "--json"))) == set(shipped_names())
     run(shes, "render", "run", "--out", "walk.mp4", "--steps", "3", "--size", "96")
     assert (home / "walk.mp4").stat().st_size > 1000
     run(shes, "plot", "run")

@@ -28,6 +28,8 @@ class Shown:
     """How it is written, the form that is shown first; the field's name if empty."""
     noun: str = ""
     """What is needed, with its article; makes the field a positional."""
+    is_run: bool = False
+    """Whether it names a run: a folder, or a shipped agent. Text, because `./name` is a path and `name` may be none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +52,8 @@ class Option:
     """What holds if it is not given; empty shows nothing."""
     noun: str = ""
     """What a positional is, with its article."""
+    is_run: bool = False
+    """Whether it names a run: a folder, or a shipped agent."""
     is_required: bool = False
 
     @property
@@ -108,6 +112,7 @@ def options_of(arguments: type) -> tuple[Option, ...]:
                 choices=shown.choices,
                 default="" if field.default is MISSING or field.default is False else shown_value(field.default),
                 noun=shown.noun,
+                is_run=shown.is_run,
                 is_required=field.default is MISSING,
             )
         )

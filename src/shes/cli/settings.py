@@ -37,6 +37,7 @@ def setting_groups(config: TrainConfig | None, names: Container[str]) -> tuple[G
             flags=tuple(dict.fromkeys((flag(field.name), "--" + field.name.replace("_", "-")))),
             choices=tuple(PRESETS) if field.name == "preset" else choices(field.name),
             default="" if config is None else shown_value(getattr(config, field.name)),
+            is_run=field.name == "primitive",
         )
         grouped.setdefault(heading, []).append(option)
     return tuple(Group(heading=heading, options=tuple(options)) for heading, options in grouped.items())

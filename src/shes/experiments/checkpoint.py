@@ -95,7 +95,7 @@ def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in arrays.items()}
 
 
-def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
+def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool = False) -> None:
     """Write `checkpoint` to `path`, atomically.
 
     Raises:
@@ -103,7 +103,8 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """
 
     def write(file: IO[bytes]) -> None:
-        np.savez(file, allow_pickle=False, **_arrays(checkpoint))  # type: ignore[arg-type] - savez takes any name
+        save = np.savez_compressed if is_compressed else np.savez
+        save(file, allow_pickle=False, **_arrays(checkpoint))  # type: ignore[arg-type] - savez takes any name
 
     write_atomically(path, write)
 

@@ -199,7 +199,7 @@ class TrainConfig:
     """Learning rate of a primitive in branches beside a controller; learning_rate, with its schedule, if none."""
 
     primitive: str | None = None
-    """Run whose primitive this one begins with (section II-D): its parameters and its observation statistics."""
+    """Run or shipped agent whose primitive this one begins with (section II-D): parameters, observation statistics."""
     primitive_checkpoint: str = "best"
     """Which checkpoint of that run: best, last or the number of a generation."""
     freeze_primitive: bool = True

@@ -132,7 +132,7 @@ def evaluate(
     """Evaluate a checkpoint of a run on episodes that its training never used, not even to choose the checkpoint.
 
     Args:
-        run: The run folder.
+        run: The run folder, or the name of a shipped agent.
         episodes: Number of episodes.
         checkpoint: `best`, `last` or the number of a generation.
         num_workers: Worker processes; 0 is one for every core. Never changes a number.
@@ -143,7 +143,7 @@ def evaluate(
         targets: `evaluation`, or `training`: with training's targets and reset noise, as the maze's random targets.
 
     Raises:
-        RunFolderError: `run` is not a run folder.
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: `episodes` is not positive, `seed` is negative, or there is no such device here.
         UnknownNameError: `targets` or `device` is not known.
@@ -155,7 +155,7 @@ def evaluate(
         raise ConfigError(f"episodes must be at least 1, got {episodes}. Set --episodes.")
     if seed is not None and seed < 0:
         raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
-    folder = RunFolder.open(Path(run))
+    folder = RunFolder.open(run)
     stored = folder.read_config()
     buffers = {name: size for name, size in (("nconmax", nconmax), ("njmax", njmax)) if size is not None}
     execution = {"num_workers": num_workers, "device": device, **buffers}

@@ -102,13 +102,13 @@ def load(run: Path | str, *, checkpoint: str = "best", num_envs: int = 1) -> Age
     """Return the agent of a run.
 
     Args:
-        run: The run folder.
+        run: The run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
         num_envs: Environments that it acts in at once.
 
     Raises:
-        RunFolderError: `run` is not a run folder.
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
     """
-    folder = RunFolder.open(Path(run))
+    folder = RunFolder.open(run)
     return Agent(folder.read_config(), folder.load(checkpoint).state.levels, num_envs)

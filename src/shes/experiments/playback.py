@@ -46,17 +46,17 @@ class Moment:
 class Playback:
     """Episodes of one checkpoint, under the conditions of evaluation."""
 
-    def __init__(self, run: Path, checkpoint: str, seed: int | None = None, steps: int | None = None) -> None:
+    def __init__(self, run: Path | str, checkpoint: str, seed: int | None = None, steps: int | None = None) -> None:
         """Load `checkpoint` of `run`.
 
         Args:
-            run: The run folder.
+            run: The run folder, or the name of a shipped agent.
             checkpoint: `best`, `last` or the number of a generation.
             seed: Seed of the episodes, as `evaluate` takes it.
             steps: Control steps after which an episode ends; evaluation's horizon if none.
 
         Raises:
-            RunFolderError: `run` is not a run folder.
+            RunFolderError: `run` is neither a run folder nor a shipped agent.
             CheckpointError: The checkpoint is missing or damaged.
             ConfigError: `seed` is negative or `steps` is not positive.
         """

@@ -51,12 +51,12 @@ def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str =
     runs. A run alone shows the spread of its evaluation's episodes instead (mean, plus or minus two standard errors).
 
     Args:
-        runs: Run folders.
+        runs: Run folders, or names of shipped agents.
         out: The picture; its suffix (.png, .pdf, .svg) says the format.
         x: `env_steps`, `generation` or `wall_time_s`.
 
     Raises:
-        RunFolderError: A path is not a run folder, or has no generation yet.
+        RunFolderError: A run is neither a run folder nor a shipped agent, or has no generation yet.
         UnknownNameError: `x` is not one of `X_AXES`.
         ConfigError: No run is given, or the suffix of `out` is no picture format.
         StorageError: The picture cannot be written.
@@ -66,8 +66,8 @@ def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str =
     if x not in X_AXES:
         raise UnknownNameError("x axis", x, X_AXES, "Set --x.")
     target = Path(out)
-    paths = {Path(run).resolve(): Path(run) for run in runs}  # a run named twice counts once
-    folders = [RunFolder.open(path) for path in paths.values()]
+    opened = [RunFolder.open(run) for run in runs]
+    folders = list({folder.path.resolve(): folder for folder in opened}.values())  # a run named twice counts once
     panels, groups = _panels(folders), _groups(folders)
     figure, axes = plt.subplots(1, len(panels), figsize=(5 * len(panels), 3.8), layout="constrained")
     try:

@@ -44,7 +44,7 @@ def render(
     environment draws itself, through its own camera and without the goals.
 
     Args:
-        run: The run folder.
+        run: The run folder, or the name of a shipped agent.
         out: The video: .mp4 or .gif.
         checkpoints: `best`, `last` or numbers of generations: side by side, all in the same episode.
         camera: `both`, `follow` or `top`.
@@ -55,7 +55,7 @@ def render(
         on_step: Hears how many control steps are drawn, and how many there are at most.
 
     Raises:
-        RunFolderError: `run` is not a run folder.
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: A checkpoint is missing or damaged.
         UnknownNameError: `camera` is not one of `VIEWS`.
         ConfigError: Another argument is out of range, or the environment draws no pictures.
@@ -73,7 +73,7 @@ def render(
         )
     if size % 2 or not 64 <= size <= 1080:
         raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
-    playbacks = [Playback(Path(run), str(name), seed, steps) for name in checkpoints]
+    playbacks = [Playback(run, str(name), seed, steps) for name in checkpoints]
     episode_seed = playbacks[0].seed_of(episode)
     drawers: list[Drawer] = []
     try:

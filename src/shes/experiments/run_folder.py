@@ -16,6 +16,7 @@ from shes.experiments.checkpoint import Checkpoint, load_checkpoint
 from shes.experiments.config import TrainConfig, in_words_of_today
 from shes.experiments.device import device_changes
 from shes.experiments.provenance import provenance
+from shes.experiments.shipped import find_run, shipped_hint, shipped_name
 from shes.storage import storage_errors, write_atomically
 
 __all__ = ["RunFolder", "new_folder"]
@@ -58,9 +59,10 @@ class RunFolder:
         """Keep other processes from running in this folder.
 
         Raises:
-            RunFolderError: Another process does.
+            RunFolderError: Another process does, or the folder is that of a shipped agent.
             StorageError: The folder cannot be written.
         """
+        self._refuse_shipped()
         with storage_errors(self._lock):
             file = self._lock.open("w")
         with file:
@@ -71,6 +73,20 @@ class RunFolder:
                     f"{self.path} is in use: a run is being trained in it. Wait for its end, or choose another folder."
                 ) from error
             yield
+
+    def _refuse_shipped(self) -> None:
+        """Refuse to write into a shipped agent.
+
+        Raises:
+            RunFolderError: This is the folder of one.
+        """
+        name = shipped_name(self.path)
+        if name is not None:
+            raise RunFolderError(
+                f"{name} is a shipped agent, part of the package, and nothing is written into it. Begin a run with its "
+                f"primitive: shes train ENV --primitive {name}. Or copy {self.path} to a folder of your own, with its "
+                "checkpoints/best.npz as checkpoints/last.npz, and resume that."
+            )
 
     @classmethod
     def create(cls, path: Path) -> RunFolder:
@@ -101,16 +117,18 @@ class RunFolder:
         return folder
 
     @classmethod
-    def open(cls, path: Path) -> RunFolder:
-        """Return the run folder at `path`.
+    def open(cls, run: Path | str) -> RunFolder:
+        """Return the run folder `run`: a path, or the name of a shipped agent.
 
         Raises:
-            RunFolderError: `path` is not a run folder.
+            RunFolderError: `run` is neither.
         """
-        folder = cls(path)
+        folder = cls(find_run(run))
         if not folder.config.is_file():
-            what = "does not exist" if not path.exists() else "is not a run folder: it has no config.json"
-            raise RunFolderError(f"{path} {what}. Give the folder that `shes train` printed (its --out).")
+            what = "does not exist" if not folder.path.exists() else "is not a run folder: it has no config.json"
+            raise RunFolderError(
+                f"{folder.path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
+            )
         return folder
 
     def read_config(self) -> TrainConfig:
@@ -120,7 +138,7 @@ class RunFolder:
             RunFolderError: `config.json` is damaged.
             ConfigError: A setting in it is unknown, or its value is not allowed.
         """
-        record = self._read_record()
+        record = self.read_record()
         try:
             return TrainConfig.from_dict(record["config"])
         except (KeyError, TypeError, AttributeError) as error:
@@ -136,14 +154,14 @@ class RunFolder:
         """
         origin = {} if transferred is None else {"primitive": dict(transferred)}
         record = {"format": _FORMAT, "config": config.to_dict(), **origin, **provenance(config.device), "resumed": []}
-        self._write_record(record)
+        self.write_record(record)
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
         """Write down that the run went on from `generation`; return what is other than before, on what numbers depend.
 
         Versions are compared with those that the run began with, the device with that of the part before.
         """
-        record = self._read_record()
+        record = self.read_record()
         here, began = provenance(config.device), record.get("versions", {})
         changes = [
             f"{name} {began.get(name)} -> {now}" for name, now in here["versions"].items() if began.get(name) != now
@@ -152,7 +170,7 @@ class RunFolder:
         changes += device_changes(before, here["device"])
         record["config"] = config.to_dict()
         record["resumed"] = [*record.get("resumed", []), {"generation": generation, **here}]
-        self._write_record(record)
+        self.write_record(record)
         return changes
 
     def checkpoint_path(self, name: str | int) -> Path:
@@ -165,7 +183,11 @@ class RunFolder:
         Raises:
             CheckpointError: It is missing, damaged, or of another run.
         """
-        path = self.checkpoint_path(name)
+        path, agent = self.checkpoint_path(name), shipped_name(self.path)
+        if agent is not None and not path.is_file():
+            raise CheckpointError(
+                f"the shipped agent {agent} has the checkpoint best alone, got {name!r}. Leave --checkpoint away."
+            )
         checkpoint, config = load_checkpoint(path), self.read_config()
         mine = config.numbers()
         # Settings that came after the checkpoint was written have their defaults, which change nothing.
@@ -184,7 +206,12 @@ class RunFolder:
             )
         return checkpoint
 
-    def _read_record(self) -> dict[str, Any]:
+    def read_record(self) -> dict[str, Any]:
+        """Return what `config.json` holds: the settings, and what made the run.
+
+        Raises:
+            RunFolderError: It is damaged, or of another format.
+        """
         try:
             record = json.loads(self.config.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
@@ -196,6 +223,11 @@ class RunFolder:
             )
         return record
 
-    def _write_record(self, record: dict[str, Any]) -> None:
+    def write_record(self, record: dict[str, Any]) -> None:
+        """Write `config.json`.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
         text = json.dumps(record, indent=2) + "\n"
         write_atomically(self.config, lambda file: file.write(text.encode()))

@@ -131,13 +131,13 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
         settings: Settings that do not change what the run is, e.g. `generations=2000, num_workers=8, device="cuda"`.
 
     Raises:
-        RunFolderError: `path` is not a run folder.
+        RunFolderError: `path` is not a run folder, or that of a shipped agent.
         CheckpointError: The last checkpoint is damaged or of another run.
         ConfigError: A setting would change the run's numbers, the run has reached its last generation, or there is no
             such device.
         MissingExtraError: The device needs a package that is not installed.
     """
-    folder = RunFolder.open(Path(path))
+    folder = RunFolder.open(path)
     stored = folder.read_config()
     check_fields(settings)
     for name in settings:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from shes.errors import CheckpointError, ConfigError
@@ -28,7 +27,7 @@ class Transferred:
     """Where a run has its primitive from."""
 
     run: str
-    """The run folder."""
+    """The run folder, or the name of a shipped agent."""
     env: str
     """Its environment."""
     checkpoint: str
@@ -41,11 +40,11 @@ def _read(path: str, checkpoint: str) -> tuple[TrainConfig, LevelState, Transfer
     """Return the settings of the run at `path`, its primitive, and what is told of them.
 
     Raises:
-        RunFolderError: `path` is not a run folder.
+        RunFolderError: `path` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: The run has no primitive.
     """
-    folder = RunFolder.open(Path(path))
+    folder = RunFolder.open(path)
     config = folder.read_config()
     if not folder.checkpoint_path(checkpoint).is_file():
         there = sorted(file.stem for file in folder.checkpoints.glob("*.npz"))
@@ -68,12 +67,12 @@ def brought_settings(path: str, checkpoint: str, asked: Mapping[str, Any]) -> di
     """Return the settings that the primitive of the run at `path` brings with it.
 
     Args:
-        path: The run folder.
+        path: The run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
         asked: Settings that somebody asked for.
 
     Raises:
-        RunFolderError: `path` is not a run folder.
+        RunFolderError: `path` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: The run has no primitive, or a setting was asked for that the primitive was not trained with.
     """

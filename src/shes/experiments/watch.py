@@ -13,16 +13,16 @@ def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None)
     """Show the episodes that `evaluate` runs, one after another in real time, until the window is closed.
 
     Args:
-        run: The run folder.
+        run: The run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
         seed: Seed of the episodes, as `evaluate` takes it.
 
     Raises:
-        RunFolderError: `run` is not a run folder.
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: There is no screen, the environment has no window, or `seed` is negative.
     """
-    playback = Playback(Path(run), checkpoint, seed)
+    playback = Playback(run, checkpoint, seed)
     window = playback.open_window()
     try:
         episode = 0

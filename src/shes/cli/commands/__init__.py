@@ -10,6 +10,7 @@ __all__ = ["SUMMARIES", "load_command"]
 
 SUMMARIES: dict[str, str] = {
     "envs": "list the environments",
+    "list": "list the shipped agents",
     "train": "train on an environment",
     "resume": "go on with a run, to the bit",
     "evaluate": "evaluate a checkpoint of a run on fresh episodes",

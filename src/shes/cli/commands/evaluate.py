@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 from shes.cli.command import Command
@@ -15,8 +14,8 @@ from shes.cli.output import print_facts
 class Arguments:
     """What `shes evaluate` takes."""
 
-    run: Annotated[Path, Shown(metavar="RUN", noun="a run folder")]
-    """The run folder."""
+    run: Annotated[str, Shown(metavar="RUN", noun="a run folder", is_run=True)]
+    """The run folder, or the name of a shipped agent."""
     episodes: int = 50
     """Number of episodes."""
     checkpoint: Annotated[str, Shown(metavar="{best,last,NUMBER}", choices=("best", "last"))] = "best"
@@ -52,7 +51,7 @@ def _run(values: dict[str, Any]) -> int:
         seed=given.seed,
         targets=given.targets,
     )
-    print_facts({"run": str(given.run), "checkpoint": given.checkpoint, **found.summary()}, as_json=given.json)
+    print_facts({"run": given.run, "checkpoint": given.checkpoint, **found.summary()}, as_json=given.json)
     return 0
 
 

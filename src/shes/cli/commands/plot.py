@@ -16,8 +16,8 @@ X_AXES = ("env_steps", "generation", "wall_time_s")  # those of `experiments.plo
 class Arguments:
     """What `shes plot` takes."""
 
-    runs: Annotated[tuple[Path, ...], Shown(metavar="RUN ...", noun="at least one run folder")]
-    """Run folders."""
+    runs: Annotated[tuple[str, ...], Shown(metavar="RUN ...", noun="at least one run folder", is_run=True)]
+    """Run folders, or names of shipped agents."""
     out: Path = Path("curves.png")
     """The picture: .png, .pdf or .svg."""
     x: Annotated[str, Shown(choices=X_AXES)] = "env_steps"

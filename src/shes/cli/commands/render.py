@@ -20,8 +20,8 @@ TERMINATED = 143
 class Arguments:
     """What `shes render` takes."""
 
-    run: Annotated[Path, Shown(metavar="RUN", noun="a run folder")]
-    """The run folder."""
+    run: Annotated[str, Shown(metavar="RUN", noun="a run folder", is_run=True)]
+    """The run folder, or the name of a shipped agent."""
     out: Path = Path("walk.mp4")
     """The video: .mp4 or .gif."""
     checkpoint: Annotated[tuple[str, ...], Shown(metavar="{best,last,NUMBER}", choices=("best", "last"))] = ("best",)

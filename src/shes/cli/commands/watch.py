@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 from shes.cli.command import Command
@@ -14,8 +13,8 @@ from shes.cli.options import Group, Shown, options_of
 class Arguments:
     """What `shes watch` takes."""
 
-    run: Annotated[Path, Shown(metavar="RUN", noun="a run folder")]
-    """The run folder."""
+    run: Annotated[str, Shown(metavar="RUN", noun="a run folder", is_run=True)]
+    """The run folder, or the name of a shipped agent."""
     checkpoint: Annotated[str, Shown(metavar="{best,last,NUMBER}", choices=("best", "last"))] = "best"
     """Which checkpoint; a number is that of a generation."""
     seed: int | None = None

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from shes.cli.completion.offers import ALONE, Offer, is_path
+from shes.cli.completion.offers import ALONE, Offer, agents_for, is_path
+from shes.cli.options import Option
 
 __all__ = ["bash_script"]
 
@@ -12,7 +13,7 @@ _SCRIPT = """\
 # Completion of the shes command for bash; made by `shes completion bash`.
 _shes() {{
     local current=${{COMP_WORDS[COMP_CWORD]}} previous=${{COMP_WORDS[COMP_CWORD - 1]}}
-    local command= flags= names= values= folders= word group groups=() index IFS=$' \\t\\n'
+    local command= flags= names= values= folders= agents= word group groups=() index IFS=$' \\t\\n'
     # bash takes --preset=paper for three words.
     [[ $current == "=" ]] && current=
     [[ $previous == "=" ]] && previous=${{COMP_WORDS[COMP_CWORD - 2]}}
@@ -42,8 +43,9 @@ _shes() {{
         break
     done
     if [[ $values == "(path)" || (-n $folders && -z $values && $current != -*) ]]; then
+        names=$(compgen -W "$agents" -- "$current")
         IFS=$'\\n'
-        COMPREPLY=($(compgen $([[ $values ]] && echo -f || echo -d) -- "$current"))
+        COMPREPLY=($names $(compgen $([[ $values ]] && echo -f || echo -d) -- "$current"))
         compopt -o filenames 2>/dev/null
         return
     fi
@@ -65,13 +67,21 @@ def bash_script(offers: Sequence[Offer]) -> str:
         for option in offer.flagged:
             words = " ".join(option.choices) or ("(path)" if is_path(option) else "")
             places = [f'"{offer.name} {flag}"' for flag in option.flags]
+            agents = _agents(option)
             if words:
-                values.append(f'    {" | ".join(places)}) values="{words}" ;;')
+                values.append(f'    {" | ".join(places)}) values="{words}"{agents} ;;')
             elif not option.is_switch:
                 free += places
         if free:
             values.append(f"    {' | '.join(free)}) return ;;")
         groups = " ".join(f'"{" ".join(option.choices)}"' for option in offer.positionals if option.choices)
-        folders = " folders=1" if any(is_path(option) for option in offer.positionals) else ""
+        paths = [option for option in offer.positionals if is_path(option)]
+        folders = f" folders=1{_agents(paths[0])}" if paths else ""
         commands.append(f'    {offer.name}) groups=({groups}) flags="{" ".join(offer.flags)}"{folders} ;;')
     return _SCRIPT.format(values="\n".join(values), commands="\n".join(commands))
+
+
+def _agents(option: Option) -> str:
+    """Return what offers the shipped agents in the place of `option`; nothing if none may stand there."""
+    names = " ".join(agents_for(option))
+    return f' agents="{names}"' if names else ""

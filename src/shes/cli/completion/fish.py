@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from shes.cli.completion.offers import ALONE, EVERYWHERE, Offer, brief, is_path
+from shes.cli.completion.offers import ALONE, EVERYWHERE, Offer, agents_for, brief, is_path
 
 __all__ = ["fish_script"]
 
@@ -18,11 +18,16 @@ def fish_script(offers: Sequence[Offer]) -> str:
     for offer in offers:
         here = f"-n '__fish_seen_subcommand_from {offer.name}'"
         for option in offer.positionals:
-            words = "(__fish_complete_directories)" if is_path(option) else " ".join(option.choices)
+            words = " ".join(option.choices)
+            if is_path(option):
+                words = " ".join(("(__fish_complete_directories)", *agents_for(option)))
             lines.append(f"complete -c shes {here} -a {_quoted(words)} -d {_quoted(option.noun)}")
         for option in offer.flagged:
             value = f" -x -a {_quoted(' '.join(option.choices))}" if option.choices else " -x"
-            value = "" if option.is_switch else " -r -F" if is_path(option) else value
+            if is_path(option):
+                names = " ".join(agents_for(option))
+                value = f" -r -F -a {_quoted(names)}" if names else " -r -F"
+            value = "" if option.is_switch else value
             lines += [_flag(here, flag, brief(option.text), value) for flag in option.shown_flags]
         lines += [_flag(here, flag, text, " -x" * (flag == "--import")) for flag, text in EVERYWHERE.items()]
     return "\n".join(lines) + "\n"

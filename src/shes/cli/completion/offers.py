@@ -8,8 +8,9 @@ from typing import get_args
 
 from shes.cli.commands import SUMMARIES, load_command
 from shes.cli.options import Option, options_in
+from shes.experiments.shipped import shipped_names
 
-__all__ = ["ALONE", "EVERYWHERE", "Offer", "brief", "gather_offers", "is_path"]
+__all__ = ["ALONE", "EVERYWHERE", "Offer", "agents_for", "brief", "gather_offers", "is_path"]
 
 EVERYWHERE: dict[str, str] = {
     "--help": "Show the help.",
@@ -55,9 +56,14 @@ def gather_offers() -> tuple[Offer, ...]:
     )
 
 
+def agents_for(option: Option) -> tuple[str, ...]:
+    """Return the names of shipped agents that may stand in the place of a path."""
+    return shipped_names() if option.is_run else ()
+
+
 def is_path(option: Option) -> bool:
     """Tell whether the value is a path, or several."""
-    return any(Path in (kind, *get_args(kind)) for kind in option.kinds)
+    return option.is_run or any(Path in (kind, *get_args(kind)) for kind in option.kinds)
 
 
 def brief(text: str) -> str:

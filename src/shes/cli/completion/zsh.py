@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from shes.cli.completion.offers import EVERYWHERE, Offer, brief, is_path
+from shes.cli.completion.offers import EVERYWHERE, Offer, agents_for, brief, is_path
 from shes.cli.options import Option
 
 __all__ = ["zsh_script"]
@@ -63,7 +63,8 @@ def _flag(flag: str, option: Option) -> str:
 
 def _values(option: Option) -> str:
     if is_path(option):
-        return "_files" if option.flags else "_files -/"
+        files, names = "_files" if option.flags else "_files -/", " ".join(agents_for(option))
+        return f"{{compadd -- {names}; {files}}}" if names else files
     return f"({' '.join(option.choices)})" if option.choices else " "
 
 
