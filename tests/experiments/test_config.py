@@ -388,13 +388,19 @@ def test_a_primitive_is_the_path_of_a_run(wrong):
         make(primitive=wrong)
 
 
-@pytest.mark.parametrize(
-    ("env", "algorithm", "level"), [("point-flagrun", "shes", "primitive"), ("point-gather", "es", "policy")]
-)
-def test_a_primitive_needs_a_controller(env, algorithm, level):
-    message = rf"primitive is 'run', but a run of {env} with algorithm '{algorithm}' has the levels {level} alone"
+@pytest.mark.parametrize("env", ["point-gather", "point-flagrun"])
+def test_a_primitive_needs_a_level_of_that_kind(env):
+    message = rf"primitive is 'run', but a run of {env} with algorithm 'es' has the levels policy alone"
     with pytest.raises(ConfigError, match=message + r".*Leave --primitive away, or name another environment"):
-        TrainConfig(env=env, algorithm=algorithm, primitive="run")
+        TrainConfig(env=env, algorithm="es", primitive="run")
+
+
+def test_a_primitive_alone_goes_on_from_another_one_only_if_it_learns():
+    assert TrainConfig(env="point-flagrun", primitive="run", freeze_primitive=False).learns == (True,)
+    with pytest.raises(
+        ConfigError, match=r"a run of point-flagrun has nothing else that learns.*--no-freeze-primitive"
+    ):
+        TrainConfig(env="point-flagrun", primitive="run")
 
 
 def test_novelty_is_not_for_a_primitive_alone():
@@ -475,19 +481,19 @@ def test_a_preset_may_hold_what_does_nothing_here(preset):
     [
         (
             {"fitness_shaping": "pair_rank"},
-            r"'pair_rank' ranks mirrored pairs, but with mirrored 'quad' a group has 4 mem",
+            r"ranks mirrored pairs, but with mirrored 'quad' a group has 4 member",
         ),
         (
             {"fitness_shaping": "pair_rank", "mirrored": "none"},
-            r"mirrored 'none' a group has 1 member.*--mirrored pair",
+            r"'none' a group has 1 member.*--mirrored pair",
         ),
         (
             {"symmetry": "rotation"},
-            r"symmetry is 'rotation', but the primitive's view is 'observation'.*Set --primitive-v",
+            r"'rotation', but the primitive's view is 'observation'.*Set --primitive-v",
         ),
         (
             {"primitive_estimate": "interval"},
-            r"'interval', but the primitive sees the task's observation.*egocentric or ",
+            r"but the primitive sees the task's observation.*egocentric or ",
         ),
         (
             {"primitive_estimate": "interval", "primitive_view": "egocentric", "primitive_population_size": 3},
@@ -511,12 +517,12 @@ def test_an_external_environment_cannot_be_branched():
         (
             "point-gather",
             {"primitive_view": "egocentric", "symmetry": "rotation"},
-            "what symmetry the point of point-ga",
+            "what symmetry the point of",
         ),
         (
             "point-gather",
             {"primitive_view": "egocentric", "hide_position": True},
-            "an egocentric view shows no absolute",
+            "egocentric view shows no absolute",
         ),
     ],
 )

@@ -50,7 +50,8 @@ def test_sigma_and_learning_rate_are_those_of_their_schedules(table):
     backend, reports = formula_run(table, 6, SCHEDULED)
     sigmas = [0.1, 0.08, 0.06, 0.04, 0.02, 0.02]
     rates = [0.001 + 0.019 * (1 + math.cos(math.pi * min(t, 3) / 3)) / 2 for t in range(6)]
-    assert [report.population.work.generation.sigma for report in reports] == pytest.approx(sigmas)
+    told = [report.population.work.generation.sigma for report in reports]
+    assert told == pytest.approx(sigmas)
     assert [report.population.learning_rate for report in reports] == pytest.approx(rates)
     assert [generation.sigma for generation in backend.generations] == [
         report.population.work.generation.sigma for report in reports

@@ -284,6 +284,12 @@ class TrainConfig:
             pass
         elif not isinstance(self.primitive, str) or not self.primitive:
             raise out_of_range("primitive", self.primitive, "the path of a run folder")
+        elif self.level_names == ("primitive",):
+            if self.freeze_primitive:
+                raise ConfigError(
+                    f"primitive is {self.primitive!r} and stays as it is, but a run of {self.env} has nothing else "
+                    "that learns. Set --no-freeze-primitive: it then learns on."
+                )
         elif self.level_names != ("controller", "primitive"):
             raise ConfigError(
                 f"primitive is {self.primitive!r}, but a run of {self.env} with algorithm {self.algorithm!r} has the "
@@ -306,15 +312,15 @@ class TrainConfig:
             )
         if self.symmetry != "none" and self.primitive_view != "egocentric":
             raise ConfigError(
-                f"symmetry is {self.symmetry!r}, but the primitive's view is {self.primitive_view!r}: only what is seen "
-                "from the robot's own frame can be turned. Set --primitive-view egocentric."
+                f"symmetry is {self.symmetry!r}, but the primitive's view is {self.primitive_view!r}: only what is "
+                "seen from the robot's own frame can be turned. Set --primitive-view egocentric."
             )
         if self.primitive_estimate != "interval" or "primitive" not in self.level_names:
             return
         if self.external is not None:
             raise ConfigError(
-                f"primitive_estimate is 'interval', but the physics of {self.env} is Gymnasium's and cannot be branched. "
-                "Set --primitive-estimate episode."
+                f"primitive_estimate is 'interval', but the physics of {self.env} is Gymnasium's and cannot be "
+                "branched. Set --primitive-estimate episode."
             )
         is_beside = self.level_names == ("controller", "primitive")
         if is_beside and self.learns[-1] and self.primitive_view == "observation":

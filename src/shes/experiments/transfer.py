@@ -129,7 +129,8 @@ def _layout(config: TrainConfig) -> str:
     inputs = primitive_inputs(config)
     task = build_task(config, 1, is_evaluation=False)
     task.close()
+    symmetry = "" if config.symmetry == "none" else f" ({config.symmetry} symmetry)"
     return (
-        f"{len(inputs)} inputs ({', '.join(inputs)}) of specification {config.spec} and {task.action_size} controls "
-        f"of up to {task.control_limit:g}, symmetry {config.symmetry}"
+        f"{len(inputs)} inputs{symmetry} ({', '.join(inputs)}) of specification {config.spec} and {task.action_size} "
+        f"controls of up to {task.control_limit:g}"
     )
