@@ -17,7 +17,7 @@ MIN_VERSION := (3, 11)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test test-extras test-all test-gpu lint type imports docs bench clean FORCE
+.PHONY: help setup demo demo-point test test-extras test-all test-gpu lint type imports docs bench clean FORCE
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -57,8 +57,11 @@ $(STAMP): pyproject.toml constraints.txt
 	@pwd -P > $(STAMP)
 	@echo "setup: done"
 
-demo: $(STAMP) ## train a small agent and show what it learned
+demo: $(STAMP) ## an ant learns to walk and to collect food: four minutes
 	$(DEMO_COMMAND)
+
+demo-point: $(STAMP) ## the same with a point robot: two to three minutes
+	$(DEMO_COMMAND) point
 
 test: $(STAMP) ## fast tests, no extras: at most 3 minutes on 2 cores
 	$(PYTEST) -m "not slow and not extras and not gpu and not cluster and not render and not hiro"

@@ -305,7 +305,7 @@ def test_code_that_a_page_names_exists(path, source):
     ("name", "message"),
     [
         ("shes.algorithm.dissolve", "algorithm.py defines no 'dissolve'"),
-        ("shes.algorithm.Settings.nothing", "defines no 'nothing'"),
+        ("shes.populations.Settings.nothing", "defines no 'nothing'"),
         ("nothing.at.all", "there is no module 'nothing.at.all'"),
     ],
 )

@@ -70,8 +70,7 @@ def evolve(
     """Yield a report after every generation, for ever, from `state` on. `pool` shares the gradient's columns."""
     while True:  # line 1
         start = perf_counter()
-        # line 2: n roll-outs, tasks of a few integers each. line 3: sample epsilon, as places in the noise table;
-        # f = F(theta + epsilon * sigma), for controller and primitive at once.
+        # lines 2 and 3: n roll-outs of policies perturbed by sigma * epsilon, for controller and primitive at once.
         population = roll_out(state, settings, table, backend)
         # Not in the paper: a primitive may be judged by intervals that branch off the states of these episodes.
         branches = roll_out_branches(state, settings, table, backend, population)

@@ -132,10 +132,12 @@ def generation_work(state: TrainState, settings: Settings, table_size: int) -> W
         return branch_work(state, estimate, table_size)
     signs, episodes = settings.signs(state.generation), settings.episodes(state.generation)
     dims = tuple(len(level.theta) for level in state.levels)
+    # line 3: sample epsilon, as places in the noise table.
     noise_index = draw_noise_index(state.seed, state.generation, len(signs), dims, table_size)
     if estimate is not None:
         goals_noted = estimate.intervals
         noted = noted_steps(state, settings.population_size * episodes, settings.horizon, estimate.interval_steps)
+    # line 2: n roll-outs, tasks of a few integers each.
     tasks = population_tasks(
         state, signs, noise_index, episodes, settings.common_random_numbers, settings.statistics_fraction, noted
     )
@@ -185,6 +187,7 @@ def _branches(state: TrainState, estimate: IntervalEstimate, work: Work, backend
 
 def _results(work: Work, backend: Backend) -> PopulationResults:
     """Return what came of `work`, done by the workers of `backend`."""
+    # line 3: f = F(theta + epsilon * sigma), for every level at once.
     backend.broadcast(work.generation)
     results = PopulationResults.of_tasks(work.tasks, work.generation)
     tasks = spread(work.tasks, backend.num_workers)

@@ -25,7 +25,10 @@ from shes.es.statistics import ObservationStatistics
 from shes.experiments.build import build_design, build_plan, build_settings, open_noise_table
 from shes.experiments.records import CsvTable, Records, progress_row, read_csv
 from shes.experiments.run_folder import RunFolder
+from shes.hierarchy.episodes import Generation
+from shes.hierarchy.population import Work
 from shes.hierarchy.results import PopulationResults
+from shes.populations import Population
 from shes.worker import RolloutWorker
 from tests.e2e import runs
 
@@ -46,17 +49,27 @@ def report(noise_index, novelty=None, signs=None):
         LevelUpdate(level=levels[0], gradient_norm=0.25, halves_cosine=-0.5, update_ratio=0.125),
         LevelUpdate(level=levels[1]),
     )
-    return GenerationReport(
-        state=TrainState(seed=0, generation=9, env_steps=1000, levels=levels, novelty=novelty),
-        results=results,
-        updates=updates,
+    generation = Generation(levels=(), sigma=0.0625, episodes_per_policy=2, is_evaluation=False)
+    work = Work(
         signs=np.ones((2, 1, 2), np.int8) if signs is None else signs,
         noise_index=np.array(noise_index),
-        sigma=0.0625,
-        learning_rate=0.03125,
+        tasks=[],
+        generation=generation,
+    )
+    population = Population(work=work, results=results, rules=(), learns=(True, True), learning_rate=0.03125)
+    return GenerationReport(
+        state=TrainState(seed=0, generation=9, env_steps=1000, levels=levels, novelty=novelty),
+        population=population,
+        branches=None,
+        updates=updates,
         rollout_s=1.25,
         update_s=0.5,
     )
+
+
+def with_results(made, results):
+    """Return the report `made` with other results of its population."""
+    return replace(made, population=replace(made.population, results=results))
 
 
 def level(name, theta):
@@ -134,7 +147,7 @@ def test_rank_ties_are_the_share_of_members_whose_fitness_another_one_has(return
     made = report([[0], [0]], signs=np.ones((1, 4, 2), np.int8))
     results = PopulationResults.empty(2, 4, 1)
     results.returns[0, :, 0] = returns
-    row = progress_row(replace(made, results=results), 1.0, 1.0)
+    row = progress_row(with_results(made, results), 1.0, 1.0)
     assert (row["controller_rank_ties"], row["primitive_rank_ties"]) == (share, 1.0)
 
 
@@ -144,7 +157,7 @@ def test_a_level_that_only_some_members_perturb_has_noise_and_ties_of_these_alon
     made = report([[0, 9, 9, 9], [7, 7, 7, 7]], signs=signs)
     results = PopulationResults.empty(2, 4, 1)
     results.returns[0, :, 0] = [1, 2, 2, 2]
-    row = progress_row(replace(made, results=results), 1.0, 1.0)
+    row = progress_row(with_results(made, results), 1.0, 1.0)
     assert (row["controller_noise_distinct"], row["controller_rank_ties"]) == (2, 0.0)
     assert (row["primitive_noise_distinct"], row["primitive_noise_overlapping"]) == (0, 0)
     assert math.isnan(row["primitive_rank_ties"])
@@ -157,7 +170,7 @@ def generation_by_hand(path, config, number):
     """Return the state before generation `number` of a run, its signs [G, M, L] and its noise [L, G]."""
     state = RunFolder.open(path).load(str(number - 1)).state
     settings = build_settings(config)
-    noise_index, _, _ = generation_work(state, settings, config.noise_table_size)
+    noise_index = generation_work(state, settings, config.noise_table_size).noise_index
     return state, settings.signs(state.generation), noise_index
 
 

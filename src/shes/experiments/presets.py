@@ -49,6 +49,49 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
 }
 
+# What makes an ant learn in minutes: docs/learning.md says what each is worth.
+_ANT_WALKER: dict[str, Any] = {
+    "primitive_view": "egocentric",
+    "symmetry": "dihedral",
+    "goal_encoding": "angle_metres",
+    "clock_frequency": 0.8,
+    "primitive_estimate": "interval",
+    "intervals": 2,
+    "fall_price": 2.0,
+    "output_weights": "zero",
+    "weight_decay": 0.0,
+    "horizon": 500,
+}
+_ANT: dict[str, Any] = {
+    **_ANT_WALKER,
+    "hidden": (),
+    "primitive_hidden": (64, 64),
+    "controller_view": "egocentric",
+    "controller_output": "heading_vector",
+    "minimum_goal_distance": False,
+    "population_size": 200,
+    "sigma": 0.1,
+    "learning_rate": 0.05,
+    "primitive_population_size": 1200,
+    "primitive_sigma": 0.05,
+    "primitive_learning_rate": 0.015,
+    "generations": 200,
+}
+
+_WALKERS: dict[str, dict[str, Any]] = {
+    "ant-flagrun": {
+        **_ANT_WALKER,
+        "hidden": (),
+        "population_size": 1200,
+        "sigma": 0.05,
+        "learning_rate": 0.02,
+        "generations": 22,
+        "evaluation_interval": 5,
+    },
+    **{f"ant-{task}": _ANT for task in ("gather", "maze", "push", "fall")},
+}
+"""What `laptop` sets otherwise where a primitive learns to walk: with `--algorithm es` there is none."""
+
 _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
     # The authors' pre-training of a primitive.
     ("paper", "ant-flagrun"): {"population_size": 256},
@@ -93,7 +136,9 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
             overrides[name] = (overrides[name],)
     if isinstance(overrides.get("primitive"), Path):
         overrides["primitive"] = str(overrides["primitive"])
-    values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **overrides}
+    has_walker = preset == "laptop" and overrides.get("algorithm", "shes") == "shes"
+    own = _WALKERS.get(env, {}) if has_walker else {}
+    values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **own, **overrides}
     if values.get("primitive") is not None:
         values.update(brought_settings(values["primitive"], values.get("primitive_checkpoint", "best"), overrides))
     config = TrainConfig(env=env, preset=preset, **values)
