@@ -132,8 +132,8 @@ class _Recorder:
         self._task, self._reset, self._step = task, task.reset, task.step
         task.reset, task.step = self.reset, self.step  # type: ignore[method-assign]
 
-    def reset(self, ids: IntArray, seeds: Any) -> None:
-        self._reset(ids, seeds)
+    def reset(self, ids: IntArray, seeds: Any, states: Any = ()) -> None:
+        self._reset(ids, seeds, states)
         for i in ids.tolist():
             self._running[i] = (self._task.sim.qpos[i].copy(), self._task.sim.qvel[i].copy(), [])
             self.episodes.append(self._running[i])
@@ -153,7 +153,8 @@ def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjMo
     lanes, rows = max(1, _REPLAYED // generation.rows), generation.rows
     task = make_task(config.env, lanes * rows, plan.training)
     recorder = _Recorder(task)
-    rollout = Rollout(plan.design, lambda _: task, lanes, rows, config.horizon, generation.members_per_lane)
+    horizon = generation.branch_steps or config.horizon
+    rollout = Rollout(plan.design, lambda _: task, lanes, rows, horizon, generation.members_per_lane)
     for _ in rollout.run(iter(enumerate(tasks[:lanes])), generation, table):
         pass
     return recorder.model, recorder.episodes
@@ -198,7 +199,7 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
     table = open_noise_table(config, design)
     state = build_state(config, design)
     settings = replace(build_settings(config), perturbation=ManyToMany())  # all that learns, in one generation
-    signs = settings.signs(0)
+    signs = settings.perturbation.signs(0, settings.population_size, settings.mirrored, settings.learns)
     learning = [i for i, learns in enumerate(settings.learns) if learns]
     dims = tuple(design.dims[i] for i in learning)
     rng = np.random.default_rng(0)
