@@ -1,4 +1,4 @@
-"""`shes experiment ablation`: small ones to their end, stopped and gone on with; flags that make no sense."""
+"""`shes experiment`: small studies to their end, stopped and gone on with; flags that make no sense."""
 
 import csv
 import json
@@ -9,7 +9,7 @@ import signal
 import pytest
 
 from shes.cli import main
-from shes.experiments import ablation as ablations
+from shes.experiments.studies import STUDIES
 from shes.experiments.study import Cell, Study
 from tests.e2e import runs
 
@@ -27,6 +27,8 @@ def table(path):
 def small(monkeypatch):
     """Let the ablation be two seeds of two variants, of which one cannot be run at all."""
 
+    design = STUDIES["ablation"]("smoke").design
+
     def make(scale="laptop", seeds=None):
         kinds = {"base": TINY, "mirrored-none": {**TINY, "mirrored": "none"}}
         cells = [
@@ -38,9 +40,10 @@ def small(monkeypatch):
         cells.append(
             Cell(group="choices", variant="goal-vector", env="point-gather", seed=1, settings=broken, preset="smoke")
         )
-        return Study(cells=tuple(cells[: 4 if scale == "smoke" else 5]), episodes=2)
+        cells = tuple(cells[: 4 if scale == "smoke" else 5])
+        return Study(cells=cells, episodes=2, design=design)
 
-    monkeypatch.setattr(ablations, "ablation", make)
+    monkeypatch.setitem(STUDIES, "ablation", make)
 
 
 @pytest.mark.extras
@@ -75,6 +78,8 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
         (["ablatoin"], r"unknown experiment 'ablatoin'\. Did you mean 'ablation'\?"),
         (["ablation", "--scale", "large"], r"unknown scale 'large'\. Known: laptop, smoke\. Set --scale\."),
         (["ablation", "--only", "sweeps"], r"unknown group 'sweeps'\. Did you mean 'sweep'\?"),
+        (["learning", "--only", "choices"], r"unknown group 'choices'\. Did you mean 'pieces'"),
+        (["learning", "--only"], "--only needs at least one group: pieces, form, alternatives, sweep"),
         (["ablation", "--only"], "--only needs at least one group: choices, sweep, transfer, horizon"),
         (["ablation", "--seeds", "0"], r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."),
         (["ablation", "--workers", "-1"], r"workers must be a whole number of at least 0, got -1\. Set --workers\."),
@@ -162,15 +167,21 @@ def test_kill_9_of_a_worker_is_told_and_changes_nothing(tmp_path, undisturbed):
     go_on(tmp_path / "study", undisturbed)
 
 
+# A base, 9 choices, 20 of the sweep, 3 of transfer and their pairs, on both tasks; 2 horizons and their pair.
+# A base, 10 pieces and a pair, the form, 4 pieces added and their pairs, 6 alternatives, 8 of the sweep.
+COMPARISONS = {"ablation": 2 * (1 + 9 + 20 + 3 + 3) + 3, "learning": 1 + 10 + 1 + 1 + 4 + 4 + 6 + 8}
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_the_whole_smoke_ablation_has_its_tables_and_figures(tmp_path):
-    process = runs.start("experiment", "ablation", "--scale", "smoke", "--out", tmp_path, "--json")
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_whole_study_of_scale_smoke_has_its_tables_and_figures(tmp_path, name):
+    process = runs.start("experiment", name, "--scale", "smoke", "--out", tmp_path, "--json")
     out, err = process.communicate(timeout=500)
+    study = STUDIES[name]("smoke")
     assert (process.returncode, err) == (0, "")
     found = json.loads(out)
-    assert [path.rpartition("/")[2] for path in found["figures"]] == ["choices.png", "sweep.png", "transfer.png"]
-    assert found["cells"] == len(table(tmp_path / "runs.csv")) == len(ablations.ablation("smoke").cells)
+    assert [path.rpartition("/")[2] for path in found["figures"]] == [figure.file for figure in study.design.figures]
+    assert found["cells"] == len(table(tmp_path / "runs.csv")) == len(study.cells)
     assert found["failed"] == {}
-    # A base, 9 choices, 20 of the sweep, 3 of transfer and their pairs, on both tasks; 2 horizons and their pair.
-    assert len(found["comparisons"]) == len(table(tmp_path / "comparison.csv")) == 2 * (1 + 9 + 20 + 3 + 3) + 3
+    assert len(found["comparisons"]) == len(table(tmp_path / "comparison.csv")) == COMPARISONS[name]

@@ -22,6 +22,7 @@ from tests.e2e import own_classes
 WHOLE_NUMBERS = {
     "chunk_size": 0,
     "controller_interval": 1,
+    "env_steps": 1,
     "episodes_per_policy": 1,
     "evaluation_episodes": 1,
     "evaluation_horizon": 1,
@@ -142,7 +143,15 @@ def test_a_buffer_holds_one_at_least(name, wrong):
         make(**{name: wrong})
 
 
-OPTIONAL = ["clock_frequency", "controller_weight_decay", "evaluation_horizon", "minutes", "observe_block", "primitive"]
+OPTIONAL = [
+    "clock_frequency",
+    "controller_weight_decay",
+    "env_steps",
+    "evaluation_horizon",
+    "minutes",
+    "observe_block",
+    "primitive",
+]
 
 
 @pytest.mark.parametrize("name", [*OPTIONAL, *ENDS, *PLACES, *BUFFERS, "primitive_hidden"])
@@ -272,7 +281,8 @@ def test_an_unknown_key_is_an_error_that_names_the_nearest():
 def test_numbers_are_the_settings_that_change_numbers():
     numbers = make().numbers()
     assert set(numbers) == {field.name for field in fields(TrainConfig)} - EXECUTION_FIELDS
-    other = make(num_workers=3, chunk_size=7, backend="serial", generations=5, minutes=1.0, keep_checkpoints=2)
+    execution = {"generations": 5, "env_steps": 900, "minutes": 1.0, "keep_checkpoints": 2}
+    other = make(num_workers=3, chunk_size=7, backend="serial", **execution)
     assert other.numbers() == numbers
     other = make(device="cuda", nconmax=3, njmax=7)
     assert other.numbers() == numbers

@@ -1,4 +1,4 @@
-"""The ablation's figures: they exist, have a sensible size and no text that lies over another."""
+"""The figures of studies: they exist, have a sensible size and no text that lies over another."""
 
 import itertools
 
@@ -8,15 +8,19 @@ import pytest
 from PIL import Image
 
 from shes.experiments import figures
-from shes.experiments.ablation import CURVES, METRICS, ablation, choose, compare
+from shes.experiments.comparison import compare
 from shes.experiments.figures import draw_figures
+from shes.experiments.studies import STUDIES
+from shes.experiments.study import choose
 from shes.experiments.study_tables import Summary
 
 pytestmark = pytest.mark.extras  # the fast tests have three minutes
 
-STUDY = ablation(seeds=3)
-COMPARED = [column for column, _ in METRICS.values()]
-COURSE = [column for column, _ in CURVES.values()]
+MADE = {name: make(seeds=3) for name, make in STUDIES.items()}
+STUDY = MADE["ablation"]
+COMPARED = [measure.column for study in MADE.values() for measure in study.design.metrics.values()]
+COURSE = [measure.column for study in MADE.values() for measure in study.design.curves.values()]
+DRAWN = [(name, figure.file.removesuffix(".png")) for name, study in MADE.items() for figure in study.design.figures]
 
 
 def summaries_of(cells):
@@ -33,27 +37,37 @@ def summaries_of(cells):
     return found
 
 
-def draw(cells, out):
+def draw(cells, out, study=STUDY):
     summaries = summaries_of(cells)
-    return draw_figures(STUDY, summaries, compare(STUDY, summaries), out)
+    return draw_figures(study, summaries, compare(study, summaries), out)
 
 
 @pytest.fixture(scope="module")
-def drawn(tmp_path_factory):
-    """The figures of a whole ablation, still open, and their files."""
-    open_figures, close = [], plt.close
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plt, "close", open_figures.append)
-        paths = draw(STUDY.cells, tmp_path_factory.mktemp("figures"))
-    yield dict(zip([path.stem for path in paths], open_figures, strict=True)), paths
-    for figure in open_figures:
-        close(figure)
+def all_drawn(tmp_path_factory):
+    """The figures of every whole study, still open, and their files, by the study's name."""
+    found, close = {}, plt.close
+    for name, study in MADE.items():
+        open_figures = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(plt, "close", open_figures.append)
+            paths = draw(study.cells, tmp_path_factory.mktemp("figures"), study)
+        found[name] = dict(zip([path.stem for path in paths], open_figures, strict=True)), paths
+    yield found
+    for figures_of, _ in found.values():
+        for figure in figures_of.values():
+            close(figure)
 
 
-@pytest.mark.extras
-def test_every_figure_is_a_picture_as_wide_as_a_page(drawn):
-    _, paths = drawn
-    assert [path.name for path in paths] == ["choices.png", "sweep.png", "transfer.png"]
+@pytest.fixture
+def drawn(all_drawn):
+    """The figures of a whole ablation."""
+    return all_drawn["ablation"]
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_figure_is_a_picture_as_wide_as_a_page(all_drawn, name):
+    _, paths = all_drawn[name]
+    assert [path.name for path in paths] == [figure.file for figure in MADE[name].design.figures]
     for path in paths:
         with Image.open(path) as picture:
             width, height = picture.size
@@ -62,9 +76,9 @@ def test_every_figure_is_a_picture_as_wide_as_a_page(drawn):
             assert len(np.unique(np.asarray(picture.convert("L")))) > 20  # something is drawn
 
 
-@pytest.mark.parametrize("name", ["choices", "sweep", "transfer"])
-def test_no_text_lies_over_another_or_leaves_the_picture(drawn, name):
-    figure = drawn[0][name]
+@pytest.mark.parametrize(("study", "name"), DRAWN)
+def test_no_text_lies_over_another_or_leaves_the_picture(all_drawn, study, name):
+    figure = all_drawn[study][0][name]
     boxes = {text: text.get_window_extent() for axes in figure.axes for text in texts_of(axes)}
     # Slanted labels of neighbours lie side by side, though the boxes around them do not.
     for one, other in itertools.combinations((text for text in boxes if text.get_rotation() != 45), 2):
@@ -95,7 +109,11 @@ def test_the_forest_shows_every_seed_and_the_corrected_p(drawn):
         assert labels[0] == "base"
         assert len(labels) == len(axis.texts) == 10
         dots = np.concatenate([dot.get_offsets()[:, 0] for dot in axis.collections])
-        scores = [summaries[c.name].row[METRICS[env][0]] for c in STUDY.cells if (c.env, c.group) == (env, "choices")]
+        scores = [
+            summaries[c.name].row[STUDY.design.metrics[env].column]
+            for c in STUDY.cells
+            if (c.env, c.group) == (env, "choices")
+        ]
         assert sorted(dots) == pytest.approx(sorted(scores))
         p = found[env, "mirrored-pair"].p_holm
         assert axis.texts[1].get_text() == (f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}")

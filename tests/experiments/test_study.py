@@ -1,4 +1,4 @@
-"""Studies: order of the cells, resumption, cells that fail; what the ablation consists of, and its statistics."""
+"""Studies: order of the cells, resumption, cells that fail; what the studies consist of, and their statistics."""
 
 import csv
 import itertools
@@ -15,21 +15,28 @@ from shes.backends.serial import SerialBackend
 from shes.cli.commands import experiment
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
 from shes.experiments import ablation as ablations
+from shes.experiments import learning as lessons
 from shes.experiments import study as studies
 from shes.experiments import train as training
-from shes.experiments.ablation import ablation, choose, compare, holm, permutation_test
+from shes.experiments.ablation import ablation
 from shes.experiments.checkpoint import load_checkpoint
+from shes.experiments.comparison import compare, holm, permutation_test
 from shes.experiments.evaluate import evaluate
+from shes.experiments.learning import learning
+from shes.experiments.studies import STUDIES
 from shes.experiments.study import (
     Study,
     cell_config,
     cell_steps,
     cells_left,
     check_study,
+    choose,
+    generation_steps,
     read_summaries,
     run_cell,
     run_study,
 )
+from shes.experiments.study_design import sweep_name
 from shes.experiments.study_tables import Cell, Summary, read_tables, write_tables
 from tests.e2e import runs
 
@@ -107,6 +114,7 @@ def test_a_cell_is_an_ordinary_run_and_a_row(finished, tiny_run):
     assert [row[name] for name in ("group", "variant", "env", "seed")] == ["choices", "base", "point-gather", 5]
     assert (row["generations"], row["env_steps"]) == (4, 4 * 8 * 20)
     assert (row["last_score"], row["last_return"]) == (found["score_mean"], found["return_mean"])
+    assert row["last_steps"] == found["episode_steps_mean"]
     assert row["best_goals_reached"] >= 0
     assert [point["env_steps"] for point in summary.curve] == [160, 320, 640]
 
@@ -335,12 +343,41 @@ def test_the_permutation_test_of_few_values_is_exact(first, second):
         for split in splits
     ]
     expected = sum(each >= least for each in found) / len(splits)
-    assert ablations.permutation_test(np.array(first), np.array(second)) == pytest.approx(expected)
+    assert permutation_test(np.array(first), np.array(second)) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("scale", ablations.SCALES)
-def test_every_cell_of_the_ablation_has_settings_that_are_allowed(scale, tmp_path):
-    check_study(ablation(scale), tmp_path)
+@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("scale", experiment._SCALES)
+def test_every_cell_of_a_study_has_settings_that_are_allowed(name, scale, tmp_path):
+    check_study(STUDIES[name](scale), tmp_path)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("scale", experiment._SCALES)
+def test_the_design_of_a_study_names_what_there_is(name, scale):
+    study = STUDIES[name](scale)
+    design, places = study.design, {(found.env, found.group, found.variant) for found in study.cells}
+    variants = {place[1:] for place in places}
+    assert {group for group, _ in variants} == set(design.groups)
+    assert design.base in variants
+    assert set(design.metrics) == set(design.curves) <= {env for env, _, _ in places}
+    assert set(design.labels) <= {variant for _, variant in variants}
+    for group, pairs in design.paired.items():
+        assert {(group, variant) for pair in pairs for variant in pair} <= variants
+    for figure in design.figures:
+        assert set(figure.groups) <= set(design.groups)
+        for panel in getattr(figure, "panels", ()):
+            assert {(panel.env, curve.group, curve.variant) for curve in panel.curves} <= places
+        for setting in getattr(figure, "settings", ()):
+            assert {(figure.group, sweep_name(setting, factor)) for factor in figure.factors} <= variants
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_study_refuses_sizes_it_does_not_have(name):
+    with pytest.raises(UnknownNameError, match="unknown scale 'large'"):
+        STUDIES[name]("large")
+    with pytest.raises(ConfigError, match=r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."):
+        STUDIES[name](seeds=0)
 
 
 def test_the_ablation_has_the_seeds_that_were_asked_for():
@@ -356,7 +393,7 @@ def test_the_ablation_has_the_seeds_that_were_asked_for():
     assert {found.seed for found in ablation(seeds=3).cells} == {1, 2, 3}
 
 
-def test_every_variant_makes_as_many_environment_steps_as_the_base():
+def test_every_variant_of_the_ablation_makes_as_many_environment_steps_as_the_base():
     for scale, tolerance in (("laptop", 0.07), ("smoke", 0.3)):  # whole generations, and few of them
         steps = {}
         for found in ablation(scale).cells:
@@ -366,10 +403,11 @@ def test_every_variant_makes_as_many_environment_steps_as_the_base():
             assert number == pytest.approx(steps[env, "base"], rel=tolerance), (scale, env, variant)
 
 
-def test_the_laptop_scale_takes_at_most_four_hours_on_two_cores():
-    study = ablation()
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_laptop_scale_takes_at_most_four_hours_on_two_cores(name):
+    study = STUDIES[name]()
     steps = sum(cell_steps(found, study.episodes) for found in study.cells)
-    assert steps / ablations.STEPS_PER_S / 2 <= 4 * 3600
+    assert steps / study.design.steps_per_s / 2 <= 4 * 3600
 
 
 def test_a_sweep_multiplies_the_base_and_rounds_whole_numbers():
@@ -377,7 +415,7 @@ def test_a_sweep_multiplies_the_base_and_rounds_whole_numbers():
     base = cells["point-maze", "base"]
     for name in ablations.SWEPT:
         for factor in ablations.FACTORS:
-            value = cells["point-maze", ablations.sweep_name(name, factor)][name]
+            value = cells["point-maze", sweep_name(name, factor)][name]
             assert type(value) is type(base[name])
             assert value == pytest.approx(factor * base[name], abs=2 if isinstance(value, int) else 1e-9)
     assert all(settings["population_size"] % 4 == 0 for settings in cells.values())
@@ -395,9 +433,84 @@ def test_some_groups_alone_come_with_the_base_and_the_primitives():
         choose(ablation("smoke"), ["choice"])
 
 
-def test_the_command_offers_the_groups_and_scales_there_are():
-    assert set(experiment._GROUPS) == set(ablations.GROUPS)
-    assert set(experiment._SCALES) == set(ablations.SCALES)
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_command_offers_the_groups_and_scales_there_are(name):
+    assert set(experiment._GROUPS) == set(STUDIES)
+    assert experiment._GROUPS[name] == tuple(STUDIES[name]("smoke").design.groups)
+    assert set(experiment._SCALES) == set(ablations.SCALES) == set(lessons.SCALES)
+
+
+# The learning study.
+
+
+def test_every_run_of_the_learning_study_ends_after_as_many_steps_and_evaluates_as_often():
+    for scale, size in lessons.SCALES.items():
+        for found in learning(scale, seeds=1).cells:
+            config = cell_config(found, Path("study"))
+            assert config.env_steps == size.env_steps
+            between = config.evaluation_interval * generation_steps(config)
+            assert size.evaluation_steps / 2 <= between <= 2 * size.evaluation_steps, found.name
+            # Episodes that end early make more generations of as many steps: they must not come to their end first.
+            assert config.generations * config.population_size > size.env_steps
+
+
+def test_the_learning_study_has_its_variants_with_reasons_and_five_seeds():
+    study, groups = learning(), lessons.variants()
+    assert {group: len(found) for group, found in groups.items()} == {
+        "pieces": 11,
+        "form": 5,
+        "alternatives": 6,
+        "sweep": 8,
+    }
+    assert all(variant.words and variant.reason for found in groups.values() for variant in found.values())
+    assert len(study.cells) == 5 * 30
+    assert {found.seed for found in study.cells} == {1, 2, 3, 4, 5}
+    assert {found.seed for found in learning(seeds=2).cells} == {1, 2}
+
+
+def test_a_piece_left_out_changes_that_piece_alone():
+    configs = {found.variant: cell_config(found, Path("study")).to_dict() for found in learning(seeds=1).cells}
+    base = configs["base"]
+    changed = {
+        variant: {name for name, value in config.items() if value != base[name]} - {"evaluation_interval"}
+        for variant, config in configs.items()
+    }
+    assert changed["base"] == set()
+    assert changed["no-view"] == {"primitive_view", "symmetry"}
+    assert changed["episodes"] == {"primitive_estimate", "population_size"}
+    assert changed["sigma-decay"] == {"sigma_schedule", "sigma_end", "schedule_generations"}
+    single = [name for name in changed if name not in ("base", "no-view", "sigma-decay")]
+    single = [name for name in single if not name.startswith(("episodes", "form"))]
+    assert {name: len(changed[name]) for name in single} == dict.fromkeys(single, 1)
+    parts = ("no-view", "glorot-output", "no-clock", "episodes", "goal-angle", "fall-price-0")
+    assert changed["form"] == set().union(*(changed[name] for name in parts))
+    assert changed["form-egocentric"] == changed["form"] - {"primitive_view"}
+    assert changed["form-dihedral"] == changed["form"] - {"primitive_view", "symmetry"}
+    assert changed["form-interval"] == changed["form"] - changed["episodes"]
+    assert changed["form-zero"] == changed["form"] - {"output_weights"}
+    assert configs["sigma-decay"]["sigma_end"] == pytest.approx(base["sigma"] / 5)
+    assert configs["sigma-decay"]["schedule_generations"] == 11
+
+
+def test_a_cell_ends_with_its_environment_steps_and_is_not_gone_on_with(tmp_path, monkeypatch):
+    (some,) = (found for found in learning("smoke", seeds=1).cells if found.variant == "base")
+    summary = run_cell(some, tmp_path, 2)
+    assert 2_000 <= summary.row["env_steps"] < 2_400
+    assert summary.curve[-1]["episode_steps_mean"] <= 50
+    (tmp_path / some.name / "summary.json").unlink()
+    monkeypatch.setattr(studies, "resume", None)
+    assert run_cell(some, tmp_path, 2) == summary
+
+
+def test_steps_of_a_generation_count_branches_and_whole_episodes():
+    def steps(env, **settings):
+        some = cell(env=env, settings={**TINY, "controller_interval": 10, **settings})
+        return generation_steps(cell_config(some, Path("study")))
+
+    interval = {"primitive_estimate": "interval", "intervals": 3, "primitive_view": "proprioception"}
+    assert steps("point-flagrun") == 8 * 20
+    assert steps("point-flagrun", **interval) == 8 * 3 * 10
+    assert steps("point-gather", **interval, primitive_population_size=6) == 8 * 20 + 6 * 3 * 10
 
 
 # Statistics.
@@ -435,7 +548,7 @@ def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_
         return 0.1 * (found.seed % 5) - (2 if is_worse else 0)
 
     summaries = {
-        found.name: Summary(row={**found.identity, ablations.METRICS[found.env][0]: score(found)}, curve=())
+        found.name: Summary(row={**found.identity, study.design.metrics[found.env].column: score(found)}, curve=())
         for found in study.cells
         if found.env in ablations.ENVS
     }
@@ -455,7 +568,7 @@ def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_
 def test_what_is_not_finished_is_not_compared():
     study = ablation("smoke")
     some = next(found for found in study.cells if found.variant == "sigma-x2")
-    summaries = {some.name: Summary(row={**some.identity, ablations.METRICS[some.env][0]: 1.0}, curve=())}
+    summaries = {some.name: Summary(row={**some.identity, study.design.metrics[some.env].column: 1.0}, curve=())}
     (found,) = compare(study, summaries)  # there is no base yet
     assert (found.variant, found.against, found.p) == ("sigma-x2", None, None)
     assert compare(study, {}) == []

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from shes.errors import ConfigError
 from shes.experiments import train as training
 from shes.experiments.evaluate import Evaluation
 from shes.experiments.run_folder import RunFolder
@@ -71,6 +72,17 @@ def test_before_the_first_evaluation_the_best_is_the_start(tmp_path):
     folder = RunFolder.open(path)
     assert folder.load("best").state.generation == 0
     assert folder.load("last").best.generation == -1
+
+
+def test_a_run_ends_with_the_generation_that_reaches_its_environment_steps(tmp_path):
+    whole = runs.train_tiny(tmp_path / "whole")  # 4 generations of 160 steps
+    path = runs.train_tiny(tmp_path / "run", env_steps=161)
+    state = RunFolder.open(path).load("last").state
+    assert (state.generation, state.env_steps) == (2, 320)
+    with pytest.raises(ConfigError, match=r"made 320 environment steps, and is to end after 161\. .*--env-steps 640"):
+        resume(path)
+    assert resume(path, env_steps=10_000).generation == 4
+    assert runs.differences(whole, path) == []
 
 
 class _Heard:

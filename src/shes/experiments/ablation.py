@@ -7,41 +7,28 @@ and its Ant Maze at horizon 500 and 1000. Everything is compared with one base p
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from itertools import combinations
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from shes.errors import ConfigError, UnknownNameError
-from shes.experiments.plot import interval
 from shes.experiments.presets import make_config
-from shes.experiments.records import Row
 from shes.experiments.study import Study
-from shes.experiments.study_tables import Cell, Summary
-from shes.types import F64Array
+from shes.experiments.study_design import (
+    Curve,
+    CurvePanel,
+    Curves,
+    Forest,
+    Measure,
+    StudyDesign,
+    Sweep,
+    check_size,
+    multiplied,
+    sweep_name,
+    whole,
+)
+from shes.experiments.study_tables import Cell
 
-__all__ = [
-    "BASE",
-    "CURVES",
-    "ENVS",
-    "FACTORS",
-    "GROUPS",
-    "LABELS",
-    "METRICS",
-    "SCALES",
-    "STEPS_PER_S",
-    "SWEPT",
-    "Comparison",
-    "ablation",
-    "choose",
-    "compare",
-    "holm",
-    "label",
-    "permutation_test",
-    "sweep_name",
-]
+__all__ = ["BASE", "ENVS", "FACTORS", "GROUPS", "SCALES", "SWEPT", "ablation"]
 
 ENVS = ("point-gather", "point-maze")
 GROUPS: dict[str, str] = {
@@ -52,21 +39,22 @@ GROUPS: dict[str, str] = {
 }
 """Groups of cells, and what they ask."""
 BASE = "base"
-METRICS = {
-    "point-gather": ("best_score", "score of the best checkpoint"),
-    "point-maze": ("last_training_success", "share of random free targets that the last policies reach"),
+_METRICS = {
+    "point-gather": Measure("best_score", "score of the best checkpoint", "score"),
+    "point-maze": Measure(
+        "last_training_success", "share of random free targets that the last policies reach", "targets reached"
+    ),
 }
-"""What is compared on each task, on fresh episodes: column of `runs.csv`, and its words.
+"""What is compared on each task, on fresh episodes.
 
 The maze's own score, one target behind two corners, is 0 with all that two million steps can do: it would tell nothing.
 """
-CURVES = {
-    "point-gather": ("score_mean", "evaluation score"),
-    "point-maze": ("training_success_rate", "share of training's targets reached"),
+_CURVES = {
+    "point-gather": Measure("score_mean", "evaluation score"),
+    "point-maze": Measure("training_success_rate", "share of training's targets reached"),
 }
-"""What learning curves show of each task: column of `curves.csv`, and its words."""
-STEPS_PER_S = 30_000
-"""Environment steps per second of one core, all of a run included; measured: 32,000 to 45,000 on an AMD EPYC."""
+_STEPS_PER_S = 30_000
+"""Of one core, all of a run included; measured: 32,000 to 45,000 on an AMD EPYC."""
 
 _PRIMITIVE_ENV = "point-flagrun"
 _SHARED: dict[str, Any] = {
@@ -120,11 +108,6 @@ _TRANSFERS: dict[str, tuple[str, dict[str, Any]]] = {
     "frozen": ("transfer, frozen", {"freeze_primitive": True}),
     "unfrozen": ("transfer, learning on", {"freeze_primitive": False}),
 }
-LABELS: dict[str, str] = {BASE: "base"} | {name: words for name, (words, _) in (_CHOICES | _TRANSFERS).items()}
-"""Choices and transfers in words."""
-_PAIRED = {"transfer": ((_SCRATCH, "frozen"), (_SCRATCH, "unfrozen"), ("frozen", "unfrozen"))}
-"""Variants of a group that are compared with each other, too: first with second. Of `horizon`, the longest with the
-shortest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,10 +157,7 @@ def ablation(scale: str = "laptop", seeds: int | None = None) -> Study:
         UnknownNameError: There is no such scale.
         ConfigError: `seeds` is not positive.
     """
-    if scale not in SCALES:
-        raise UnknownNameError("scale", scale, SCALES, "Set --scale.")
-    if seeds is not None and seeds < 1:
-        raise ConfigError(f"seeds must be a whole number of at least 1, got {seeds}. Set --seeds.")
+    check_size(scale, seeds, SCALES)
     size = SCALES[scale]
     bases = {env: _base(env, size) for env in _BASES}
     cells: list[Cell] = []
@@ -210,24 +190,39 @@ def ablation(scale: str = "laptop", seeds: int | None = None) -> Study:
         longer = {"horizon": steps, "evaluation_horizon": steps}
         settings = {**longer, **_equal_steps(bases["point-maze"], longer)}
         add("horizon", f"horizon-{steps}", "point-maze", settings, size.seeds)
-    return Study(cells=tuple(cells), episodes=size.episodes)
+    return Study(cells=tuple(cells), episodes=size.episodes, design=_design(bases["point-maze"]["horizon"], size))
 
 
-def choose(study: Study, groups: Sequence[str]) -> Study:
-    """Return the cells of `groups`, all if there is none, and the base, with which everything is compared.
-
-    Raises:
-        UnknownNameError: There is no such group.
-    """
-    for group in groups:
-        if group not in GROUPS:
-            raise UnknownNameError("group", group, GROUPS, "Set --only.")
-    chosen = {cell.name for cell in study.cells if not groups or cell.group in groups or _is_base(cell)}
-    return Study(cells=tuple(cell for cell in study.cells if cell.name in chosen), episodes=study.episodes)
-
-
-def _is_base(cell: Cell) -> bool:
-    return (cell.group, cell.variant) == ("choices", BASE)
+def _design(horizon: int, size: _Scale) -> StudyDesign:
+    """Return what is compared and drawn; the episodes of the maze have `horizon` steps, but for the longer ones."""
+    transfers = tuple(Curve("transfer", variant) for variant in _TRANSFERS)
+    longer = (Curve("horizon", f"horizon-{steps}", f"{steps} steps") for steps in size.horizons)
+    horizons = (Curve("choices", BASE, f"{horizon} steps"), *longer)
+    return StudyDesign(
+        groups=GROUPS,
+        base=("choices", BASE),
+        metrics=_METRICS,
+        curves=_CURVES,
+        labels={name: words for name, (words, _) in (_CHOICES | _TRANSFERS).items()},
+        paired={
+            "transfer": ((_SCRATCH, "frozen"), (_SCRATCH, "unfrozen"), ("frozen", "unfrozen")),
+            "horizon": ((f"horizon-{size.horizons[0]}", f"horizon-{size.horizons[-1]}"),),
+        },
+        figures=(
+            Forest(file="choices.png", group="choices"),
+            Sweep(file="sweep.png", group="sweep", settings=SWEPT, factors=FACTORS),
+            Curves(
+                file="transfer.png",
+                groups=("transfer", "horizon"),
+                panels=(
+                    CurvePanel("point-gather", "Point Gather", transfers),
+                    CurvePanel("point-maze", "Point Maze", transfers),
+                    CurvePanel("point-maze", "Point Maze, horizon", horizons),
+                ),
+            ),
+        ),
+        steps_per_s=_STEPS_PER_S,
+    )
 
 
 def _base(env: str, size: _Scale) -> dict[str, Any]:
@@ -237,139 +232,13 @@ def _base(env: str, size: _Scale) -> dict[str, Any]:
     return {**{name: getattr(config, name) for name in SWEPT}, **settings}
 
 
-def label(variant: str) -> str:
-    """Return a variant in words."""
-    return LABELS.get(variant, variant.replace("-x", " × ").replace("-", " "))
-
-
-def sweep_name(setting: str, factor: float) -> str:
-    """Return the variant whose `setting` is `factor` times the base's."""
-    return f"{setting.replace('_', '-')}-x{factor:g}"
-
-
 def _swept(base: Mapping[str, Any], name: str, factor: float) -> dict[str, Any]:
     """Return what changes where setting `name` is `factor` times the base's: a population has as many steps in all."""
-    value = factor * base[name]
-    if name == "population_size":
-        settings = {name: 4 * _whole(value / 4)}
-        return {**settings, **_equal_steps(base, settings)}
-    return {name: _whole(value) if isinstance(base[name], int) else value}
+    settings = multiplied(base, name, factor)
+    return {**settings, **_equal_steps(base, settings)} if name == "population_size" else settings
 
 
 def _equal_steps(base: Mapping[str, Any], changed: Mapping[str, Any]) -> dict[str, Any]:
     """Return generations and the interval of evaluations with which `changed` has the environment steps of `base`."""
     ratio = math.prod(base[name] / changed.get(name, base[name]) for name in ("population_size", "horizon"))
-    return {name: _whole(base[name] * ratio) for name in ("generations", "evaluation_interval")}
-
-
-def _whole(value: float) -> int:
-    """Return the nearest whole number, at least 1; a half is rounded up."""
-    return max(1, math.floor(value + 0.5))
-
-
-# Comparisons.
-
-
-@dataclass(frozen=True, kw_only=True)
-class Comparison:
-    """A variant on a task, beside another one: a row of `comparison.csv`."""
-
-    group: str
-    variant: str
-    env: str
-    seeds: int
-    score_mean: float
-    score_low: float
-    """The interval of the mean over seeds, 95 %, by bootstrap."""
-    score_high: float
-    against: str | None = None
-    """The other variant; none for the base itself."""
-    difference: float | None = None
-    """How much higher the mean is than the other one's."""
-    p: float | None = None
-    """Two-sided, by a permutation test of the difference of means."""
-    p_holm: float | None = None
-    """The same, corrected for the comparisons of this group on this task."""
-
-    def row(self) -> Row:
-        """Return its columns."""
-        return asdict(self)
-
-
-def compare(study: Study, summaries: Mapping[str, Summary]) -> list[Comparison]:
-    """Return every variant of which a run is finished, compared with the base of its task; see `_PAIRED` for more."""
-    scores: dict[tuple[str, str, str], list[float]] = {}
-    for cell in study.cells:
-        if cell.name in summaries and cell.env in ENVS:
-            place = (cell.env, cell.group, cell.variant)
-            scores.setdefault(place, []).append(summaries[cell.name].row[METRICS[cell.env][0]])
-    found: list[Comparison] = []
-    for env in ENVS:
-        for group in GROUPS:
-            variants = {variant: np.array(v) for (e, g, variant), v in scores.items() if (e, g) == (env, group)}
-            base = scores.get((env, "choices", BASE))
-            found += _compare_group(group, env, variants, None if base is None else np.array(base))
-    return found
-
-
-def _compare_group(group: str, env: str, variants: dict[str, F64Array], base: F64Array | None) -> list[Comparison]:
-    """Return the comparisons of a group on a task, corrected for their number."""
-    pairs: list[tuple[str, str | None, F64Array | None]] = []
-    for variant in variants:
-        is_base = (group, variant) == ("choices", BASE) or base is None
-        pairs.append((variant, None, None) if is_base else (variant, BASE, base))
-    extremes = ((next(iter(variants)), next(reversed(variants))),) if group == "horizon" and len(variants) > 1 else ()
-    for first, second in _PAIRED.get(group, extremes):
-        if first in variants and second in variants:
-            pairs.append((second, first, variants[first]))
-    tests = [None if other is None else permutation_test(variants[variant], other) for variant, _, other in pairs]
-    corrected = iter(holm([p for p in tests if p is not None]))
-    found: list[Comparison] = []
-    for (variant, against, other), p in zip(pairs, tests, strict=True):
-        values = variants[variant]
-        low, high = interval(values[:, None])
-        found.append(
-            Comparison(
-                group=group,
-                variant=variant,
-                env=env,
-                seeds=len(values),
-                score_mean=float(values.mean()),
-                score_low=float(low[0]),
-                score_high=float(high[0]),
-                against=against,
-                difference=None if other is None else float(values.mean() - other.mean()),
-                p=p,
-                p_holm=None if p is None else next(corrected),
-            )
-        )
-    return found
-
-
-def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_000, seed: int = 0) -> float:
-    """Return the two-sided p of the difference of means between `first` [N] and `second` [M].
-
-    It is the share of divisions of all values into N and M whose difference is at least as large: of all of them, if
-    there are no more than `permutations`, else of so many random ones, with the division at hand as one more, so that
-    p is never 0 (Phipson and Smyth 2010).
-    """
-    pooled, count = np.concatenate([first, second]), len(first)
-    tolerance = 1e-12 * max(1.0, float(np.abs(pooled).max()))  # equal sums in another order
-    least = abs(first.mean() - second.mean()) - tolerance
-    if math.comb(len(pooled), count) <= permutations:
-        chosen = np.array(list(combinations(range(len(pooled)), count)))
-        sums = pooled[chosen].sum(axis=1)
-        differences = np.abs(sums / count - (pooled.sum() - sums) / (len(pooled) - count))
-        return float(np.mean(differences >= least))
-    shuffled = np.random.default_rng(seed).permuted(np.tile(pooled, (permutations, 1)), axis=1)
-    differences = np.abs(shuffled[:, :count].mean(axis=1) - shuffled[:, count:].mean(axis=1))
-    return float((1 + np.count_nonzero(differences >= least)) / (1 + permutations))
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return `p_values` corrected for their number by Holm's step-down method (1979)."""
-    order = np.argsort(p_values, kind="stable")
-    corrected = np.empty(len(order))
-    steps = np.asarray(p_values, dtype=np.float64)[order] * np.arange(len(order), 0, -1)
-    corrected[order] = np.minimum(1.0, np.maximum.accumulate(steps))
-    return corrected.tolist()
+    return {name: whole(base[name] * ratio) for name in ("generations", "evaluation_interval")}

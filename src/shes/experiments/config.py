@@ -30,6 +30,7 @@ EXECUTION_FIELDS = frozenset(
         "nconmax",
         "njmax",
         "generations",
+        "env_steps",
         "minutes",
         "keep_checkpoints",
     }
@@ -79,6 +80,8 @@ class TrainConfig:
     """Seed of every random draw."""
     generations: int = 1000
     """Generations after which the run ends (Table I: 3000)."""
+    env_steps: int | None = None
+    """Environment steps of training after whose generation the run ends, whichever comes first."""
     minutes: float | None = None
     """Minutes after which this call ends, whichever comes first."""
 
@@ -366,6 +369,10 @@ class TrainConfig:
             raise ConfigError(f"external must be an ExternalDescription, got {self.external!r}.")
         else:
             check_external_name(self.env)
+
+    def is_over(self, generation: int, env_steps: int) -> bool:
+        """Return whether a run of these settings ends after `generation` generations and `env_steps` of training."""
+        return generation >= self.generations or (self.env_steps is not None and env_steps >= self.env_steps)
 
     @property
     def workers(self) -> int:

@@ -91,7 +91,7 @@ class ProgressDisplay:
         """Show a generation."""
         self._row = row
         self._times.append(monotonic())
-        is_last = self._config is not None and row["generation"] >= self._config.generations
+        is_last = self._config is not None and self._config.is_over(row["generation"], row["env_steps"])
         if self._live is not None:
             self._live.update(self._view(), refresh=True)
         elif monotonic() - self._last_line >= _LINE_EVERY_S or is_last or row["generation"] == 1:
@@ -116,6 +116,9 @@ class ProgressDisplay:
             return None
         pace = (self._times[-1] - self._times[0]) / (len(self._times) - 1)
         left = pace * (config.generations - self._row["generation"])
+        if config.env_steps is not None:
+            generations = (config.env_steps - self._row["env_steps"]) / self._row["env_steps"] * self._row["generation"]
+            left = min(left, max(0.0, pace * generations))
         if config.minutes is not None:
             left = min(left, max(0.0, 60 * config.minutes - (monotonic() - self._start)))
         return left
@@ -156,9 +159,13 @@ class ProgressDisplay:
             table.add_row("score so far", Text(course, style="green"))
         total = self._config.generations if self._config else 1
         done = self._row["generation"]
-        if self._config is not None and self._config.minutes is not None:
-            share = (monotonic() - self._start) / (60 * self._config.minutes)
-            total, done = 1000, round(1000 * min(1.0, max(share, done / total)))
+        if self._config is not None:
+            config, shares = self._config, [done / total]
+            if config.env_steps is not None:
+                shares.append(self._row["env_steps"] / config.env_steps)
+            if config.minutes is not None:
+                shares.append((monotonic() - self._start) / (60 * config.minutes))
+            total, done = 1000, round(1000 * min(1.0, max(shares)))
         bar = Table.grid()  # ends the bar's line: alone, the bar does not
         bar.add_row(ProgressBar(total=total, completed=done, width=width))
         return Group(bar, table, *(Text(event, style="yellow") for event in self._events))

@@ -90,6 +90,7 @@ _REGISTRIES: dict[str, Mapping[str, Any]] = {
 _AT_LEAST: dict[str, int] = {
     "chunk_size": 0,
     "controller_interval": 1,
+    "env_steps": 1,
     "episodes_end": 1,
     "episodes_per_policy": 1,
     "evaluation_episodes": 1,
@@ -144,6 +145,7 @@ SCHEDULED = {
 _OPTIONAL = (
     "clock_frequency",
     "controller_weight_decay",
+    "env_steps",
     "evaluation_horizon",
     "minutes",
     "nconmax",

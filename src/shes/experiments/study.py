@@ -7,22 +7,24 @@ unfinished ones go on as `shes resume` does, so a study that was stopped has the
 from __future__ import annotations
 
 import json
+import math
 import signal
 import traceback
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
-from shes.errors import ConfigError, RunFolderError, ShesError
+from shes.errors import ConfigError, RunFolderError, ShesError, UnknownNameError
 from shes.experiments.config import TrainConfig
 from shes.experiments.evaluate import evaluate
 from shes.experiments.presets import make_config
 from shes.experiments.records import Row, read_csv
 from shes.experiments.run_folder import RunFolder
+from shes.experiments.study_design import StudyDesign
 from shes.experiments.study_tables import Cell, Summary, read_tables
 from shes.experiments.train import resume, start_run
 from shes.storage import storage_errors, write_atomically
@@ -35,6 +37,8 @@ __all__ = [
     "cell_steps",
     "cells_left",
     "check_study",
+    "choose",
+    "generation_steps",
     "read_summaries",
     "run_cell",
     "run_study",
@@ -43,7 +47,7 @@ __all__ = [
 CHECKPOINTS = ("best", "last")
 """What is evaluated on fresh episodes at the end of a cell."""
 _TRANSFER = ("primitive", "freeze_primitive")
-_CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean")
+_CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +57,8 @@ class Study:
     cells: tuple[Cell, ...]
     episodes: int = 100
     """Fresh episodes on which a finished run's checkpoints are evaluated."""
+    design: StudyDesign = field(default_factory=StudyDesign)
+    """What is asked of them."""
 
     def __post_init__(self) -> None:
         """Refuse cells of one name, and primitives of no cell.
@@ -102,6 +108,23 @@ class Outcome:
     """What happened to the workers meanwhile."""
 
 
+def choose(study: Study, groups: Sequence[str]) -> Study:
+    """Return the cells of `groups`, all if there is none, and the base, with which everything is compared.
+
+    Raises:
+        UnknownNameError: There is no such group.
+    """
+    for group in groups:
+        if group not in study.design.groups:
+            raise UnknownNameError("group", group, study.design.groups, "Set --only.")
+    chosen = {
+        cell.name
+        for cell in study.cells
+        if not groups or cell.group in groups or (cell.group, cell.variant) == study.design.base
+    }
+    return replace(study, cells=tuple(cell for cell in study.cells if cell.name in chosen))
+
+
 def cell_config(cell: Cell, out: Path) -> TrainConfig:
     """Return the settings of the run of `cell` in the study at `out`.
 
@@ -120,10 +143,23 @@ def cell_steps(cell: Cell, episodes: int) -> int:
     config = make_config(
         cell.env, cell.preset, {name: value for name, value in cell.settings.items() if name not in _TRANSFER}
     )
-    training = config.generations * config.population_size * config.episodes_per_policy * config.horizon
-    evaluations = 1 + config.generations // config.evaluation_interval
+    per_generation, generations = generation_steps(config), config.generations
+    if config.env_steps is not None:
+        generations = min(generations, math.ceil(config.env_steps / per_generation))
+    training = generations * per_generation
+    evaluations = 1 + generations // config.evaluation_interval
     evaluated = evaluations * config.evaluation_episodes + (len(CHECKPOINTS) + 1) * episodes
     return training + evaluated * (config.evaluation_horizon or config.horizon)
+
+
+def generation_steps(config: TrainConfig) -> int:
+    """Return the environment steps of a generation, if no episode and no branch ends before its time."""
+    episodes = config.population_size * config.episodes_per_policy * config.horizon
+    if config.primitive_estimate != "interval" or not config.learns[-1]:
+        return episodes
+    pairs = config.primitive_population_size or config.population_size
+    branches = pairs * config.intervals * config.controller_interval
+    return branches if config.level_names == ("primitive",) else episodes + branches
 
 
 # One cell, in a worker process.
@@ -146,7 +182,8 @@ def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
         start_run(config, path)
     else:
         _check_settings(cell, folder, config)
-        if folder.load("last").state.generation < config.generations:
+        state = folder.load("last").state
+        if not config.is_over(state.generation, state.env_steps):
             resume(path)
     summary = _summarise(cell, folder, episodes)
     write_atomically(_summary_path(path), partial(_dump, summary))
@@ -167,6 +204,7 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
         row |= {
             f"{checkpoint}_score": found["score_mean"],
             f"{checkpoint}_return": found["return_mean"],
+            f"{checkpoint}_steps": found["episode_steps_mean"],
             f"{checkpoint}_success": found["success_rate"],
             f"{checkpoint}_primitive_return": found.get("primitive_return_mean"),
             f"{checkpoint}_goals_reached": found.get("goals_reached_mean"),
@@ -193,7 +231,12 @@ def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
     """
     # A path is no setting of the study: the same folder may be reached by another one.
     wanted, there = (
-        {**settings.numbers(), "generations": settings.generations, "primitive": settings.primitive is not None}
+        {
+            **settings.numbers(),
+            "generations": settings.generations,
+            "env_steps": settings.env_steps,
+            "primitive": settings.primitive is not None,
+        }
         for settings in (config, folder.read_config())
     )
     other = [

@@ -152,11 +152,14 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
     check_device(config)
     with folder.lock():
         checkpoint = folder.load("last")
-        done = checkpoint.state.generation
-        if done >= config.generations:
+        done, steps = checkpoint.state.generation, checkpoint.state.env_steps
+        if config.is_over(done, steps):
+            is_long = done >= config.generations
+            made, end = (done, config.generations) if is_long else (steps, config.env_steps)
             raise ConfigError(
-                f"the run has made {done} generations, and is to end after {config.generations}. "
-                f"To go on: shes resume {shlex.quote(str(path))} --generations {2 * done}"
+                f"the run has made {made} {'generations' if is_long else 'environment steps'}, and is to end after "
+                f"{end}. To go on: shes resume {shlex.quote(str(path))} "
+                f"{flag('generations' if is_long else 'env_steps')} {2 * made}"
             )
         changes = folder.record_resume(done, config)
         if changes:
@@ -169,7 +172,7 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
 
 
 def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, listener: Listener | None) -> Run:
-    """Run from `checkpoint` to the end of the generations or minutes, or to an interruption."""
+    """Run from `checkpoint` to the end of the generations, steps or minutes, or to an interruption."""
     design = build_design(config)
     table = open_noise_table(config, design).on(array_module(config.device))
     with ExitStack() as stack:
@@ -233,7 +236,8 @@ class _Session:
         """Tell whether the run, or this call's time, has come to its end."""
         minutes = self._config.minutes
         is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
-        return is_late or self.checkpoint.state.generation >= self._config.generations
+        state = self.checkpoint.state
+        return is_late or self._config.is_over(state.generation, state.env_steps)
 
     def add(self, report: GenerationReport, interruption: Interruption) -> None:
         """Write down a generation, evaluate where it is due, and put the checkpoint on its way."""

@@ -13,12 +13,18 @@ from shes.cli.options import Group, Shown, options_of
 from shes.cli.output import print_error, print_line, print_table, quote
 
 if TYPE_CHECKING:
-    from shes.experiments.ablation import Comparison
+    from shes.experiments.comparison import Comparison
     from shes.experiments.study import Outcome, Study
+    from shes.experiments.study_design import StudyDesign
 
-_NAMES = ("ablation",)
-_SCALES = ("laptop", "smoke")  # those of `experiments.ablation`, which imports matplotlib
-_GROUPS = ("choices", "sweep", "transfer", "horizon")
+# Those of `experiments.studies`, which takes long to import.
+_GROUPS = {
+    "ablation": ("choices", "sweep", "transfer", "horizon"),
+    "learning": ("pieces", "form", "alternatives", "sweep"),
+}
+_NAMES = tuple(_GROUPS)
+_ALL_GROUPS = tuple(dict.fromkeys(group for groups in _GROUPS.values() for group in groups))
+_SCALES = ("laptop", "smoke")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,17 +32,19 @@ class Arguments:
     """What `shes experiment` takes."""
 
     experiment: Annotated[str, Shown(choices=_NAMES, noun="the name of an experiment")]
-    """ablation: the choices of the paper, a sweep of the settings, transfer and horizon, on Point Gather and Maze."""
-    out: Annotated[Path, Shown(metavar="FOLDER")] = Path("runs/ablation")
-    """Where its runs, tables and figures are kept; what is there is not done again."""
+    """ablation: the choices of the paper, a sweep of the settings, transfer and horizon, on Point Gather and Maze.
+    learning: what each piece of the walker's learning is worth, on Ant Flagrun."""
+    out: Annotated[Path | None, Shown(metavar="FOLDER")] = None
+    """Where its runs, tables and figures are kept, and not done again; runs/ and its name if none."""
     workers: int = 0
     """Runs at a time; 0 is one for every core."""
     scale: Annotated[str, Shown(choices=_SCALES)] = "laptop"
     """laptop: hours on two cores; smoke: a minute, to see that everything works."""
     seeds: int | None = None
-    """Seeds of every variant; 10, and 5 in the sweep, if none (smoke: 2)."""
-    only: Annotated[tuple[str, ...] | None, Shown(metavar="GROUP", choices=_GROUPS)] = None
-    """Groups to run: choices, sweep, transfer, horizon, and always the base; all if none."""
+    """Seeds of every variant; if none 10, and 5 in a sweep and in learning (smoke: 2)."""
+    only: Annotated[tuple[str, ...] | None, Shown(metavar="GROUP", choices=_ALL_GROUPS)] = None
+    """Groups to run, and always the base; all if none. ablation: choices, sweep, transfer, horizon; learning: pieces,
+    form, alternatives, sweep."""
     json: bool = False
     """Print one JSON object."""
 
@@ -44,10 +52,11 @@ class Arguments:
 def _run(values: dict[str, Any]) -> int:
     from shes.cli.output import print_facts
     from shes.errors import ConfigError, UnknownNameError
-    from shes.experiments.ablation import ablation, choose, compare
+    from shes.experiments.comparison import compare
     from shes.experiments.config import TrainConfig
     from shes.experiments.figures import draw_figures
-    from shes.experiments.study import cells_left, check_study, read_summaries, run_study
+    from shes.experiments.studies import STUDIES
+    from shes.experiments.study import cells_left, check_study, choose, read_summaries, run_study
     from shes.experiments.study_tables import write_csv, write_tables
 
     given = Arguments(**values)
@@ -55,31 +64,33 @@ def _run(values: dict[str, Any]) -> int:
         fix = "`shes experiment --help` explains them."
         raise UnknownNameError("experiment", given.experiment, _NAMES, fix)
     if given.only == ():
-        raise ConfigError(f"--only needs at least one group: {', '.join(_GROUPS)}. Leave it away to run all.")
+        groups = ", ".join(_GROUPS[given.experiment])
+        raise ConfigError(f"--only needs at least one group: {groups}. Leave it away to run all.")
     if given.workers < 0:
         raise ConfigError(f"workers must be a whole number of at least 0, got {given.workers}. Set --workers.")
-    study = ablation(given.scale, given.seeds)
+    out = given.out or Path("runs") / given.experiment
+    study = STUDIES[given.experiment](given.scale, given.seeds)
     chosen = choose(study, given.only or ())
-    check_study(study, given.out)
-    left = {cell.name for cell in cells_left(chosen, given.out)}
+    check_study(study, out)
+    left = {cell.name for cell in cells_left(chosen, out)}
     workers = TrainConfig(env="point-gather", num_workers=given.workers).workers
     failed: list[Outcome] = []
-    outcomes = run_study(chosen, given.out, num_workers=workers)
+    outcomes = run_study(chosen, out, num_workers=workers)
     with _Progress(chosen, left, workers, is_silent=given.json) as progress, closing(outcomes):
         for outcome in outcomes:
             progress.show(outcome)
             if outcome.summary is None:
                 failed.append(outcome)
             else:
-                write_tables(study.ordered(), read_summaries(study, given.out), given.out)
-    summaries = read_summaries(study, given.out)
+                write_tables(study.ordered(), read_summaries(study, out), out)
+    summaries = read_summaries(study, out)
     comparisons = compare(study, summaries)
-    write_tables(study.ordered(), summaries, given.out)
-    write_csv(given.out / "comparison.csv", [comparison.row() for comparison in comparisons])
-    figures = draw_figures(study, summaries, comparisons, given.out)
+    write_tables(study.ordered(), summaries, out)
+    write_csv(out / "comparison.csv", [comparison.row() for comparison in comparisons])
+    figures = draw_figures(study, summaries, comparisons, out)
     if given.json:
         facts = {
-            "out": str(given.out),
+            "out": str(out),
             "cells": len(chosen.cells),
             "failed": {outcome.cell.name: outcome.error for outcome in failed},
             "figures": [str(path) for path in figures],
@@ -87,8 +98,8 @@ def _run(values: dict[str, Any]) -> int:
         }
         print_facts(facts, as_json=True)
     else:
-        _print_comparisons(comparisons)
-        print_line(f"Tables: runs.csv, curves.csv, comparison.csv in {quote(given.out)}")
+        _print_comparisons(study.design, comparisons)
+        print_line(f"Tables: runs.csv, curves.csv, comparison.csv in {quote(out)}")
         print_line(f"Figures: {' '.join(quote(path) for path in figures) or 'none'}")
     for outcome in failed:
         print_error(RuntimeError(f"{outcome.cell.name} failed: {outcome.error}"))
@@ -104,13 +115,13 @@ class _Progress:
     def __init__(self, study: Study, left: set[str], workers: int, *, is_silent: bool) -> None:
         from shes.experiments.study import cell_steps
 
+        self._design = study.design
         self._steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
         self._left = {name: steps for name, steps in self._steps.items() if name in left}
         self._workers, self._is_silent = workers, is_silent
         self._start, self._made = monotonic(), 0
 
     def __enter__(self) -> _Progress:
-        from shes.experiments.ablation import STEPS_PER_S
         from shes.experiments.progress import format_duration
 
         total, ahead = sum(self._steps.values()), sum(self._left.values())
@@ -120,8 +131,8 @@ class _Progress:
         if not self._left:
             self._say(f"{runs}; all are done.")
             return self
-        expected = format_duration(ahead / STEPS_PER_S / at_once)
-        pace = f"at {STEPS_PER_S:,} steps a second on each of {at_once} core{'s' * (at_once != 1)}"
+        expected = format_duration(ahead / self._design.steps_per_s / at_once)
+        pace = f"at {self._design.steps_per_s:,} steps a second on each of {at_once} core{'s' * (at_once != 1)}"
         self._say(f"{runs}{done}. About {expected} {pace}; Ctrl-C stops, the same command goes on.")
         return self
 
@@ -131,7 +142,6 @@ class _Progress:
 
     def show(self, outcome: Outcome) -> None:
         """Say what came of a cell."""
-        from shes.experiments.ablation import METRICS
         from shes.experiments.progress import format_duration
 
         for event in outcome.events:
@@ -144,28 +154,26 @@ class _Progress:
             self._say(f"{count}: FAILED; {left} left")
             return
         row = outcome.summary.row
-        column, words = METRICS.get(outcome.cell.env, ("best_score", "score"))
-        self._say(f"{count}: {words} {row[column]:.2f} in {row['seconds']:.0f} s; {left} left")
+        measure = self._design.metric(outcome.cell.env)
+        self._say(f"{count}: {measure.words} {row[measure.column]:.2f} in {row['seconds']:.0f} s; {left} left")
 
     def _say(self, text: str) -> None:
         if not self._is_silent:
             print_line(text)
 
 
-def _print_comparisons(comparisons: list[Comparison]) -> None:
+def _print_comparisons(design: StudyDesign, comparisons: list[Comparison]) -> None:
     """Print a table per task, with a row per variant."""
-    from shes.experiments.ablation import BASE, METRICS, label
-
     for env in dict.fromkeys(found.env for found in comparisons):
         rows: list[tuple[str, ...]] = []
         for found in (found for found in comparisons if found.env == env):
-            other = "" if found.against in (None, BASE) else f" (to {label(found.against)})"
+            other = "" if found.against in (None, design.base[1]) else f" (to {design.label(found.against)})"
             score = f"{found.score_mean:.2f} [{found.score_low:.2f}, {found.score_high:.2f}]"
             p = "-" if found.p_holm is None else f"{found.p_holm:.4f}"
-            rows.append((found.group, label(found.variant) + other, str(found.seeds), score, p))
+            rows.append((found.group, design.label(found.variant) + other, str(found.seeds), score, p))
         print_line(env)
         print_table(("group", "variant", "seeds", "mean [95 %]", "p"), rows)
-        print_line(f"mean: {METRICS[env][1]}, over seeds; p: to the base, by permutation, corrected by Holm.")
+        print_line(f"mean: {design.metrics[env].words}, over seeds; p: to the base, by permutation, corrected by Holm.")
 
 
 COMMAND = Command(
@@ -174,6 +182,7 @@ COMMAND = Command(
     examples=(
         "shes experiment ablation --out results/ablation --workers 2",
         "shes experiment ablation --out runs/try --scale smoke --only choices transfer",
+        "shes experiment learning --out results/learning --only pieces",
     ),
     groups=(Group(heading="experiment and flags", options=options_of(Arguments)),),
     run=_run,
