@@ -1,8 +1,8 @@
 """What an update makes of a controller whose members all tie.
 
-`python benchmarks/tied_levels.py --out results/learning/tied.csv`: Ant Gather with episodes of 15 steps, in which nobody can collect
-anything, so that every member of the controller is worth the same. Thirty generations, five seeds, four ways to treat
-the weight decay. A minute on one core.
+`python benchmarks/tied_levels.py --out results/learning/tied.csv`: Ant Gather with episodes of 15 steps, in which
+nobody can collect anything, so that all members of the controller are worth the same. Thirty generations, five seeds,
+four ways to treat the weight decay. A minute on one core.
 """
 
 from __future__ import annotations

@@ -50,6 +50,7 @@ def ship(
     seed: int | None = None,
     num_workers: int = 0,
     into: Path | str | None = None,
+    earlier: Sequence[Path | str] = (),
 ) -> ShippedAgent:
     """Make the shipped agent `name` out of the best checkpoint of `run`, and return what is told of it.
 
@@ -62,6 +63,7 @@ def ship(
         seed: Seed of the episodes; a stream of the run's own, apart from its training, if none.
         num_workers: Worker processes; 0 is one for every core.
         into: Where shipped agents are; the package if none.
+        earlier: Runs that this one went on from, such as its primitive's: their time and steps count, too.
 
     Raises:
         RunFolderError: `run` is not a run folder or has no evaluation yet, or there is an agent of this name.
@@ -84,6 +86,7 @@ def ship(
         _copy(source, checkpoint, folder)
         found = evaluate(folder.path, episodes=episodes, seed=seed, num_workers=num_workers)
         agent = _describe(source, checkpoint, found, seed, description, commands)
+        agent = _with_cost_of(agent, [RunFolder.open(Path(each)) for each in earlier])
         text = json.dumps(agent.to_dict(), indent=2, ensure_ascii=False) + "\n"
         write_atomically(folder.path / AGENT_FILE, lambda file: file.write(text.encode()))
         with storage_errors(place / name):
@@ -126,6 +129,14 @@ def _describe(
         generation=checkpoint.state.generation,
         evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in told}),
     )
+
+
+def _with_cost_of(agent: ShippedAgent, earlier: Sequence[RunFolder]) -> ShippedAgent:
+    """Return `agent` with the time and the steps of the runs before its own."""
+    tables = [read_csv(run.progress) for run in earlier]
+    hours = agent.hours + sum(table["wall_time_s"][-1] for table in tables) / 3600
+    steps = agent.env_steps + sum(int(table["env_steps"][-1]) for table in tables)
+    return replace(agent, hours=round(hours, 3), env_steps=steps)
 
 
 def _copy(source: RunFolder, checkpoint: Checkpoint, target: RunFolder) -> None:
@@ -214,6 +225,13 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--episodes", **number, default=200, help="fresh episodes of its evaluation (default: 200)")
     parser.add_argument("--seed", **number, help="seed of the episodes; a stream of the run's own if none")
     parser.add_argument("--workers", **number, default=0, dest="num_workers", help="0 is one for every core")
+    parser.add_argument(
+        "--earlier",
+        metavar="RUN",
+        nargs="+",
+        default=(),
+        help="runs that this one went on from, such as its primitive's: their time and steps count, too",
+    )
     parser.add_argument("--into", metavar="DIR", help="where shipped agents are; the package if none")
     given = vars(parser.parse_args(words))
     try:
