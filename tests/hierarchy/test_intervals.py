@@ -239,20 +239,23 @@ def test_an_agent_in_a_branch_pursues_the_goals_in_order_from_where_its_robots_a
 
 
 def test_a_lane_that_starts_later_begins_with_its_own_first_goal():
+    """Its decisions are not those of the others, whose goals go on as they were."""
     shared = {field.name: getattr(designs.primitive(), field.name) for field in fields(PrimitiveDesign)}
-    agent = BranchDesign(num_goals=2, **shared).make(2, 1)
-    first, second = np.array([[[1.0, 0], [2, 0]], [[3, 0], [4, 0]]])
+    agent = BranchDesign(num_goals=3, **shared).make(2, 1)
+    goals = np.array([[number, 0.5] for number in range(1, 7)])
     agent.start(slice(None))
-    agent.go_on(0, 0, first)
-    agent.go_on(1, 0, first)
-    seen = []
-    for step in range(2 * designs.INTERVAL):
-        if step == designs.INTERVAL:
+    agent.go_on(0, 0, goals[:3])
+    agent.go_on(1, 0, goals[:3])
+    seen, late = [], 2
+    for step in range(3 * designs.INTERVAL):
+        if step == late:
             agent.start(np.array([1]))
-            agent.go_on(1, 0, second)
+            agent.go_on(1, 0, goals[3:])
         agent.act(np.zeros((2, designs.OBSERVED)), np.zeros((2, 2)), np.zeros(2))
         seen.append(agent.goal[:, 0].tolist())
-    assert seen == [[1, 1]] * designs.INTERVAL + [[2, 3]] * designs.INTERVAL
+    held = designs.INTERVAL
+    assert [row[0] for row in seen] == [1] * held + [2] * held + [3] * held
+    assert [row[1] for row in seen] == [1] * late + [4] * held + [5] * held + [6] * (held - late)
 
 
 # On the ant ----------------------------------------------------------------------------------------------------------
