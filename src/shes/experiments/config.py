@@ -306,15 +306,15 @@ class TrainConfig:
             )
         if self.symmetry != "none" and self.primitive_view != "egocentric":
             raise ConfigError(
-                f"symmetry is {self.symmetry!r}, but the primitive's view is {self.primitive_view!r}: only what is seen "
-                "from the robot's own frame can be turned. Set --primitive-view egocentric."
+                f"symmetry is {self.symmetry!r}, but the primitive's view is {self.primitive_view!r}: only what is "
+                "seen from the robot's own frame can be turned. Set --primitive-view egocentric."
             )
         if self.primitive_estimate != "interval" or "primitive" not in self.level_names:
             return
         if self.external is not None:
             raise ConfigError(
-                f"primitive_estimate is 'interval', but the physics of {self.env} is Gymnasium's and cannot be branched. "
-                "Set --primitive-estimate episode."
+                f"primitive_estimate is 'interval', but the physics of {self.env} is Gymnasium's and cannot be "
+                "branched. Set --primitive-estimate episode."
             )
         is_beside = self.level_names == ("controller", "primitive")
         if is_beside and self.learns[-1] and self.primitive_view == "observation":
