@@ -232,8 +232,8 @@ QUICK = {
 }  # fmt: skip
 """These share enough with the others for every day."""
 SAME_AS_USUAL = {"integrator=euler", "integrator=implicitfast", "controller_output=heading_vector"}
-"""Point Maze is Euler's already, and the point has no damping that an implicit step would treat otherwise. Its heading is
-always that of the world."""
+"""Point Maze is Euler's already, and the point has no damping that an implicit step would treat otherwise.
+Its heading is always 0."""
 
 
 @pytest.fixture(scope="module")
