@@ -89,7 +89,7 @@ def test_an_overflow_ends_the_generation(device):
     def check():
         raise ConfigError("Set --nconmax to 12.")
 
-    worker._rollouts[False].task.check_buffers = check
+    worker._rollouts["training"].task.check_buffers = check
     with pytest.raises(ConfigError, match="Set --nconmax to 12"):
         results_of(worker, plan)
 
