@@ -175,3 +175,104 @@ def test_the_mark_of_a_divergence_goes_with_the_reset_and_comes_with_the_next_di
         assert not host(simulator.diverged).any()
         simulator.step(ALL, 5)
         assert not host(simulator.diverged).any()
+
+
+# Whole states.
+
+
+def controls(simulator, steps, seed=3):
+    """Return controls [steps, nu] that every simulation is to get."""
+    rng = np.random.default_rng(seed)
+    return simulator.xp.asarray(rng.uniform(-30, 30, (steps, simulator.model.nu)))
+
+
+def go_on(simulator, ids, steps=20):
+    """Step simulations `ids` on, all by the same controls; return where they were after each step [steps, ids, S]."""
+    found = []
+    for control in controls(simulator, steps):
+        simulator.ctrl[:] = control
+        simulator.step(np.array(ids), 5)
+        found.append(state(simulator)[ids])
+    return np.array(found)
+
+
+@pytest.fixture
+def moving(make):
+    """A simulator in mid-motion: on its feet, with contacts, no two simulations alike."""
+    simulator = make()
+    kick(simulator)
+    simulator.step(ALL, 40)
+    kick(simulator, seed=5)
+    simulator.step(ALL, 5)
+    assert len({row.tobytes() for row in state(simulator)}) == NUM_SIMS
+    return simulator
+
+
+def test_whole_states_are_rows_of_one_size_in_numpys_arrays(moving):
+    states = moving.states(np.array([3, 1]))
+    assert type(states) is np.ndarray
+    assert states.dtype == np.float64
+    assert states.shape == (2, moving.state_size)
+    assert np.array_equal(states, moving.states(ALL)[[3, 1]])
+
+
+def test_a_state_put_elsewhere_goes_on_with_the_same_bits(make, moving):
+    """In another place of another simulator of the same model, of any size and past."""
+    one, used = make(1), make()
+    kick(used, seed=8)
+    used.step(ALL, 30)
+    states = moving.states(ALL)
+    one.set_states(np.array([0]), states[3:4])
+    used.set_states(ALL[::-1], states)
+    assert_array_equal(used.states(ALL[::-1]), states)
+    wanted = go_on(moving, ALL)
+    assert_array_equal(go_on(used, ALL)[:, ::-1], wanted)
+    assert_array_equal(go_on(one, [0])[:, 0], wanted[:, 3])
+    assert len({bits.tobytes() for step in wanted for bits in step}) == 20 * NUM_SIMS
+
+
+def test_a_state_put_into_another_place_of_its_simulator_goes_on_with_the_same_bits(moving):
+    moving.set_states(np.array([4, 0]), moving.states(np.array([1, 3])))
+    found = go_on(moving, ALL)
+    assert_array_equal(found[:, [4, 0]], found[:, [1, 3]])
+
+
+def test_putting_states_moves_only_the_simulations_asked_for(moving):
+    before = moving.states(ALL)
+    moving.set_states(np.array([4]), before[:1])
+    assert_array_equal(moving.states(ALL), before[[0, 1, 2, 3, 0]])
+
+
+def test_states_are_copies_there_and_back(moving):
+    states = moving.states(ALL)
+    kept = states.copy()
+    moving.step(ALL, 5)
+    assert_array_equal(states, kept)
+    moving.set_states(ALL, states)
+    states[:] = 0
+    assert_array_equal(moving.states(ALL), kept)
+    moving.step(ALL, 5)
+    assert_array_equal(states, 0 * kept)
+
+
+def test_a_simulation_that_is_put_into_a_state_forgets_that_it_diverged(moving):
+    states = moving.states(np.array([0]))
+    for _ in range(2):
+        moving.qvel[3, 0] = 1e12
+        moving.step(ALL, 5)
+        assert_array_equal(host(moving.diverged), ALL == 3)
+        moving.set_states(np.array([3]), states)
+        assert not host(moving.diverged).any()
+        moving.step(ALL, 5)
+        assert not host(moving.diverged).any()
+
+
+def test_the_solvers_warm_start_is_part_of_a_state(make, moving):
+    """Poses, velocities and controls alone do not go on with the same bits."""
+    cold, warm = make(), make()
+    for name in ("qpos", "qvel"):
+        getattr(cold, name)[:] = cold.xp.asarray(host(getattr(moving, name)))
+    warm.set_states(ALL, moving.states(ALL))
+    wanted = go_on(moving, ALL, steps=3)
+    assert_array_equal(go_on(warm, ALL, steps=3), wanted)
+    assert (go_on(cold, ALL, steps=3) != wanted).any()

@@ -120,11 +120,30 @@ def method(settings):
 NO_CHOICES = {"backend", "device", "preset", "primitive_checkpoint"}
 """Names that say how, where and from what, not what is done: backends are what is compared here, devices elsewhere."""
 SOURCE = "the run of the fixture `source`"
+EGOCENTRIC = {"primitive_view": "egocentric"}
+BRANCHES = {**EGOCENTRIC, "primitive_estimate": "interval", "controller_interval": 4}
+"""Intervals so short that an episode has several of them."""
+WITH = {
+    "fitness_shaping=pair_rank": {"mirrored": "pair"},
+    "primitive_estimate": BRANCHES,
+    "primitive_fitness_shaping": BRANCHES,
+}
+"""What a setting, or one of its choices, asks of others."""
+OF_THE_ANT = {"symmetry"}
+"""Settings that say nothing of a point."""
+
+
+def companions(name, choice):
+    """Return the settings that a choice goes with."""
+    scheduled = SCHEDULES.get(name, {}) if choice != "constant" else {}
+    return {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {}), **scheduled}
+
+
 BY_CHOICE = {
-    f"{name}={choice}": {name: choice, **(SCHEDULES.get(name, {}) if choice != "constant" else {})}
+    f"{name}={choice}": {**companions(name, choice), name: choice}
     for name in NAMES
     for choice in choices(name)
-    if name not in NO_CHOICES
+    if name not in NO_CHOICES | OF_THE_ANT
 }
 BY_HAND = {
     "clock": {"clock_frequency": 1.5},
@@ -152,6 +171,15 @@ BY_HAND = {
     "unfrozen by halves": {
         "primitive": SOURCE, "freeze_primitive": False, "perturbation": "one_to_many_halves", "optimizer": "clipup",
     },
+    "branches": {**BRANCHES, "fall_price": 1.5, "hold_tied": False},
+    "branches, own rates": {
+        **BRANCHES, "primitive_population_size": 6, "primitive_sigma": 0.2, "primitive_learning_rate": 0.05,
+        "intervals": 3, "perturbation": "one_to_many_halves", "novelty": "nsr", "episodes_per_policy": 3,
+    },
+    "branches of one that is frozen": {"primitive": SOURCE, "primitive_estimate": "interval"},
+    "branches of one that learns on": {
+        "primitive": SOURCE, "primitive_estimate": "interval", "freeze_primitive": False, "controller_interval": 4,
+    },
     "everything": {
         "perturbation": "one_to_many", "mirrored": "pair", "fitness_shaping": "top_fraction", "optimizer": "clipup",
         "novelty": "nsra_reset", "common_random_numbers": "population", "controller_output": "one_hot",
@@ -160,6 +188,16 @@ BY_HAND = {
         **SCHEDULES_OF_ALL,
     },
 }  # fmt: skip
+DIHEDRAL = {**EGOCENTRIC, "symmetry": "dihedral"}
+WALKER = {
+    **DIHEDRAL,
+    **BRANCHES,
+    "fall_price": 3.0,
+    "horizon": 40,
+    "output_weights": "zero",
+    "weight_decay_form": "decoupled",
+}
+"""A primitive of the ant on branches, with all that helps it learn."""
 BY_ENVIRONMENT = {
     "point-flagrun": {
         "alone": {},
@@ -167,19 +205,35 @@ BY_ENVIRONMENT = {
         "alone, all schedules": {**SCHEDULES_OF_ALL, "optimizer": "sgd", "fitness_shaping": "z_score"},
         "flat": {"algorithm": "es"},
     },
-    "ant-flagrun": {"alone": {}, "flat": {"algorithm": "es"}},
-    "ant-maze": {"everything": BY_HAND["everything"]},
+    "ant-flagrun": {
+        "alone": {}, "flat": {"algorithm": "es"}, "rotation": {**EGOCENTRIC, "symmetry": "rotation"}, "walker": WALKER,
+    },
+    "ant-maze": {
+        "everything": BY_HAND["everything"], "no symmetry": {**EGOCENTRIC, "symmetry": "none"}, "dihedral": DIHEDRAL,
+    },
+    "ant-gather": {
+        "walker": {
+            **WALKER, "controller_view": "egocentric", "controller_output": "heading_vector", "mirrored": "pair",
+            "fitness_shaping": "pair_rank", "primitive_population_size": 8, "primitive_sigma": 0.1,
+            "primitive_learning_rate": 0.05, "intervals": 1, "clock_frequency": 1.2,
+        },
+    },
+    "point-push": {"branches": {**BRANCHES, "controller_output": "heading_vector", "goal_encoding": "vector"}},
     # Many members are paid the same here, so that it matters how ties rank.
     "point-gather": {"ties by index": {"rank_ties": "index"}, "novelty": {"novelty": "ns"}},
-}
+}  # fmt: skip
 METHODS = [
     *(("point-maze", name, settings) for name, settings in {**BY_CHOICE, **BY_HAND}.items()),
     *((env, name, settings) for env, cases in BY_ENVIRONMENT.items() for name, settings in cases.items()),
 ]
-QUICK = {("point-maze", "everything"), ("point-maze", "algorithm=es"), ("point-maze", "frozen")}
+QUICK = {
+    ("point-maze", "everything"), ("point-maze", "algorithm=es"), ("point-maze", "frozen"),
+    ("ant-flagrun", "walker"), ("ant-gather", "walker"),
+}  # fmt: skip
 """These share enough with the others for every day."""
-SAME_AS_USUAL = {"integrator=euler", "integrator=implicitfast"}
-"""Point Maze is Euler's already, and the point has no damping that an implicit step would treat otherwise."""
+SAME_AS_USUAL = {"integrator=euler", "integrator=implicitfast", "controller_output=heading_vector"}
+"""Point Maze is Euler's already, and the point has no damping that an implicit step would treat otherwise.
+Its heading is always 0."""
 
 
 @pytest.fixture(scope="module")
@@ -207,8 +261,17 @@ def test_neither_workers_nor_a_resume_change_the_numbers_of_any_method(tmp_path,
 
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory):
-    """Folder of a run of Point Maze without a choice."""
-    return runs.train_tiny(tmp_path_factory.mktemp("usual") / "run", "point-maze", **METHOD)
+    """Return a function that returns the folder of a run of Point Maze with some settings and no other choice."""
+    made = {}
+
+    def make(settings):
+        key = tuple(sorted(settings.items()))
+        if key not in made:
+            path = tmp_path_factory.mktemp("usual") / "run"
+            made[key] = runs.train_tiny(path, "point-maze", **{**METHOD, **settings})
+        return made[key]
+
+    return make
 
 
 @pytest.mark.slow
@@ -216,9 +279,20 @@ def usual(tmp_path_factory):
 def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
     path = runs.train_tiny(tmp_path / "run", "point-maze", **method(BY_CHOICE[name]))
     field, _, choice = name.partition("=")
-    is_usual = getattr(RunFolder.open(usual).read_config(), field) == choice or name in SAME_AS_USUAL
-    found = {each for each in runs.differences(usual, path) if not each.endswith("/settings")}
+    others = {} if field in SCHEDULES else companions(field, choice)
+    same = usual({name: value for name, value in others.items() if name != field})
+    is_usual = getattr(RunFolder.open(same).read_config(), field) == choice or name in SAME_AS_USUAL
+    found = {each for each in runs.differences(same, path) if not each.endswith("/settings")}
     assert (not found) is is_usual
+
+
+def test_a_primitive_alone_on_branches_leaves_episodes_that_go_on(tmp_path):
+    """So that the comparison of such a run says that they survive its end."""
+    path = runs.train_tiny(tmp_path / "run", "ant-flagrun", **{**METHOD, **WALKER, "generations": 2})
+    found = runs.numbers(path)
+    assert found["last.npz/running/steps"].max() == 16  # two generations of two intervals
+    assert found["last.npz/running/states"].shape[0] == 6
+    assert found["generation_000001.npz/running/steps"].max() == 8
 
 
 def test_every_choice_of_every_name_is_compared():

@@ -218,6 +218,106 @@ def test_the_step_is_the_optimizers_with_the_rate_given(table):
         assert after.level.theta == pytest.approx(1 + rate * table.slice(5, 7) / 2, abs=1e-6)
 
 
+# A level without information, and decay beside the optimizer ----------------------------------------------------------
+
+
+def _moving_level(table, rule):
+    """Return a level that has made a step, so that its optimizer has a momentum."""
+    level = _level(np.linspace(-1, 2, 7).astype(np.float32), rule.optimizer)
+    return _update(level, np.array([2.0, 1.0]), PAIR, np.array([3]), table, UpdateRule(optimizer=rule.optimizer)).level
+
+
+def _bits(level):
+    return level.theta.tobytes(), level.optimizer.steps, {k: v.tobytes() for k, v in level.optimizer.slots.items()}
+
+
+@pytest.mark.parametrize("name", sorted(OPTIMIZERS))
+@pytest.mark.parametrize("decouples", [False, True])
+@pytest.mark.parametrize("fitness", [[0, 0, 0, 0], [5, 5, 3, 3]], ids=["all tie", "every pair ties"])
+def test_a_level_that_holds_stays_as_it_is_where_no_direction_is_worth_anything(table, name, decouples, fitness):
+    rule = UpdateRule(weight_decay=0.1, decouples_decay=decouples, holds_when_tied=True, optimizer=make_optimizer(name))
+    before = _moving_level(table, rule)
+    signs, index = np.tile(PAIR, (2, 1)), np.array([5, 90])
+    update = _update(before, np.array(fitness, float), signs, index, table, rule)
+    assert _bits(update.level) == _bits(before)
+    assert (update.gradient_norm, update.update_ratio) == (0, 0)
+    assert np.isnan(update.halves_cosine)
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.1])
+def test_a_level_that_does_not_hold_goes_on_by_its_momentum_and_its_decay(table, decay):
+    rule = UpdateRule(weight_decay=decay)
+    before = _moving_level(table, rule)
+    update = _update(before, np.zeros(4), np.tile(PAIR, (2, 1)), np.array([5, 90]), table, rule)
+    assert update.gradient_norm == 0
+    assert update.level.optimizer.steps == before.optimizer.steps + 1
+    assert (update.level.theta != before.theta).all()
+    step, _ = rule.optimizer.step(np.float32(-decay) * before.theta, before.optimizer, RATE)
+    assert update.level.theta == pytest.approx(before.theta + step)
+
+
+def test_without_momentum_the_decay_alone_moves_a_level_that_does_not_hold(table):
+    level, fitness = _level(np.ones(7, np.float32)), np.zeros(2)
+    moved = {
+        (holds, decay): not np.array_equal(
+            _update(
+                level, fitness, PAIR, np.array([3]), table, UpdateRule(weight_decay=decay, holds_when_tied=holds)
+            ).level.theta,
+            level.theta,
+        )
+        for holds in (False, True)
+        for decay in (0.0, 0.1)
+    }
+    assert moved == {(False, 0.0): False, (False, 0.1): True, (True, 0.0): False, (True, 0.1): False}
+
+
+@pytest.mark.parametrize("mirrored", ["quad", "pair", "none"])
+def test_holding_changes_nothing_where_there_is_something_to_learn(table, mirrored):
+    signs = make_perturbation("many_to_many").signs(0, NUM_GROUPS * len(SIGNS[mirrored, 1]), mirrored, (True,))
+    fitness, index = np.zeros(signs.shape[0] * signs.shape[1]), np.arange(NUM_GROUPS) * 100
+    fitness[0] = 1e-9  # one member is better
+    ends = [
+        _update(
+            _level(np.ones(7, np.float32)), fitness, signs[:, :, 0], index, table,
+            UpdateRule(weight_decay=0.1, holds_when_tied=holds),
+        ).level
+        for holds in (False, True)
+    ]  # fmt: skip
+    assert _bits(ends[0]) == _bits(ends[1])
+    assert ends[0].optimizer.steps == 1
+
+
+def test_a_decoupled_decay_is_adamw(table):
+    """Loshchilov and Hutter 2019, Algorithm 2, written out; the schedule multiplier is in the rate."""
+    decay, rate, rule = 0.3, 0.02, UpdateRule(weight_decay=0.3, decouples_decay=True)
+    rng = np.random.default_rng(2)
+    theta = rng.normal(size=7)
+    level, first, second = _level(theta.astype(np.float32)), np.zeros(7), np.zeros(7)
+    for t in range(1, 6):
+        fitness, index = rng.normal(size=2 * NUM_GROUPS), rng.integers(0, 1900, NUM_GROUPS)
+        level = _update(level, fitness, np.tile(PAIR, (NUM_GROUPS, 1)), index, table, rule, rate=rate).level
+        worth = CentredRanks()(fitness)
+        noise = np.array([table.slice(i, 7) for i in index.tolist()], float)
+        gradient = (worth[0::2] - worth[1::2]) @ noise / len(fitness)
+        first = 0.9 * first + 0.1 * gradient
+        second = 0.999 * second + 0.001 * gradient**2
+        unbiased = (first / (1 - 0.9**t)) / (np.sqrt(second / (1 - 0.999**t)) + 1e-8)
+        theta = theta + rate * unbiased - rate * decay * theta
+        assert level.theta == pytest.approx(theta, abs=1e-5)
+    coupled = UpdateRule(weight_decay=decay)
+    other = _update(level, fitness, np.tile(PAIR, (NUM_GROUPS, 1)), index, table, coupled, rate=rate).level
+    same = _update(level, fitness, np.tile(PAIR, (NUM_GROUPS, 1)), index, table, rule, rate=rate).level
+    assert np.abs(other.theta - same.theta).max() > 1e-4
+    none = _update(level, fitness, np.tile(PAIR, (NUM_GROUPS, 1)), index, table, UpdateRule(), rate=rate).level
+    assert same.optimizer.slots["first"].tobytes() == none.optimizer.slots["first"].tobytes()
+
+
+@pytest.mark.parametrize("price", [-0.1, float("nan"), float("inf")])
+def test_a_fall_price_out_of_range_is_refused(price):
+    with pytest.raises(ConfigError, match=r"fall_price must be zero or positive, got "):
+        UpdateRule(fall_price=price)
+
+
 @pytest.mark.parametrize("decay", [-0.1, float("nan"), float("inf")])
 def test_a_weight_decay_out_of_range_is_refused(decay):
     with pytest.raises(ConfigError, match=f"weight_decay must be zero or positive, got {decay}"):

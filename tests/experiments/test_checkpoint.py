@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import shes
 from shes.errors import CheckpointError, StorageError
-from shes.es.level import LevelState, TrainState
+from shes.es.level import LevelState, RunningEpisodes, TrainState
 from shes.es.novelty import NOVELTY_RULES, NoveltyState, make_novelty_rule
 from shes.es.optimizers import OPTIMIZERS, OptimizerState, make_optimizer
 from shes.es.statistics import ObservationStatistics
@@ -35,11 +35,13 @@ def level(rng, name, dim, size, optimizer="adam"):
     )
 
 
-def make(generation=7, seed=2**62, names=("controller", "primitive"), optimizer="adam", novelty=None):
+def make(generation=7, seed=2**62, names=("controller", "primitive"), optimizer="adam", novelty=None, running=None):
     rng = np.random.default_rng(generation)
     levels = tuple(level(rng, name, 11 + 2 * i, 3 + i, optimizer) for i, name in enumerate(names))
     return Checkpoint(
-        state=TrainState(seed=seed, generation=generation, env_steps=10**13, levels=levels, novelty=novelty),
+        state=TrainState(
+            seed=seed, generation=generation, env_steps=10**13, levels=levels, novelty=novelty, running=running
+        ),
         best=Best(generation=5, score=1 / 3, mean_return=-2 / 3),
         numbers=NUMBERS,
     )
@@ -66,6 +68,11 @@ def assert_same(one, other):
         assert_same_bits(searches[0].archive, searches[1].archive)
         for name in ("weight", "best_return", "stalled"):
             assert repr(getattr(searches[0], name)) == repr(getattr(searches[1], name))
+    running = (one.state.running, other.state.running)
+    assert (running[0] is None) == (running[1] is None)
+    if None not in running:
+        assert_same_bits(running[0].states, running[1].states)
+        assert_same_bits(running[0].steps, running[1].steps)
 
 
 def assert_same_bits(first, second):
@@ -115,6 +122,24 @@ def test_without_novelty_nothing_of_it_is_written(tmp_path):
     assert load_checkpoint(tmp_path / "a.npz").state.novelty is None
     with np.load(tmp_path / "a.npz") as file:
         assert not [name for name in file.files if "novelty" in name]
+
+
+@pytest.mark.parametrize("groups", [1, 6])
+def test_episodes_that_go_on_read_back_to_the_bit(tmp_path, groups):
+    rng = np.random.default_rng(2)
+    states = rng.normal(size=(groups, 52)) * 10.0 ** rng.integers(-300, 300, (groups, 52))
+    whole = make(names=("primitive",), running=RunningEpisodes(states=states, steps=np.arange(-1, 25 * groups - 1, 25)))
+    save_checkpoint(tmp_path / "a.npz", whole)
+    assert_same(load_checkpoint(tmp_path / "a.npz"), whole)
+    with np.load(tmp_path / "a.npz") as file:
+        assert {name for name in file.files if name.startswith("running/")} == {"running/states", "running/steps"}
+
+
+def test_a_checkpoint_without_episodes_that_go_on_reads_as_before_there_were_any(tmp_path):
+    save_checkpoint(tmp_path / "a.npz", make())
+    with np.load(tmp_path / "a.npz") as file:
+        assert not [name for name in file.files if "running" in name]  # the arrays that version 0.2 wrote
+    assert load_checkpoint(tmp_path / "a.npz").state.running is None
 
 
 def in_the_first_format(path):

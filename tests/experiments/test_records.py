@@ -18,7 +18,7 @@ from tensorboardX.proto.event_pb2 import Event, SessionLog
 from shes.algorithm import GenerationReport, evolve, generation_work
 from shes.backends.serial import SerialBackend
 from shes.errors import RunFolderError, StorageError
-from shes.es.level import LevelState, LevelUpdate, TrainState
+from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule
 from shes.es.novelty import NoveltyState
 from shes.es.optimizers import Adam
 from shes.es.statistics import ObservationStatistics
@@ -56,20 +56,16 @@ def report(noise_index, novelty=None, signs=None):
         tasks=[],
         generation=generation,
     )
-    population = Population(work=work, results=results, rules=(), learns=(True, True), learning_rate=0.03125)
     return GenerationReport(
         state=TrainState(seed=0, generation=9, env_steps=1000, levels=levels, novelty=novelty),
-        population=population,
+        population=Population(
+            work=work, results=results, rules=(UpdateRule(),) * 2, learns=(True, True), learning_rate=0.03125
+        ),
         branches=None,
         updates=updates,
         rollout_s=1.25,
         update_s=0.5,
     )
-
-
-def with_results(made, results):
-    """Return the report `made` with other results of its population."""
-    return replace(made, population=replace(made.population, results=results))
 
 
 def level(name, theta):
@@ -147,7 +143,7 @@ def test_rank_ties_are_the_share_of_members_whose_fitness_another_one_has(return
     made = report([[0], [0]], signs=np.ones((1, 4, 2), np.int8))
     results = PopulationResults.empty(2, 4, 1)
     results.returns[0, :, 0] = returns
-    row = progress_row(with_results(made, results), 1.0, 1.0)
+    row = progress_row(replace(made, population=replace(made.population, results=results)), 1.0, 1.0)
     assert (row["controller_rank_ties"], row["primitive_rank_ties"]) == (share, 1.0)
 
 
@@ -157,10 +153,40 @@ def test_a_level_that_only_some_members_perturb_has_noise_and_ties_of_these_alon
     made = report([[0, 9, 9, 9], [7, 7, 7, 7]], signs=signs)
     results = PopulationResults.empty(2, 4, 1)
     results.returns[0, :, 0] = [1, 2, 2, 2]
-    row = progress_row(with_results(made, results), 1.0, 1.0)
+    row = progress_row(replace(made, population=replace(made.population, results=results)), 1.0, 1.0)
     assert (row["controller_noise_distinct"], row["controller_rank_ties"]) == (2, 0.0)
     assert (row["primitive_noise_distinct"], row["primitive_noise_overlapping"]) == (0, 0)
     assert math.isnan(row["primitive_rank_ties"])
+
+
+def test_the_numbers_of_a_primitive_on_branches_are_those_of_its_pairs():
+    """The returns, ties and noise of its level, and columns of their own; the other columns are whole episodes'."""
+    plain = report([[2, 2], [0, 4]])
+    results = PopulationResults.empty(1, 4, 1)
+    results.returns[0, :, 0] = [1, 2, 2, 9]
+    results.steps[:, 0] = [50, 50, 50, 30]
+    results.has_terminated[3] = True
+    results.seconds[:] = [1, 0.5, 0.25]
+    generation = Generation(levels=(), sigma=0.3, episodes_per_policy=1, is_evaluation=False, branch_steps=50)
+    work = Work(
+        signs=np.array([[[1], [-1]]] * 2, np.int8), noise_index=np.array([[6, 8]]), tasks=[], generation=generation
+    )
+    pairs = Population(work=work, results=results, rules=(UpdateRule(),), learns=(True,), learning_rate=0.07)
+    before, row = (progress_row(made, 1.0, 2.0) for made in (plain, replace(plain, branches=pairs)))
+    changed = {name: value for name, value in row.items() if repr(value) != repr(before.get(name))}
+    assert changed == {
+        "env_steps_per_s": 140.0,
+        "primitive_return_mean": 3.5,
+        "primitive_return_max": 9.0,
+        "primitive_rank_ties": 0.5,
+        "branch_steps_mean": 45.0,
+        "branch_terminated_rate": 0.25,
+        "primitive_sigma": 0.3,
+        "primitive_learning_rate": 0.07,
+        "physics_s": 4.0,
+        "policy_s": 2.5,
+        "task_s": 1.75,
+    }
 
 
 # The columns of real runs, computed once more by other means.
@@ -170,8 +196,8 @@ def generation_by_hand(path, config, number):
     """Return the state before generation `number` of a run, its signs [G, M, L] and its noise [L, G]."""
     state = RunFolder.open(path).load(str(number - 1)).state
     settings = build_settings(config)
-    noise_index = generation_work(state, settings, config.noise_table_size).noise_index
-    return state, settings.signs(state.generation), noise_index
+    work = generation_work(state, settings, config.noise_table_size)
+    return state, work.signs, work.noise_index
 
 
 @pytest.fixture(scope="module")

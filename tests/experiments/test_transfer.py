@@ -10,6 +10,7 @@ import pytest
 import shes
 from shes.cli import main
 from shes.errors import CheckpointError, ConfigError, RunFolderError
+from shes.experiments.build import build_design
 from shes.experiments.records import read_csv
 from shes.experiments.run_folder import RunFolder
 from tests.e2e import runs
@@ -187,6 +188,59 @@ def test_the_command_line_brings_a_primitive(plain, tmp_path, capsys):
     assert same(primitive(tmp_path / "run", "0"), primitive(plain, "last"))
 
 
+# Walkers that see from their own frame.
+
+WALKER = {"primitive_view": "egocentric", "symmetry": "dihedral", "clock_frequency": 1.2}
+
+
+@pytest.fixture(scope="module")
+def walker(tmp_path_factory):
+    """A run that trained an ant's primitive from its own frame, through its symmetry. Not to be changed."""
+    settings = {**ANT, "generations": 1, "primitive_estimate": "interval", "controller_interval": 4}
+    path = tmp_path_factory.mktemp("walker") / "flagrun"
+    return runs.train_tiny(path, "ant-flagrun", **settings, **WALKER, hidden=(5,))
+
+
+@pytest.mark.parametrize("task", ["gather", pytest.param("maze", marks=pytest.mark.slow)])
+def test_a_walker_brings_its_view_and_its_symmetry(walker, tmp_path, task):
+    path = runs.train_tiny(
+        tmp_path / "run", f"ant-{task}", primitive=str(walker), controller_output="heading_vector",
+        controller_view="egocentric", generations=1, population_size=2,
+    )  # fmt: skip
+    config = RunFolder.open(path).read_config()
+    assert {name: getattr(config, name) for name in WALKER} == WALKER
+    assert (config.primitive_hidden, config.primitive_estimate) == ((5,), "episode")  # how it learned is its affair
+    brought = primitive(walker, "best")
+    assert brought.statistics.count > 0
+    assert len(brought.statistics.total) == 3 + 2 + 25
+    assert same(primitive(path, "last"), brought)
+    assert build_design(config).symmetry.num_elements == 8
+
+
+@pytest.mark.parametrize(("asked", "given"), [("rotation", "dihedral"), ("none", "dihedral")])
+def test_a_walker_with_another_symmetry_is_refused(walker, tmp_path, asked, given):
+    message = f"symmetry is {asked!r}, but the primitive of {walker} was trained with {given!r}. Leave --symmetry away"
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        runs.train_tiny(tmp_path / "run", "ant-gather", primitive=str(walker), symmetry=asked)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_primitive_that_was_trained_without_a_symmetry_gets_none(ant, tmp_path):
+    message = f"symmetry is 'dihedral', but the primitive of {ant} was trained with 'none'. Leave --symmetry away"
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        runs.train_tiny(tmp_path / "run", "ant-gather", primitive=str(ant), symmetry="dihedral")
+    with pytest.raises(ConfigError, match=r"primitive_view is 'egocentric', but the primitive .* 'proprioception'"):
+        runs.train_tiny(tmp_path / "run", "ant-gather", primitive=str(ant), primitive_view="egocentric")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_walker_may_learn_on_upon_branches(walker, tmp_path):
+    settings = {"primitive_estimate": "interval", "controller_interval": 4, "freeze_primitive": False}
+    path = runs.train_tiny(tmp_path / "run", "ant-gather", primitive=str(walker), generations=1, **settings)
+    assert same(primitive(path, "0"), primitive(walker, "best"))
+    assert not np.array_equal(primitive(path, "last").theta, primitive(walker, "best").theta)
+
+
 # Runs with a controller as sources.
 
 
@@ -227,10 +281,10 @@ def test_a_primitive_that_does_not_fit_is_refused_with_both_layouts(ant, tmp_pat
     first, theirs, ours, fix = str(error.value).splitlines()
     assert first == f"the primitive of {ant} does not fit point-gather."
     assert theirs.startswith("It was trained on ant-flagrun: 32 inputs (goal angle 0, goal angle 1, goal angle 2, ")
-    assert theirs.endswith(") of specification shes and 8 controls of up to 30.")
+    assert theirs.endswith(") of specification shes and 8 controls of up to 30, symmetry none.")
     assert ours.startswith("Here there is: 7 inputs (goal angle 0, goal angle 1, goal angle 2, torso_x, torso_y, ")
-    assert ours.endswith(") of specification shes and 2 controls of up to 1.")
-    assert theirs.count(",") == 31
+    assert ours.endswith(") of specification shes and 2 controls of up to 1, symmetry none.")
+    assert theirs.count(",") == 32
     assert "trained with the same --spec by shes train ant-flagrun or point-flagrun" in fix
     assert list(tmp_path.iterdir()) == []
 

@@ -176,3 +176,60 @@ def test_a_generation_on_a_device_updates_as_on_the_cpu():
     for mine, theirs in zip(states[1].levels, states[0].levels, strict=True):
         assert type(mine.theta) is np.ndarray
         np.testing.assert_allclose(mine.theta, theirs.theta, rtol=1e-5, atol=1e-5)
+
+
+class BranchingWorker:
+    """Runs whole episodes and branches here, on the CPU or on the device."""
+
+    def __init__(self, plan, table, simulator):
+        self.plan, self.table, self.simulator = plan, table, simulator
+
+    def receive(self, state):
+        self.generation = state
+
+    def run(self, work, share):
+        plan, generation = self.plan, self.generation
+        is_branch = generation.branch_steps > 0
+        design = plan.branch_design if is_branch and plan.branch_design is not None else plan.design
+        rollout = Rollout(
+            design,
+            lambda n: plan.env.make(n, plan.training, self.simulator),
+            8,
+            generation.rows,
+            generation.branch_steps or HORIZON,
+            generation.members_per_lane,
+        )
+        return rollout.run(work, generation, self.table)
+
+
+BRANCHES = {
+    "beside a controller": ("point-push", {"primitive_view": "egocentric", "primitive_population_size": 12}),
+    "alone": ("ant-flagrun", {"primitive_view": "egocentric", "symmetry": "dihedral", "horizon": 20}),
+}
+
+
+@pytest.mark.parametrize("name", BRANCHES)
+def test_branches_on_a_device_begin_and_end_as_on_the_cpu(name):
+    """In two generations: the states that the second one begins with come from the first one's device."""
+    env, settings = BRANCHES[name]
+    more = {"primitive_estimate": "interval", "controller_interval": 3, "episodes_per_policy": 1}
+    config = make_config(env, "laptop", {**SETTINGS, **settings, **more})
+    design = build_design(config)
+    table, runs = open_noise_table(config, design), []
+    plan = build_plan(config, design, table)
+    for simulator, xp in ((CpuSimulator, np), (DeviceSimulator, strict_xp)):
+        state = build_state(config, design)
+        backend = SerialBackend(partial(BranchingWorker, plan, table.on(xp), simulator))
+        reports = evolve(state, build_settings(config), table.on(xp), backend)
+        runs.append([next(reports) for _ in range(2)])
+    for mine, theirs in zip(*runs, strict=True):
+        pairs, others = (report.branches or report.population for report in (mine, theirs))
+        np.testing.assert_allclose(pairs.results.returns, others.results.returns, rtol=1e-4, atol=1e-4)
+        snapshots = [report.population.results.snapshots for report in (mine, theirs)]
+        assert snapshots[0].keys() == snapshots[1].keys() != set()
+        for place, left in snapshots[0].items():
+            assert type(left.state) is type(left.goals) is np.ndarray
+            assert left.steps == snapshots[1][place].steps
+            np.testing.assert_allclose(left.state, snapshots[1][place].state, rtol=1e-4, atol=1e-3)
+            np.testing.assert_allclose(left.goals, snapshots[1][place].goals, rtol=1e-4, atol=1e-4)
+        assert (mine.state.running is None) == (theirs.state.running is None) == (name == "beside a controller")

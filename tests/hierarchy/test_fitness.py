@@ -10,7 +10,7 @@ from shes.errors import PolicyError
 from shes.es.level import UpdateRule
 from shes.es.novelty import NOVELTY_RULES, NSR, NSRA, AuthorsNSRA, NoveltyState, make_novelty_rule
 from shes.es.perturbation import make_perturbation
-from shes.es.shaping import CentredRanks, TopFraction, ZScore
+from shes.es.shaping import CentredRanks, PairRanks, TopFraction, ZScore
 from shes.hierarchy.fitness import advance_novelty, shaped_fitness
 from shes.hierarchy.results import PopulationResults
 from tests.es.textbook import centred_ranks
@@ -104,6 +104,55 @@ def test_a_policy_without_levels_above_it_can_search_for_novelty_too():
     results, search = _results(levels=1), _search(0.0)
     (worth,) = shaped_fitness(results, _signs(learns=(True,)), RANKS[:1], search, 3)
     assert worth == pytest.approx(centred_ranks(_novelty(results, search.archive, 3), "average"))
+
+
+def _falls(results, seed=3):
+    """Let some episodes fall."""
+    falls = np.random.default_rng(seed).random(results.has_terminated.shape) < 0.4
+    results.has_terminated[:] = falls
+    return falls
+
+
+@pytest.mark.parametrize("episodes", [1, 2])
+def test_a_fall_takes_its_price_off_what_a_member_is_worth_and_the_sum_stays_zero(episodes):
+    results = _results(episodes=episodes)
+    share = [sum(own) / episodes for own in _falls(results).tolist()]
+    plain = shaped_fitness(results, _signs(), RANKS, None, 10)
+    priced = shaped_fitness(results, _signs(), (RANKS[0], UpdateRule(fall_price=2.5)), None, 10)
+    assert priced[0].tobytes() == plain[0].tobytes()  # each level has its own price
+    assert priced[1] == pytest.approx([w - 2.5 * (f - sum(share) / 8) for w, f in zip(plain[1], share, strict=True)])
+    assert priced[1].sum() == pytest.approx(0, abs=1e-12)
+    assert 0 < sum(share) < 8
+
+
+def test_a_mirrored_pair_gains_the_price_where_one_side_falls_and_nothing_where_both_do():
+    """Ranks alone cap what a fall costs: the price goes past them."""
+    results = _results(levels=1)
+    results.has_terminated[[1, 4, 5, 6]] = True
+    signs, rule = np.tile(np.array([[[1], [-1]]], np.int8), (4, 1, 1)), UpdateRule(shaping=PairRanks())
+    (plain,), (priced,) = (
+        shaped_fitness(results, signs, (each,), None, 10) for each in (rule, replace(rule, fall_price=15.0))
+    )
+    gained = (priced[0::2] - priced[1::2]) - (plain[0::2] - plain[1::2])
+    assert gained == pytest.approx([15, 0, 0, -15])
+
+
+def test_falls_of_members_that_do_not_perturb_a_level_do_not_enter_its_mean():
+    results, rules = _results(), (UpdateRule(fall_price=1.0),) * 2
+    results.has_terminated[[0, 4, 5, 6]] = True
+    plain = shaped_fitness(results, _signs("one_to_many_halves"), RANKS, None, 10)
+    priced = shaped_fitness(results, _signs("one_to_many_halves"), rules, None, 10)
+    assert priced[0] - plain[0] == pytest.approx([0.25 - 1, 0.25, 0.25, 0.25])
+    assert priced[1] - plain[1] == pytest.approx([0.75 - 1, 0.75 - 1, 0.75 - 1, 0.75])
+
+
+def test_where_all_fall_alike_the_price_changes_nothing():
+    results = _results()
+    for share in (0.0, 1.0):
+        results.has_terminated[:] = share
+        priced = shaped_fitness(results, _signs(), (UpdateRule(fall_price=9.0),) * 2, None, 10)
+        for one, other in zip(priced, shaped_fitness(results, _signs(), RANKS, None, 10), strict=True):
+            assert one.tobytes() == other.tobytes()
 
 
 def test_a_fitness_that_is_not_finite_is_refused():

@@ -144,3 +144,32 @@ def test_a_layer_that_is_not_positive_is_refused(hidden):
 def test_an_unknown_bias_initialisation_is_refused_with_the_nearest_name():
     with pytest.raises(UnknownNameError, match=r"'glorot'.*Did you mean 'glorot_normal'\?.*--biases"):
         MLP(3, (), 2).initial(np.random.default_rng(0), "glorot")
+
+
+@pytest.mark.parametrize("biases", ["zero", "glorot_normal"])
+@pytest.mark.parametrize("hidden", [(), (6,), (7, 5)])
+def test_an_output_layer_of_zeros_leaves_the_others_and_the_stream_as_they_were(hidden, biases):
+    mlp, sizes = MLP(4, hidden, 3), (4, *hidden, 3)
+    streams = [np.random.default_rng(1) for _ in range(2)]
+    usual, zero = (
+        _layers(mlp.initial(rng, biases, output), sizes)
+        for rng, output in zip(streams, ("glorot_normal", "zero"), strict=True)
+    )
+    for (weights, bias), (others, other_bias) in zip(usual[:-1], zero[:-1], strict=True):
+        assert np.array_equal(weights, others)
+        assert np.array_equal(bias, other_bias)
+        assert weights.all()
+    assert usual[-1][0].all()
+    assert not any(part.any() for part in zero[-1])
+    assert streams[0].random() == streams[1].random()
+
+
+def test_a_policy_with_an_output_layer_of_zeros_does_nothing():
+    mlp = MLP(4, (6,), 2)
+    theta = mlp.initial(np.random.default_rng(2), "glorot_normal", "zero")[None]
+    assert not mlp.act(theta, _observation(mlp, 1, 5)).any()
+
+
+def test_an_unknown_output_initialisation_is_refused_with_the_nearest_name():
+    with pytest.raises(UnknownNameError, match=r"'zeros'.*Did you mean 'zero'\?.*--output-weights"):
+        MLP(3, (), 2).initial(np.random.default_rng(0), output_initialisation="zeros")

@@ -248,3 +248,29 @@ def test_a_warning_handler_that_the_caller_installed_stays(warning_handler):
     simulator.qvel[0, 0] = 1e12
     simulator.step(np.arange(1), 5)
     assert len(messages) == 1
+
+
+def test_a_whole_state_is_mujocos_own_for_integration():
+    """Time, poses, velocities, the solver's warm start, controls: none is left out, and each one counts."""
+    model = make_model()
+    simulator = CpuSimulator(model, 1)
+    disturb(simulator, np.random.default_rng(3))
+    simulator.step(np.arange(1), 40)
+    kept = simulator.states(np.arange(1))
+    data, parts = mujoco.MjData(model), mujoco.mjtState.mjSTATE_INTEGRATION
+    assert kept.shape == (1, mujoco.mj_stateSize(model, parts)) == (1, simulator.state_size)
+    mujoco.mj_setState(model, data, kept[0], parts)
+    assert_array_equal(data.qpos, simulator.qpos[0])
+    assert_array_equal(data.qvel, simulator.qvel[0])
+    assert_array_equal(data.ctrl, simulator.ctrl[0])
+    assert data.time == pytest.approx(40 * model.opt.timestep)
+    assert data.qacc_warmstart.any()
+    data.qacc_warmstart[:] = 0
+    cold = np.zeros((1, simulator.state_size))
+    mujoco.mj_getState(model, data, cold[0], parts)
+    ends = []
+    for states in (kept, cold, kept):
+        simulator.set_states(np.arange(1), states)
+        simulator.step(np.arange(1), 10)
+        ends.append(simulator.qpos.tobytes())
+    assert ends[0] == ends[2] != ends[1]

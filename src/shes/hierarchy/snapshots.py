@@ -25,15 +25,16 @@ class Notes:
         """
         self._batch, self._agent, self._interval, self._num_goals = batch, agent, interval, num_goals
         rows = batch.num_episodes
-        self._wanted: IntArray = np.full(rows, -1)  # control steps after which each row's snapshot is wanted
+        self._wanted: IntArray = np.full(rows, -1)  # steps after which each row's snapshot is wanted; -1 for none
         self._noted: IntArray = np.zeros(rows, dtype=np.int64)  # goals noted so far
         self._goals: F64Array = np.zeros((rows, num_goals, 2))
         self._states: dict[int, F64Array] = {}
 
     def begin(self, started: Mapping[int, tuple[int, EpisodeTask]]) -> None:
-        """Note what is wanted of the tasks that have `started`, by lane."""
+        """Note what is wanted of the tasks that have `started`, by lane: nothing of the mean policies' episodes."""
         for lane, (_, task) in started.items():
-            for slot, steps in zip(task.slots, task.noted_steps, strict=True):
+            wanted = task.noted_steps or (-1,) * len(task.slots)
+            for slot, steps in zip(task.slots, wanted, strict=True):
                 row = lane * self._agent.num_episodes + slot
                 self._wanted[row], self._noted[row] = steps, 0
                 self._states.pop(row, None)
