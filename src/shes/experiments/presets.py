@@ -81,11 +81,12 @@ _ANT: dict[str, Any] = {
 _WALKERS: dict[str, dict[str, Any]] = {
     "ant-flagrun": {
         **_ANT_WALKER,
+        "fall_price": 8.0,
         "hidden": (),
         "population_size": 1200,
         "sigma": 0.05,
         "learning_rate": 0.02,
-        "generations": 22,
+        "generations": 20,
         "evaluation_interval": 5,
     },
     **{f"ant-{task}": _ANT for task in ("gather", "maze", "push", "fall")},
