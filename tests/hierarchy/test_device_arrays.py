@@ -32,7 +32,7 @@ SETTINGS = {
 }
 CHOICES = {
     "gather": ("point-gather", {}),
-    "ant": ("ant-gather", {}),
+    "ant": ("ant-gather", {"primitive_estimate": "episode"}),
     "clock": ("point-maze", {"clock_frequency": 1.5}),
     "one-hot": ("point-push", {"controller_output": "one_hot", "minimum_goal_distance": True}),
     "unit vector": ("point-maze", {"goal_encoding": "unit_vector", "primitive_reward": "cosine"}),
@@ -46,6 +46,7 @@ CHOICES = {
     "egocentric": (
         "ant-gather",
         {
+            "primitive_estimate": "episode",
             "primitive_view": "egocentric",
             "symmetry": "dihedral",
             "controller_view": "egocentric",

@@ -316,7 +316,7 @@ class TrainConfig:
         if self.symmetry != "none" and self.primitive_view != "egocentric":
             raise ConfigError(
                 f"symmetry is {self.symmetry!r}, but the primitive's view is {self.primitive_view!r}: only what is "
-                "seen from the robot's own frame can be turned. Set --primitive-view egocentric."
+                "seen from the robot's own frame can be turned. Set --primitive-view egocentric, or --symmetry none."
             )
         if self.primitive_estimate != "interval" or "primitive" not in self.level_names:
             return

@@ -43,6 +43,8 @@ SWEPT = ("population_size", "sigma", "learning_rate", "intervals")
 FACTORS = (0.5, 2.0)
 """What the base's values are multiplied by; the base itself is the 1."""
 
+_PRESET = "smoke"
+"""Not `laptop`, which has most of the pieces: what a variant leaves out must be out. The base sets all else itself."""
 _BASE: dict[str, Any] = {
     "primitive_view": "egocentric",
     "symmetry": "dihedral",
@@ -58,6 +60,7 @@ _BASE: dict[str, Any] = {
     "clock_frequency": 0.8,
     "goal_encoding": "angle_metres",
     "horizon": 500,
+    "evaluation_horizon": 500,
     "primitive_reward": "progress",
     "generations": 10_000,  # the steps end the run
     "keep_checkpoints": 10_000,
@@ -137,7 +140,7 @@ def variants(scale: str = "laptop") -> dict[str, dict[str, Variant]]:
     angle, free_falls = {"goal_encoding": "angle"}, {"fall_price": 0.0}
     form = {**no_view, **episodes, **glorot, **no_clock, **angle, **free_falls}
     egocentric = {"primitive_view": "egocentric", "symmetry": "none"}
-    generations = math.ceil(size.env_steps / generation_steps(make_config(ENV, "laptop", base)))
+    generations = math.ceil(size.env_steps / generation_steps(make_config(ENV, _PRESET, base)))
     decay = {
         "sigma_schedule": "exponential",
         "sigma_end": base["sigma"] / 5,
@@ -210,7 +213,7 @@ def learning(scale: str = "laptop", seeds: int | None = None) -> Study:
     check_size(scale, seeds, SCALES)
     size, groups = SCALES[scale], variants(scale)
     cells = tuple(
-        Cell(group=group, variant=name, env=ENV, seed=seed, settings=_settings(variant, size))
+        Cell(group=group, variant=name, env=ENV, seed=seed, settings=_settings(variant, size), preset=_PRESET)
         for group, found in groups.items()
         for name, variant in found.items()
         for seed in range(1, 1 + (seeds or size.seeds))
@@ -223,7 +226,7 @@ def _settings(variant: Variant, size: _Scale) -> dict[str, Any]:
     """Return the settings of the runs of `variant`: as many environment steps and evaluations as the others have."""
     merged = {**_BASE, **size.settings, **variant.changes, "env_steps": size.env_steps}
     settings = {name: value for name, value in merged.items() if value is not None}
-    steps = generation_steps(make_config(ENV, "laptop", settings))
+    steps = generation_steps(make_config(ENV, _PRESET, settings))
     return {**settings, "evaluation_interval": whole(size.evaluation_steps / steps)}
 
 

@@ -163,7 +163,7 @@ def _without_paths(value: Any) -> Any:
 
 
 def _copy_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
-    """Write `checkpoint`, compressed, without episodes that run on; without the optimizer's state if that saves much."""
+    """Write `checkpoint`, compressed, without running episodes; without the optimizer's state if that saves much."""
     checkpoint = replace(checkpoint, state=replace(checkpoint.state, running=None))
     levels = tuple(
         replace(
