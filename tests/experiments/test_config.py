@@ -552,6 +552,12 @@ def test_settings_of_the_first_version_are_read_in_words_of_today(former, today)
     assert config == make(sigma=0.5, common_random_numbers=today)
 
 
+def test_runs_of_before_tied_levels_were_held_do_not_hold_them():
+    old = {name: value for name, value in make().to_dict().items() if name != "hold_tied"}
+    assert TrainConfig.from_dict(old) == make(hold_tied=False)
+    assert TrainConfig.from_dict({**old, "hold_tied": True}) == make(hold_tied=True)
+
+
 @pytest.mark.parametrize("former", [True, False])
 def test_nobody_can_ask_for_them_any_more(former):
     with pytest.raises(ConfigError, match=rf"common_random_numbers must be a name, got {former}\. Set --common-random"):

@@ -118,3 +118,42 @@ def test_a_setting_that_would_do_nothing_beside_another_is_refused(settings, fix
     }.get(next(iter(settings)))
     if helped is not None:
         make_config("point-gather", "laptop", {**settings, **helped})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("fitness_shaping", "z_score"),
+        ("mirrored", "none"),
+        ("episodes_per_policy", 5),
+        ("common_random_numbers", "off"),
+        ("statistics_fraction", 0.1),
+    ],
+)
+def test_what_concerns_whole_episodes_is_refused_where_there_are_none(name, value):
+    message = rf"{name} does nothing in a run of ant-flagrun whose primitive is judged by intervals.*--primitive-est"
+    with pytest.raises(ConfigError, match=message):
+        make_config("ant-flagrun", "laptop", {name: value})
+    chosen = make_config("ant-flagrun", "laptop", {name: value, "primitive_estimate": "episode"})
+    assert getattr(chosen, name) == value
+
+
+def test_two_levels_of_which_branches_judge_one_do_not_share_the_population():
+    with pytest.raises(ConfigError, match="the controller alone is judged by whole episodes; got 'one_to_many'"):
+        make_config("ant-gather", "laptop", {"perturbation": "one_to_many"})
+
+
+def test_options_of_a_shaping_may_concern_the_primitives():
+    own = {"primitive_fitness_shaping": "top_fraction", "top_fraction": 0.3}
+    assert make_config("ant-gather", "laptop", own).top_fraction == 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("intervals", 5), ("fall_price", 5.0), ("primitive_sigma", 0.3), ("primitive_population_size", 6)],
+)
+def test_what_concerns_branches_is_refused_where_the_primitive_stays_as_it_is(name, value):
+    with pytest.raises(ConfigError, match=rf"{name} does nothing where the primitive stays as it is; got {value}"):
+        make_config("ant-gather", "laptop", {"primitive": "ant-walker", name: value})
+    learns_on = make_config("ant-gather", "laptop", {"primitive": "ant-walker", "freeze_primitive": False, name: value})
+    assert getattr(learns_on, name) == value

@@ -264,7 +264,7 @@ class TrainConfig:
         self._check_schedules()
         self._check_transfer()
         self._check_estimate()
-        check_perturbation(self.perturbation, self.population_size, self.mirrored, self._by_episodes)
+        check_perturbation(self.perturbation, self.population_size, self.mirrored, self.by_episodes)
 
     def _check_schedules(self) -> None:
         """Refuse a schedule without an end, an end without a schedule, and one that cannot be reached."""
@@ -307,7 +307,7 @@ class TrainConfig:
 
     def _check_estimate(self) -> None:
         """Refuse pairs where members are no pairs, and branches of a primitive that cannot be branched."""
-        members = len(sign_matrix(self.mirrored, max(1, sum(self._by_episodes))))
+        members = len(sign_matrix(self.mirrored, max(1, sum(self.by_episodes))))
         if self.fitness_shaping == "pair_rank" and members != 2:
             raise ConfigError(
                 f"fitness_shaping 'pair_rank' ranks mirrored pairs, but with mirrored {self.mirrored!r} a group has "
@@ -329,7 +329,7 @@ class TrainConfig:
         if is_beside and self.learns[-1] and self.primitive_view == "observation":
             raise ConfigError(
                 "primitive_estimate is 'interval', but the primitive sees the task's observation, which a branch does "
-                "not go on with. Set --primitive-view egocentric or proprioception."
+                "not go on with. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."
             )
         pairs = self.population_size if self.primitive_population_size is None else self.primitive_population_size
         if pairs % 2:
@@ -337,7 +337,7 @@ class TrainConfig:
             raise out_of_range(name, pairs, "an even number: branches are mirrored pairs")
 
     @property
-    def _by_episodes(self) -> tuple[bool, ...]:
+    def by_episodes(self) -> tuple[bool, ...]:
         """Which levels whole episodes judge; a primitive alone that branches do counts, for the size of its pairs."""
         is_branched = self.primitive_estimate == "interval" and len(self.level_names) > 1
         return (*self.learns[:-1], False) if is_branched else self.learns
@@ -411,8 +411,11 @@ class TrainConfig:
 
 
 def in_words_of_today(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings that version 0.1 may have written, with values of today."""
-    return {**values, **_FORMER.get(str(values.get("common_random_numbers")), {})}
+    """Return settings that an earlier version may have written, with values of today.
+
+    What did not say whether tied levels stay was written when they did not.
+    """
+    return {"hold_tied": False, **values, **_FORMER.get(str(values.get("common_random_numbers")), {})}
 
 
 def check_fields(names: Mapping[str, Any]) -> None:

@@ -181,6 +181,22 @@ _OF_PRIMITIVES = frozenset(
 _OF_RANDOM_CONTROLLERS = frozenset({"controller_interval", "goal_distance"})
 """Settings of goals that an environment heeds which sets them itself."""
 
+_OF_BRANCHES = frozenset(
+    {
+        "fall_price",
+        "intervals",
+        "primitive_fitness_shaping",
+        "primitive_learning_rate",
+        "primitive_population_size",
+        "primitive_sigma",
+    }
+)
+"""Settings of a primitive that is judged by intervals, if it learns."""
+_OF_EPISODES = frozenset(
+    {"common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction"}
+)
+"""Settings of whole episodes: a primitive alone that is judged by intervals has none."""
+
 _NEEDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "momentum": ("optimizer", ("sgd", "clipup")),
     "intervals": ("primitive_estimate", ("interval",)),
@@ -208,8 +224,12 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
                 f"{name} is {overrides[name]!r}, but no run is named whose primitive it would be. "
                 f"Set --primitive RUN, or leave {flag(name)} away."
             )
+    _refuse_unheeded_estimate(config, overrides)
     for name, (other, needed) in _NEEDS.items():
-        if name in overrides and getattr(config, other) not in needed:
+        has_other = getattr(config, other) in needed
+        if other == "fitness_shaping" and config.primitive_estimate == "interval" and config.learns[-1]:
+            has_other |= config.primitive_fitness_shaping in needed
+        if name in overrides and not has_other:
             raise ConfigError(
                 f"{name} does nothing with {other} {getattr(config, other)!r}, got {overrides[name]!r}. "
                 f"Set {flag(other)} to {' or '.join(needed)}, or leave {flag(name)} away."
@@ -220,10 +240,11 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
             f"schedule_generations does nothing without a schedule, got {overrides['schedule_generations']!r}. "
             f"Set one of {kinds}, or leave --schedule-generations away."
         )
-    if "perturbation" in overrides and sum(config.learns) == 1:
-        (learning,) = (name for name, learns in zip(config.level_names, config.learns, strict=True) if learns)
+    if "perturbation" in overrides and sum(config.by_episodes) == 1:
+        (learning,) = (name for name, learns in zip(config.level_names, config.by_episodes, strict=True) if learns)
+        told = "learns" if sum(config.learns) == 1 else "is judged by whole episodes"
         raise ConfigError(
-            f"perturbation says how two levels share the population, but in this run the {learning} alone learns; got "
+            f"perturbation says how two levels share the population, but in this run the {learning} alone {told}; got "
             f"{overrides['perturbation']!r}. Leave --perturbation away."
         )
     unheeded = frozenset[str]()
@@ -237,3 +258,24 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
             f"{name} does nothing in a run of {config.env} with algorithm {config.algorithm!r}, whose one level is the "
             f"{config.level_names[0]}; got {overrides[name]!r}. Leave {flag(name)} away."
         )
+
+
+def _refuse_unheeded_estimate(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
+    """Refuse settings that somebody asked for, and that the way in which the primitive is judged does not heed.
+
+    Raises:
+        ConfigError: There is one.
+    """
+    if config.level_names == ("primitive",) and config.primitive_estimate == "interval":
+        for name in sorted(_OF_EPISODES & set(overrides)):
+            raise ConfigError(
+                f"{name} does nothing in a run of {config.env} whose primitive is judged by intervals: it concerns "
+                f"whole episodes; got {overrides[name]!r}. "
+                f"Leave {flag(name)} away, or set --primitive-estimate episode."
+            )
+    if "primitive" in config.level_names and not config.learns[-1]:
+        for name in sorted(_OF_BRANCHES & set(overrides)):
+            raise ConfigError(
+                f"{name} does nothing where the primitive stays as it is; got {overrides[name]!r}. "
+                f"Leave {flag(name)} away, or set --no-freeze-primitive."
+            )

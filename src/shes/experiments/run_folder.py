@@ -192,7 +192,7 @@ class RunFolder:
         mine = config.numbers()
         # Settings that came after the checkpoint was written have their defaults, which change nothing.
         missing = {field.name: field.default for field in fields(TrainConfig) if field.name in mine}
-        checkpoint = replace(checkpoint, numbers=in_words_of_today({**missing, **checkpoint.numbers}))
+        checkpoint = replace(checkpoint, numbers={**missing, **in_words_of_today(checkpoint.numbers)})
         if checkpoint.numbers != mine:
             keys = sorted(mine.keys() | checkpoint.numbers.keys())
             other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]

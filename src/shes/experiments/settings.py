@@ -41,10 +41,10 @@ ALGORITHMS = ("shes", "es")
 """`shes`: controller and primitive, or the primitive alone where the environment sets goals; `es`: one policy, S-ES."""
 BACKENDS = ("processes", "serial")
 PRIMITIVE_VIEWS = ("observation", "proprioception", "egocentric")
-"""What a primitive sees: what its environment shows it, the robot's own coordinates alone, or these in the frame of the
-robot's heading and without its place."""
+"""What a primitive sees: what its environment shows it, the robot's own coordinates alone, or these in the robot's
+own frame and without its place."""
 CONTROLLER_VIEWS = ("observation", "egocentric")
-"""What a controller sees of the robot: what its environment shows, or that in the frame of the robot's heading."""
+"""What a controller sees of the robot: what its environment shows, or that in the robot's own frame."""
 PRIMITIVE_ESTIMATES = ("episode", "interval")
 """How a primitive is judged: by whole episodes, or by intervals that branch off the same state."""
 WEIGHT_DECAY_FORMS = ("gradient", "decoupled")

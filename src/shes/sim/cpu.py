@@ -61,6 +61,9 @@ class CpuSimulator(Simulator):
         self.qvel = self._batch.bind("qvel")
         self.ctrl = self._batch.bind("ctrl")
         self._default = self._batch.state[0].copy()
+        self._warmstart, self._time = self._batch.bind("qacc_warmstart"), self._batch.bind("time")
+        # All that a step depends on beside the controls, which are written before it; no world of ours has more.
+        self._parts = (self.qpos, self.qvel, self._warmstart, self._time.reshape(num_sims, 1))
         # Counters [N, kinds] of the warnings after which MuJoCo resets a simulation by itself, inside the step.
         first, last = min(_DIVERGENCE), max(_DIVERGENCE)
         self._counters = self._batch.warning[:, first : last + 1, 1]
@@ -75,17 +78,20 @@ class CpuSimulator(Simulator):
 
     @property
     def state_size(self) -> int:
-        """Numbers of `mjSTATE_INTEGRATION`: time, qpos, qvel, warm start, controls, and what else a model has."""
-        return len(self._default)
+        """Numbers of qpos, qvel, the solver's warm start and time."""
+        return sum(part.shape[1] for part in self._parts)
 
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the whole states of simulations `ids` [ids, S]."""
-        return self._batch.state[ids]
+        return np.concatenate([part[ids] for part in self._parts], axis=1)
 
     def set_states(self, ids: IntArray, states: F64Array) -> None:
         """Put simulations `ids` into `states` [ids, S]."""
         self.reset(ids)
-        self._batch.state[ids] = states
+        start = 0
+        for part in self._parts:
+            part[ids] = states[:, start : start + part.shape[1]]
+            start += part.shape[1]
 
     def _advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""

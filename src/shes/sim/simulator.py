@@ -53,6 +53,7 @@ class Simulator(ABC):
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the whole states of simulations `ids` [ids, S], in NumPy's array.
 
+        A state is qpos, qvel, the solver's warm start and the time, in every simulator.
         A whole state is all that the next step depends on, the solver's warm start included: a simulation that is put
         into it by `set_states`, here or in another simulator of the same kind and model, goes on with the same bits.
         """
