@@ -22,11 +22,11 @@ class Metres(PrimitiveReward):
 
 def main() -> None:
     """Train with it for a few generations, and look at what the primitive earns before and after."""
-    shes.register_primitive_reward("metres", Metres)
+    shes.register_primitive_reward("way", Metres)
     run = shes.train(
         "point-gather",
         preset="smoke",
-        primitive_reward="metres",
+        primitive_reward="way",
         population_size=80,
         horizon=100,
         controller_interval=10,
