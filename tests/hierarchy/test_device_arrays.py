@@ -54,7 +54,10 @@ CHOICES = {
             "primitive_reward": "metres",
         },
     ),
-    "egocentric, alone": ("ant-flagrun", {"primitive_estimate": "episode", "primitive_view": "egocentric", "symmetry": "rotation"}),
+    "egocentric, alone": (
+        "ant-flagrun",
+        {"primitive_estimate": "episode", "primitive_view": "egocentric", "symmetry": "rotation"},
+    ),
     "few statistics": ("point-gather", {"statistics_fraction": 0.5}),
 }
 

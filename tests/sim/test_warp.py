@@ -32,6 +32,7 @@ pytestmark = [
 
 # The contract's tests, run here with the fixture `make` below.
 globals().update({name: test for name, test in vars(contract).items() if name.startswith("test_")})
+moving = contract.moving  # a fixture that they ask for
 
 MODELS = [(name, spec) for name, environment in ENVIRONMENTS.items() for spec in environment.task.specs]
 WarpCpu = partial(WarpSimulator, device="warp-cpu")

@@ -9,6 +9,7 @@ import mujoco
 
 from shes.envs.layout import ObservationElement
 from shes.envs.symmetry import SymmetryGroup
+from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Body"]
@@ -30,8 +31,8 @@ class Body(ABC):
     """Controls lie in [-control_limit, control_limit]."""
     quaternion: ClassVar[slice | None]
     """Where the torso's unit quaternion stands in qpos, if there is one."""
-    egocentric: ClassVar[tuple[ObservationElement, ...]]
-    """Its state with nothing of the world in it but gravity: what `write_egocentric` writes."""
+    egocentric: ClassVar[tuple[ObservationElement, ...]] = ()
+    """Its state with nothing of the world in it but gravity: what `write_egocentric` writes; empty if not told."""
 
     @property
     def num_qpos(self) -> int:
@@ -67,7 +68,6 @@ class Body(ABC):
         """
         return self.heading(qpos)
 
-    @abstractmethod
     def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
         """Write the robot's state as it looks in its own frame, without its place.
 
@@ -76,7 +76,14 @@ class Body(ABC):
             qvel: Generalised velocities [N, num_qvel].
             angle: The frame's angle at `qpos` [N], in radians; see `frame_angle`.
             out: Where the values of `egocentric` go [N, V].
+
+        Raises:
+            ConfigError: The robot has no egocentric view.
         """
+        raise ConfigError(
+            f"nobody has told what the {self.name} looks like from its own frame. Define `egocentric` and "
+            "`write_egocentric` in its class, or choose another view."
+        )
 
     def symmetry(self, *, is_mirrored: bool) -> SymmetryGroup | None:
         """Return the turns after which the robot looks the same, with their mirror images if wanted.

@@ -189,10 +189,11 @@ def _egocentric(config: TrainConfig, task: EpisodeBatch, setting: str, others: S
     Raises:
         ConfigError: Nobody knows how to look at this robot from its own frame.
     """
-    if task.robot is None:
+    if task.robot is None or not task.robot.egocentric:
+        whose = f"{config.env} is Gymnasium's" if task.robot is None else f"{config.env} has the {task.robot.name}"
         raise ConfigError(
-            f"{setting} is 'egocentric', but {config.env} is Gymnasium's: what its robot looks like from its own frame "
-            f"is not known. Set {flag(setting)} to another one."
+            f"{setting} is 'egocentric', but {whose}: what its robot looks like from its own frame is not known. "
+            f"Set {flag(setting)} to another one."
         )
     return EgocentricView(task.robot, task.proprioception.tolist(), others)
 

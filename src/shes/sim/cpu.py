@@ -76,11 +76,6 @@ class CpuSimulator(Simulator):
         self._batch.warning[ids] = 0  # MuJoCo counts from 0 again when it resets by itself: every divergence reads 1
         self.diverged[ids] = False
 
-    @property
-    def state_size(self) -> int:
-        """Numbers of qpos, qvel, the solver's warm start and time."""
-        return sum(part.shape[1] for part in self._parts)
-
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the whole states of simulations `ids` [ids, S]."""
         return np.concatenate([part[ids] for part in self._parts], axis=1)

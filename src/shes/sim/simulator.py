@@ -9,9 +9,15 @@ from typing import ClassVar
 
 import mujoco
 
+from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["Simulator"]
+
+_NO_STATES = (
+    "{} does not copy whole states, from which branches begin. Define `states` and `set_states` in it, "
+    "or set --primitive-estimate episode."
+)
 
 
 class Simulator(ABC):
@@ -45,22 +51,31 @@ class Simulator(ABC):
         """Put simulations `ids` into the model's default state, exactly, and forget that they diverged."""
 
     @property
-    @abstractmethod
     def state_size(self) -> int:
         """Numbers of a whole state, S."""
+        return self.model.nq + 2 * self.model.nv + 1
 
-    @abstractmethod
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the whole states of simulations `ids` [ids, S], in NumPy's array.
 
         A state is qpos, qvel, the solver's warm start and the time, in every simulator.
         A whole state is all that the next step depends on, the solver's warm start included: a simulation that is put
         into it by `set_states`, here or in another simulator of the same kind and model, goes on with the same bits.
-        """
 
-    @abstractmethod
+        Raises:
+            ConfigError: This kind of simulator cannot tell them.
+        """
+        del ids
+        raise ConfigError(_NO_STATES.format(type(self).__name__))
+
     def set_states(self, ids: IntArray, states: F64Array) -> None:
-        """Put simulations `ids` into `states` [ids, S], and forget that they diverged."""
+        """Put simulations `ids` into `states` [ids, S], and forget that they diverged.
+
+        Raises:
+            ConfigError: This kind of simulator cannot do so.
+        """
+        del ids, states
+        raise ConfigError(_NO_STATES.format(type(self).__name__))
 
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps; the others do not move."""

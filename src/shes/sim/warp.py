@@ -112,11 +112,6 @@ class WarpSimulator(Simulator):
         for array in (self.qvel, self.ctrl, self._warmstart, self._time, self.diverged):
             array[ids] = 0
 
-    @property
-    def state_size(self) -> int:
-        """Numbers of qpos, qvel, the solver's warm start and time."""
-        return self.model.nq + 2 * self.model.nv + 1
-
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the whole states of simulations `ids` [ids, S]; the device is waited for."""
         rows = self.xp.asarray(ids)
