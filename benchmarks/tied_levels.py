@@ -1,4 +1,4 @@
-"""What an update makes of a controller whose members all tie.
+"""The effect of an update on a controller whose members all tie.
 
 `python benchmarks/tied_levels.py --out results/learning/tied.csv`: Ant Gather with episodes of 15 steps, in which
 nobody can collect anything, so that all members of the controller are worth the same. Thirty generations, five seeds,

@@ -54,7 +54,7 @@ class GenerationReport:
 
     @property
     def log(self) -> list[str]:
-        """What the simulators had to say."""
+        """Return the log lines of the simulators."""
         return [line for each in (self.population, self.branches) if each is not None for line in each.results.log]
 
     @property

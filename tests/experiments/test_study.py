@@ -23,6 +23,7 @@ from shes.experiments.checkpoint import load_checkpoint
 from shes.experiments.comparison import compare, holm, permutation_test
 from shes.experiments.evaluate import evaluate
 from shes.experiments.learning import learning
+from shes.experiments.presets import make_config
 from shes.experiments.studies import STUDIES
 from shes.experiments.study import (
     Study,
@@ -572,3 +573,13 @@ def test_what_is_not_finished_is_not_compared():
     (found,) = compare(study, summaries)  # there is no base yet
     assert (found.variant, found.against, found.p) == ("sigma-x2", None, None)
     assert compare(study, {}) == []
+
+
+def test_no_variant_of_the_learning_study_is_its_base_or_another_one():
+    """A preset must not bring back what a variant leaves out."""
+    cells = [cell for cell in learning().cells if cell.seed == 1]
+    runs = {cell.variant: make_config(cell.env, cell.preset, cell.settings).numbers() for cell in cells}
+    numbers = [{name: value for name, value in run.items() if name != "env_steps"} for run in runs.values()]
+    assert all(one != other for one, other in itertools.combinations(numbers, 2))
+    without_clock, without_view = runs["no-clock"], runs["no-view"]
+    assert (without_clock["clock_frequency"], without_view["symmetry"]) == (None, "none")

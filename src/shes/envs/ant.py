@@ -148,7 +148,7 @@ class Ant(Body):
 
 
 _Plane = tuple[list[int], list[int]]
-"""What becomes of the x and y of a vector: which of them (1 or 2) each comes from, and with which sign."""
+"""How an element maps the x and y of a vector: the component (1 or 2) that each comes from, and its sign."""
 
 
 def _view_element(

@@ -37,7 +37,6 @@ class Notes:
             for slot, steps in zip(task.slots, wanted, strict=True):
                 row = lane * self._agent.num_episodes + slot
                 self._wanted[row], self._noted[row] = steps, 0
-                self._states.pop(row, None)
 
     def take(self, is_running: BoolArray, steps: IntArray) -> None:
         """Note the states and goals that are due, after agents have decided and before the physics goes on.
