@@ -117,7 +117,7 @@ def method(settings):
     return {**METHOD, **({"schedule_generations": 2} if scheduled else {}), **settings}
 
 
-NO_CHOICES = {"backend", "device", "preset", "primitive_checkpoint"}
+NO_CHOICES = {"backend", "controller_checkpoint", "device", "preset", "primitive_checkpoint"}
 """Names that say how, where and from what, not what is done: backends are what is compared here, devices elsewhere."""
 SOURCE = "the run of the fixture `source`"
 EGOCENTRIC = {"primitive_view": "egocentric"}

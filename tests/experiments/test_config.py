@@ -85,6 +85,8 @@ PLACES = ["evaluation_target", "target"]
 BUFFERS = ["nconmax", "njmax"]
 LAYERS = ["hidden", "primitive_hidden"]
 OTHERS = [
+    "controller",
+    "controller_checkpoint",
     "env",
     "external",
     "population_size",
@@ -319,10 +321,12 @@ def test_every_choice_of_a_name_is_allowed(name):
         settings = {} if choice == "constant" else ends or beside.get(choice, {})
         assert getattr(make(population_size=8, **{name: choice}, **settings), name) == choice
     assert choices("env") == ()
-    assert set(NAMES) | set(SCHEDULES) == set(WORDS) - {"preset", "primitive_checkpoint"}
+    assert set(NAMES) | set(SCHEDULES) == set(WORDS) - {"preset", "controller_checkpoint", "primitive_checkpoint"}
 
 
-@pytest.mark.parametrize("name", ["preset", "primitive_checkpoint", "novelty", "goal_encoding"])
+@pytest.mark.parametrize(
+    "name", ["preset", "controller_checkpoint", "primitive_checkpoint", "novelty", "goal_encoding"]
+)
 def test_a_name_is_a_string(name):
     with pytest.raises(ConfigError, match=rf"{name} must be a name, got 3\. Set {flag(name)}\."):
         make(**{name: 3})
@@ -471,10 +475,16 @@ def test_a_random_controller_heeds_interval_and_distance(algorithm, name):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("freeze_primitive", False), ("freeze_primitive", True), ("primitive_checkpoint", "last")]
+    ("level", "name", "value"),
+    [
+        ("primitive", "freeze_primitive", False),
+        ("primitive", "freeze_primitive", True),
+        ("primitive", "primitive_checkpoint", "last"),
+        ("controller", "controller_checkpoint", "last"),
+    ],
 )
-def test_what_concerns_a_transferred_primitive_needs_one(name, value):
-    message = rf"{name} is {value!r}, but no run is named whose primitive it would be\. Set --primitive RUN, or leave "
+def test_what_concerns_a_transferred_level_needs_one(level, name, value):
+    message = rf"{name} is {value!r}, but no run is named whose {level} it would be\. Set --{level} RUN, or leave "
     with pytest.raises(ConfigError, match=message + flag(name)):
         make_config("point-gather", "smoke", {name: value})
 

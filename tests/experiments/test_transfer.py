@@ -332,6 +332,58 @@ def test_a_source_that_is_not_there_or_damaged_is_refused(plain, tmp_path, comma
     refused(RunFolderError, r"config\.json cannot be read", primitive=str(source))
 
 
+# Controllers.
+
+BY_CONTROLLER = {"controller_output": "one_hot", "controller_view": "observation", "hidden": (4,)}
+FROM_CONTROLLER = {"controller_interval": 7, "goal_distance": 2.5, "minimum_goal_distance": False}
+
+
+@pytest.fixture(scope="module")
+def steered(tmp_path_factory):
+    """A run of two levels whose controller has settings of its own. Not to be changed."""
+    settings = {**BY_CONTROLLER, **FROM_CONTROLLER, "generations": 2, "evaluation_interval": 2}
+    return runs.train_tiny(tmp_path_factory.mktemp("steered") / "run", **settings)
+
+
+def controller(path, checkpoint):
+    return RunFolder.open(path).load(checkpoint).state.levels[0]
+
+
+def test_a_controller_brings_its_parameters_statistics_and_settings(steered, plain, tmp_path):
+    settings = {"controller": steered, "controller_checkpoint": "last", "primitive": plain, "goal_distance": 3.0}
+    path = runs.train_tiny(tmp_path / "run", generations=1, **settings)
+    assert same(controller(path, "0"), controller(steered, "last"))
+    assert same(primitive(path, "0"), primitive(plain, "best"))
+    assert not same(controller(path, "last"), controller(steered, "last"))  # it learns on
+    config = RunFolder.open(path).read_config()
+    expected = {**BY_CONTROLLER, **FROM_CONTROLLER, "goal_distance": 3.0}
+    assert {name: getattr(config, name) for name in expected} == expected
+    record = json.loads((path / "config.json").read_text())
+    assert record["controller"] == {"run": str(steered), "env": "point-gather", "checkpoint": "last", "generation": 2}
+    assert record["primitive"]["run"] == str(plain)
+
+
+@pytest.mark.parametrize(("name", "other"), [("controller_output", "vector"), ("hidden", (5,))])
+def test_what_contradicts_the_controller_is_refused(steered, tmp_path, name, other):
+    message = f"{name} is {other!r}, but the controller of {steered} was trained with {BY_CONTROLLER[name]!r}. Leave --"
+    with pytest.raises(ConfigError, match=re.escape(message + name.replace("_", "-") + " away")):
+        runs.train_tiny(tmp_path / "run", controller=str(steered), **{name: other})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_controller_that_does_not_fit_is_refused(steered, plain, tmp_path):
+    """That of another task observes something else; a primitive alone, and plain S-ES, have none."""
+    for message, env, settings in (
+        (r"the controller of .* does not fit point-maze\.\nIt was trained on point-gather: ", "point-maze", {}),
+        (r"has no controller: its levels are primitive\. Name a run", "point-gather", {"controller": str(plain)}),
+        (r"the levels primitive alone\. Leave --controller away", "point-flagrun", {}),
+        (r"the levels policy alone\. Leave --controller away", "point-gather", {"algorithm": "es"}),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            runs.train_tiny(tmp_path / "run", env, **{"controller": str(steered), **settings})
+    assert list(tmp_path.iterdir()) == []
+
+
 # Afterwards.
 
 

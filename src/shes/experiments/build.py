@@ -246,6 +246,13 @@ def primitive_inputs(config: TrainConfig) -> tuple[str, ...]:
     return (*features, *clock, *primitive_view(config, task).names(task.observation_names))
 
 
+def controller_inputs(config: TrainConfig) -> tuple[str, ...]:
+    """Return what each input of the controller of `config` is called, in order."""
+    task = build_task(config, 1, is_evaluation=False)
+    task.close()
+    return tuple(_controller_view(config, task).names(task.observation_names))
+
+
 def build_settings(config: TrainConfig) -> Settings:
     """Return the numbers of Algorithm 1."""
 

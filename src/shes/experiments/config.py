@@ -207,6 +207,10 @@ class TrainConfig:
     """Which checkpoint of that run: best, last or the number of a generation."""
     freeze_primitive: bool = True
     """Whether that primitive stays as it is, or learns on."""
+    controller: str | None = None
+    """Run or shipped agent whose controller this one begins with: parameters, observation statistics. It learns on."""
+    controller_checkpoint: str = "best"
+    """Which checkpoint of that run: best, last or the number of a generation."""
 
     horizon: int = 200
     """Control steps in an episode of training (Table I: 500)."""
@@ -299,6 +303,15 @@ class TrainConfig:
                 f"levels {', '.join(self.level_names)} alone: a transferred primitive needs a controller. "
                 "Leave --primitive away, or name another environment, e.g. ant-gather, with --algorithm shes."
             )
+        if self.controller is not None:
+            if not isinstance(self.controller, str) or not self.controller:
+                raise out_of_range("controller", self.controller, "the path of a run folder")
+            if "controller" not in self.level_names:
+                raise ConfigError(
+                    f"controller is {self.controller!r}, but a run of {self.env} with algorithm {self.algorithm!r} has "
+                    f"the levels {', '.join(self.level_names)} alone. Leave --controller away, or name another "
+                    "environment, e.g. ant-gather, with --algorithm shes."
+                )
         if self.novelty != "none" and self.level_names == ("primitive",):
             raise ConfigError(
                 f"novelty is {self.novelty!r}, but it concerns what the environment pays, and {self.env} trains a "

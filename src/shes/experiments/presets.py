@@ -13,7 +13,7 @@ from shes.es.novelty import NOVELTY_RULES
 from shes.experiments.config import TrainConfig, check_fields
 from shes.experiments.device import check_asked_device
 from shes.experiments.settings import SCHEDULED, flag
-from shes.experiments.transfer import brought_settings
+from shes.experiments.transfer import TRANSFERRED, brought_settings
 
 __all__ = ["PRESETS", "make_config"]
 
@@ -135,13 +135,16 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     for name in ("hidden", "primitive_hidden"):
         if isinstance(overrides.get(name), int):
             overrides[name] = (overrides[name],)
-    if isinstance(overrides.get("primitive"), Path):
-        overrides["primitive"] = str(overrides["primitive"])
+    for name in TRANSFERRED:
+        if isinstance(overrides.get(name), Path):
+            overrides[name] = str(overrides[name])
     has_walker = preset == "laptop" and overrides.get("algorithm", "shes") == "shes"
     own = _WALKERS.get(env, {}) if has_walker else {}
     values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **own, **overrides}
-    if values.get("primitive") is not None:
-        values.update(brought_settings(values["primitive"], values.get("primitive_checkpoint", "best"), overrides))
+    for level in TRANSFERRED:
+        if values.get(level) is not None:
+            checkpoint = values.get(f"{level}_checkpoint", "best")
+            values.update(brought_settings(level, values[level], checkpoint, overrides))
     config = TrainConfig(env=env, preset=preset, **values)
     check_asked_device(config, overrides)
     _refuse_unheeded(config, overrides)
@@ -218,11 +221,15 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
     Raises:
         ConfigError: There is one.
     """
-    for name in ("freeze_primitive", "primitive_checkpoint"):
-        if config.primitive is None and name in overrides:
+    for level, name in (
+        ("primitive", "freeze_primitive"),
+        ("primitive", "primitive_checkpoint"),
+        ("controller", "controller_checkpoint"),
+    ):
+        if getattr(config, level) is None and name in overrides:
             raise ConfigError(
-                f"{name} is {overrides[name]!r}, but no run is named whose primitive it would be. "
-                f"Set --primitive RUN, or leave {flag(name)} away."
+                f"{name} is {overrides[name]!r}, but no run is named whose {level} it would be. "
+                f"Set --{level} RUN, or leave {flag(name)} away."
             )
     _refuse_unheeded_estimate(config, overrides)
     for name, (other, needed) in _NEEDS.items():

@@ -146,14 +146,13 @@ class RunFolder:
         except (ConfigError, UnknownNameError) as error:
             raise ConfigError(f"{self.config}: {error}") from error
 
-    def record_start(self, config: TrainConfig, transferred: Mapping[str, Any] | None = None) -> None:
-        """Write down what the run is, and where it has its primitive from, if from another run.
+    def record_start(self, config: TrainConfig, origins: Mapping[str, Mapping[str, Any]]) -> None:
+        """Write down what the run is, and which levels (`primitive`, `controller`) it has from other runs.
 
         Raises:
             StorageError: It cannot be written.
         """
-        origin = {} if transferred is None else {"primitive": dict(transferred)}
-        record = {"format": _FORMAT, "config": config.to_dict(), **origin, **provenance(config.device), "resumed": []}
+        record = {"format": _FORMAT, "config": config.to_dict(), **origins, **provenance(config.device), "resumed": []}
         self.write_record(record)
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:

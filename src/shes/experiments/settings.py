@@ -159,7 +159,7 @@ _OPTIONAL = (
     *(end for _, end in SCHEDULED.values()),
 )
 
-NAMES = (*_REGISTERED, "preset", "primitive_checkpoint", *_CHOICES)
+NAMES = (*_REGISTERED, "preset", "controller_checkpoint", "primitive_checkpoint", *_CHOICES)
 """Settings that are names."""
 
 

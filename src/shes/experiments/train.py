@@ -33,7 +33,7 @@ from shes.experiments.records import Records, Row, progress_row, read_csv
 from shes.experiments.run_folder import RunFolder, new_folder
 from shes.experiments.run_log import logger, run_log
 from shes.experiments.settings import flag
-from shes.experiments.transfer import transfer_primitive
+from shes.experiments.transfer import transfer
 
 __all__ = ["Listener", "Run", "resume", "start_run", "train"]
 
@@ -99,15 +99,15 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     """Begin a run with the settings of `config`; see `train`."""
     check_device(config)
     design = build_design(config)
-    open_noise_table(config, design)  # what can be wrong with it, or with the primitive, shows before there is a folder
-    state, transferred = transfer_primitive(config, build_state(config, design))
+    open_noise_table(config, design)  # what can be wrong with it, or with a transfer, shows before there is a folder
+    state, origins = transfer(config, build_state(config, design))
     folder = RunFolder.create(new_folder(config) if out is None else _path(out))
     with folder.lock():
         checkpoint = Checkpoint(state=state, best=Best(), numbers=config.numbers())
         for name in ("0", "best", "last"):
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
         # From here on it is a run, which can be resumed.
-        folder.record_start(config, None if transferred is None else asdict(transferred))
+        folder.record_start(config, {level: asdict(origin) for level, origin in origins.items()})
         return _go_on(folder, config, checkpoint, listener)
 
 
