@@ -9,7 +9,7 @@ PY := $(VENV)/bin/python
 # One BLAS thread: parallelism comes from worker processes, and the thread count changes bits.
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest
 SOURCES := $(wildcard src tests benchmarks examples docs)
-DEMO_COMMAND := .venv/bin/python -m shes.experiments.demo
+DEMO_COMMAND := .venv/bin/python -m shes.cli.demo
 # The Python that .venv is made of: `make setup PYTHON=/path/to/python3.12`. Empty: the first candidate that works.
 PYTHON :=
 CANDIDATES := python3.13 python3.12 python3.11 python3

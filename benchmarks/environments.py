@@ -20,7 +20,7 @@ from run import LAPTOP, SECONDS, bench
 
 import shes  # registers
 from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.task import FRAME_SKIP
+from shes.envs.tasks.task import FRAME_SKIP
 
 assert shes
 

@@ -24,12 +24,17 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from device_check import ALPHA, compare_samples, detectable_shift, sample
 
-from shes.algorithm import evolve
+from shes.algorithms.evolution.algorithm import evolve
 from shes.envs.registry import ENVIRONMENTS, find_environment
-from shes.envs.task import FRAME_SKIP
-from shes.envs.task_options import TaskOptions
-from shes.experiments.build import (
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task import FRAME_SKIP
+from shes.runs.config import TrainConfig
+from shes.sim.cpu import CpuSimulator
+from shes.sim.warp import WarpSimulator
+from shes.sim.warp_device import WarpDevice
+from shes.training.build import (
     build_backend,
     build_design,
     build_plan,
@@ -37,12 +42,7 @@ from shes.experiments.build import (
     build_state,
     open_noise_table,
 )
-from shes.experiments.config import TrainConfig
-from shes.experiments.device_check import ALPHA, compare_samples, detectable_shift, sample
-from shes.experiments.presets import make_config
-from shes.sim.cpu import CpuSimulator
-from shes.sim.warp import WarpSimulator
-from shes.sim.warp_device import WarpDevice
+from shes.training.presets import make_config
 
 INTEGRATORS = ("euler", "rk4")
 

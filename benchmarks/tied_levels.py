@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import shes
-from shes.experiments.records import read_csv
+from shes.runs.tables import read_csv
 
 CASES: dict[str, dict[str, Any]] = {
     "decay in the gradient (as published)": {"hold_tied": False},

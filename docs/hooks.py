@@ -3,7 +3,7 @@
 A page may hold
 
 - `<!-- generated: NAME ARGUMENTS -->` on a line of its own: the table or text of that generator;
-- `[[shes.algorithm.evolve]]`: a link to where that name is defined. A name that does not exist ends the build.
+- `[[shes.es.level.perturb]]`: a link to where that name is defined. A name that does not exist ends the build.
 """
 
 from __future__ import annotations

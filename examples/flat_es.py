@@ -6,9 +6,9 @@ is the library by hand; `shes train point-gather --algorithm es` does it with wo
 
 import numpy as np
 
-from shes.envs.layout import bounds
+from shes.envs.observation_spec import bounds
 from shes.envs.registry import make_task
-from shes.envs.task import Task
+from shes.envs.tasks.task import Task
 from shes.es import EvolutionStrategy
 from shes.policies.mlp import MLP
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 import shes
-from shes.envs.layout import elements
-from shes.envs.point import Point
-from shes.envs.task import Task, TaskDescription
+from shes.envs.bodies.point import Point
+from shes.envs.observation_spec import elements
+from shes.envs.tasks.task import Task, TaskDescription
 from shes.envs.worlds import empty_world
 
 

@@ -1,6 +1,7 @@
 """What every test shares: one BLAS thread, no display, no touch of the user's cache."""
 
 import os
+import shutil
 import signal
 
 # Before NumPy is imported: BLAS reads them once, and its thread count changes bits. Worker processes inherit them.
@@ -18,6 +19,20 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # No deadline: a busy machine is no failure. In CI the examples are the same each time.
 hypothesis.settings.register_profile("shes", deadline=None, derandomize="CI" in os.environ)
 hypothesis.settings.load_profile("shes")
+
+
+@pytest.fixture(scope="session")
+def tiny_run(tmp_path_factory):
+    """Folder of a finished tiny run. Not to be changed."""
+    from tests.e2e import runs
+
+    return runs.train_tiny(tmp_path_factory.mktemp("tiny") / "run")
+
+
+@pytest.fixture
+def run_copy(tiny_run, tmp_path):
+    """The same, to be changed."""
+    return shutil.copytree(tiny_run, tmp_path / "copy")
 
 
 @pytest.fixture(scope="session", autouse=True)

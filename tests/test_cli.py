@@ -12,13 +12,13 @@ from types import SimpleNamespace
 import pytest
 
 from shes.cli import main
-from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError
-from shes.experiments import shipped
-from shes.experiments.run_folder import RunFolder
-from shes.experiments.ship import ship
-from shes.experiments.shipped import read_agent
+from shes.runs import shipped
+from shes.runs.folder import RunFolder
+from shes.runs.shipped import read_agent
+from shes.training.ship import ship
 from tests.e2e import runs
 
 TINY = runs.flags(**runs.TINY)
@@ -203,7 +203,7 @@ def test_plot_says_where_the_picture_is(shes, tiny_run, tmp_path, monkeypatch):
 
 
 def test_bench_prints_a_table_or_json(shes, monkeypatch):
-    monkeypatch.setattr("shes.experiments.bench._REPLAY_S", 0.02)  # how exact it is does not matter here
+    monkeypatch.setattr("shes.bench._REPLAY_S", 0.02)  # how exact it is does not matter here
     small = ["point-gather", *TINY, "--population-size", 4, "--horizon", 5]
     found = json.loads(shes("bench", "update", *small, "--json"))
     assert found["total_ms"] > 0
@@ -228,7 +228,7 @@ def test_ctrl_c_before_the_first_generation_says_how_to_go_on(capsys, tmp_path, 
     def interrupted(*arguments, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.experiments.train._go_on", interrupted)
+    monkeypatch.setattr("shes.training.train._go_on", interrupted)
     path, more = tmp_path / "a run", ["--out", str(tmp_path / "a run")]
     words = ["point-gather", *TINY, *more] if command == "train" else [str(tiny_run), "--generations", "9"]
     assert main([command, *words]) == 130
@@ -242,7 +242,7 @@ def test_ctrl_c_before_there_is_a_run_promises_nothing(capsys, tmp_path, monkeyp
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.experiments.train.build_design", interrupted)
+    monkeypatch.setattr("shes.training.train.build_design", interrupted)
     assert main(["train", "point-gather", *TINY, "--out", str(tmp_path / "run")]) == 130
     assert capsys.readouterr() == ("", "Interrupted.\n")
 
@@ -258,7 +258,7 @@ def test_render_hands_on_its_flags_and_says_where_the_video_is(shes, monkeypatch
         given.append((*places, keywords))
         return places[1]
 
-    monkeypatch.setitem(sys.modules, "shes.experiments.render", SimpleNamespace(render=render))
+    monkeypatch.setitem(sys.modules, "shes.viewing.render", SimpleNamespace(render=render))
     assert shes("render", "a run") == "Video: walk.mp4\n"
     rest = ["--camera", "top", "--episode", 3, "--seed", 7, "--size", 240, "--steps", 50, "--out", "b.mp4"]
     assert shes("render", "--checkpoint", "0", "last", "--out=x.mp4", "a run", *rest) == "Video: b.mp4\n"
@@ -273,7 +273,7 @@ def test_watch_hands_on_its_flags(shes, monkeypatch):
     def watch(run, **keywords):
         given.append((run, keywords))
 
-    monkeypatch.setitem(sys.modules, "shes.experiments.watch", SimpleNamespace(watch=watch))
+    monkeypatch.setitem(sys.modules, "shes.viewing.watch", SimpleNamespace(watch=watch))
     shes("watch", "a run")
     shes("watch", "a run", "--checkpoint", "12", "--seed", 3)
     assert given == [
@@ -302,8 +302,8 @@ def own_module(tmp_path, monkeypatch):
 
 
 OWN = """
-from shes.envs.gather import Gather
-from shes.envs.point import Point
+from shes.envs.tasks.gather import Gather
+from shes.envs.bodies.point import Point
 from shes.envs.registry import register_environment
 
 register_environment("point-own", Point, Gather)

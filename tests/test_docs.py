@@ -15,16 +15,16 @@ import pytest
 
 import shes
 from shes.cli.commands import SUMMARIES
-from shes.envs.registration import gymnasium_id
+from shes.envs.gymnasium.registration import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.task_options import TaskOptions
-from shes.experiments.config import TrainConfig
+from shes.envs.tasks.options import TaskOptions
+from shes.runs.config import TrainConfig
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SRC = ROOT / "src" / "shes"
 PAGES = sorted(DOCS.rglob("*.md"))
-NOT_IN_THE_REFERENCE = ("cli", "experiments", "storage", "worker")
+NOT_IN_THE_REFERENCE = ("bench", "cli", "storage")
 """Rooms and modules that the reference leaves out, or of which it shows some modules."""
 
 
@@ -216,8 +216,8 @@ def test_the_reference_has_every_module_of_every_room(pages):
 
 @pytest.mark.extras
 def test_the_reference_has_every_field_of_the_settings_with_its_docstring(pages):
-    page = pages["reference/experiments.html"]
-    assert {f"shes.experiments.config.TrainConfig.{each.name}" for each in fields(TrainConfig)} <= page.ids
+    page = pages["reference/runs.html"]
+    assert {f"shes.runs.config.TrainConfig.{each.name}" for each in fields(TrainConfig)} <= page.ids
     assert "Standard deviation of the perturbations (Table I: 0.02)." in page.path.read_text(encoding="utf-8")
 
 
@@ -304,8 +304,8 @@ def test_code_that_a_page_names_exists(path, source):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("shes.algorithm.dissolve", "algorithm.py defines no 'dissolve'"),
-        ("shes.populations.Settings.nothing", "defines no 'nothing'"),
+        ("shes.algorithms.evolution.algorithm.dissolve", "algorithm.py defines no 'dissolve'"),
+        ("shes.algorithms.evolution.populations.Settings.nothing", "defines no 'nothing'"),
         ("nothing.at.all", "there is no module 'nothing.at.all'"),
     ],
 )

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from shes.cli.commands import SUMMARIES
-from shes.experiments.config import TrainConfig
-from shes.experiments.settings import flag
+from shes.runs.config import TrainConfig
+from shes.runs.settings import flag
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -24,9 +24,13 @@ def test_link_leads_to_a_file_or_to_the_line_it_names(link):
 
 
 def test_algorithm_lines_are_all_linked():
-    lines = (ROOT / "src/shes/algorithm.py").read_text(encoding="utf-8").splitlines()
+    lines = (ROOT / "src/shes/algorithms/evolution/algorithm.py").read_text(encoding="utf-8").splitlines()
     marked = {number for number, line in enumerate(lines, 1) if re.search(r"# lines? \d", line) and "`" not in line}
-    linked = {int(link.partition("#L")[2]) for link in LINKS if link.startswith("src/shes/algorithm.py#L")}
+    linked = {
+        int(link.partition("#L")[2])
+        for link in LINKS
+        if link.startswith("src/shes/algorithms/evolution/algorithm.py#L")
+    }
     assert linked == marked
     assert marked
 

@@ -47,5 +47,7 @@ def algorithm_map(page: str) -> str:
 def algorithm_code(page: str) -> str:
     """Return the code of the loop, with the marked lines standing out."""
     del page
-    path, _, _ = find("shes.algorithm")
-    return excerpt("shes.algorithm.evolve", tuple(line for _, where, line in markers() if where == path))
+    path, _, _ = find("shes.algorithms.evolution.algorithm")
+    return excerpt(
+        "shes.algorithms.evolution.algorithm.evolve", tuple(line for _, where, line in markers() if where == path)
+    )

@@ -7,9 +7,9 @@ from typing import Any
 
 from generate.fields import field_docs
 from generate.tables import table
-from shes.experiments.config import TrainConfig
-from shes.experiments.presets import PRESETS, make_config
-from shes.experiments.settings import flag
+from shes.runs.config import TrainConfig
+from shes.runs.settings import flag
+from shes.training.presets import PRESETS, make_config
 
 
 def settings(page: str) -> str:

@@ -31,12 +31,12 @@ def modules() -> list[Path]:
 
 
 def label(path: Path) -> str:
-    """Return how a file is named in the text: `src/shes/algorithm.py`."""
+    """Return how a file is named in the text: `src/shes/algorithms/evolution/algorithm.py`."""
     return path.relative_to(ROOT).as_posix()
 
 
 def module_name(path: Path) -> str:
-    """Return the name that `path` is imported by: `shes.algorithm`."""
+    """Return the name that `path` is imported by: `shes.algorithms.evolution.algorithm`."""
     parts = path.relative_to(_SRC).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
@@ -79,7 +79,7 @@ def tree(path: Path) -> ast.Module:
 
 
 def find(name: str) -> tuple[Path, int, int]:
-    """Return the file, first line and last line of a module or of what is defined in one: `shes.algorithm.evolve`.
+    """Return the file, first line and last line of a module or of what is defined in one: `shes.es.level.perturb`.
 
     Raises:
         UnknownCodeError: There is no such thing.

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from shes import es
     from shes.envs.registry import register_environment, register_external_environment
-    from shes.experiments.evaluate import Evaluation, evaluate
-    from shes.experiments.play import Agent, load
-    from shes.experiments.train import Run, resume, train
     from shes.hierarchy.goals import register_goal_encoding
     from shes.hierarchy.outputs import register_controller_output
     from shes.hierarchy.rewards import register_primitive_reward
+    from shes.training.evaluate import Evaluation, evaluate
+    from shes.training.play import Agent, load
+    from shes.training.train import Run, resume, train
 
 __all__ = [
     "Agent",
@@ -42,25 +42,25 @@ __all__ = [
 
 # Loaded when first asked for: a worker process imports this package too, and needs none of it.
 _HOMES = {
-    "Agent": "shes.experiments.play",
-    "Evaluation": "shes.experiments.evaluate",
-    "Run": "shes.experiments.train",
-    "evaluate": "shes.experiments.evaluate",
-    "load": "shes.experiments.play",
+    "Agent": "shes.training.play",
+    "Evaluation": "shes.training.evaluate",
+    "Run": "shes.training.train",
+    "evaluate": "shes.training.evaluate",
+    "load": "shes.training.play",
     "register_controller_output": "shes.hierarchy.outputs",
     "register_environment": "shes.envs.registry",
     "register_external_environment": "shes.envs.registry",
     "register_goal_encoding": "shes.hierarchy.goals",
     "register_primitive_reward": "shes.hierarchy.rewards",
-    "resume": "shes.experiments.train",
-    "train": "shes.experiments.train",
+    "resume": "shes.training.train",
+    "train": "shes.training.train",
 }
 
 
 # Gymnasium knows the environments as soon as SHES is imported; worker processes do without.
 if "shes.backends.process_worker" not in sys.orig_argv:
     try:
-        from shes.envs.registration import register_all
+        from shes.envs.gymnasium.registration import register_all
     except RuntimeError as error:  # MuJoCo refuses to be imported with a MUJOCO_GL that it does not know
         if "MUJOCO_GL" not in str(error):
             raise

@@ -7,11 +7,11 @@ import pytest
 
 from shes.cli import main
 from shes.cli.commands import SUMMARIES
-from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
-from shes.experiments import shipped
-from shes.experiments.config import WITHOUT_FLAG, TrainConfig
-from shes.experiments.settings import flag
+from shes.runs import shipped
+from shes.runs.config import WITHOUT_FLAG, TrainConfig
+from shes.runs.settings import flag
 
 ANTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("ant-")]
 POINTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("point-")]

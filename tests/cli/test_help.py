@@ -15,10 +15,10 @@ from shes.cli.options import options_in
 from shes.cli.parsing import parse
 from shes.cli.settings import setting_groups
 from shes.envs.registry import ENVIRONMENTS
-from shes.experiments import plot, render
-from shes.experiments.config import EXECUTION_FIELDS, HEADINGS, WITHOUT_FLAG, TrainConfig
-from shes.experiments.presets import PRESETS, make_config
-from shes.experiments.settings import flag
+from shes.runs.config import EXECUTION_FIELDS, HEADINGS, WITHOUT_FLAG, TrainConfig
+from shes.runs.settings import flag
+from shes.training.presets import PRESETS, make_config
+from shes.viewing import plot, render
 
 SETTINGS = [field.name for field in fields(TrainConfig) if field.name not in WITHOUT_FLAG]
 

@@ -7,7 +7,7 @@ from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.errors import WorkerError
-from shes.experiments.settings import BACKENDS as NAMES
+from shes.runs.settings import BACKENDS as NAMES
 from tests.backends.workers import ERRORS, Worker
 
 BACKENDS = {

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from shes.envs.registry import ENVIRONMENTS
-from shes.envs.task import VELOCITY_CLIP
+from shes.envs.tasks.task import VELOCITY_CLIP
 from shes.envs.worlds import INTEGRATORS
 from tests.contracts.variants import over_variants
 

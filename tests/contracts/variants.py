@@ -5,9 +5,9 @@ from typing import NamedTuple
 import gymnasium
 import pytest
 
-from shes.envs.registration import gymnasium_id
+from shes.envs.gymnasium.registration import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.options import TaskOptions
 
 
 class Variant(NamedTuple):

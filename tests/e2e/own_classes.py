@@ -3,9 +3,9 @@
 import numpy as np
 
 from shes import register_environment, register_goal_encoding, register_primitive_reward
-from shes.envs.layout import elements
-from shes.envs.point import Point
-from shes.envs.task import Task, TaskDescription
+from shes.envs.bodies.point import Point
+from shes.envs.observation_spec import elements
+from shes.envs.tasks.task import Task, TaskDescription
 from shes.envs.worlds import empty_world
 from shes.hierarchy.goals import GoalEncoding
 from shes.hierarchy.rewards import PrimitiveReward

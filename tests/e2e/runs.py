@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from shes.experiments.train import train
+from shes.training.train import train
 
 TINY = {
     "preset": "smoke",

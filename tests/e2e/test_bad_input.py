@@ -16,7 +16,7 @@ import shes
 from shes import storage
 from shes.cli import main
 from shes.errors import ConfigError, ShesError
-from shes.experiments.checkpoint import load_checkpoint
+from shes.runs.checkpoint import load_checkpoint
 from tests.e2e import runs
 
 MENDABLE, FAILED = 2, 1
@@ -464,8 +464,8 @@ def fill_disk(monkeypatch):
 
             return original(path, half)
 
-        monkeypatch.setattr("shes.experiments.checkpoint.write_atomically", write_atomically)
-        monkeypatch.setattr("shes.experiments.run_folder.write_atomically", write_atomically)
+        monkeypatch.setattr("shes.runs.checkpoint.write_atomically", write_atomically)
+        monkeypatch.setattr("shes.runs.folder.write_atomically", write_atomically)
 
     return fill
 

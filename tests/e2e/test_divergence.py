@@ -6,13 +6,13 @@ import pytest
 from gymnasium.spaces import Box
 
 import shes
-from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.es.novelty import NSRA
-from shes.experiments.evaluate import evaluate
-from shes.experiments.records import read_csv
-from shes.experiments.run_folder import RunFolder
 from shes.hierarchy.fitness import advance_novelty
 from shes.hierarchy.results import PopulationResults, lower_diverged
+from shes.runs.folder import RunFolder
+from shes.runs.tables import read_csv
+from shes.training.evaluate import evaluate
 from tests.e2e import runs
 
 STEPS = 20

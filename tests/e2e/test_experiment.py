@@ -9,8 +9,8 @@ import signal
 import pytest
 
 from shes.cli import main
-from shes.experiments.studies import STUDIES
-from shes.experiments.study import Cell, Study
+from shes.studies.index import STUDIES
+from shes.studies.study import Cell, Study
 from tests.e2e import runs
 
 TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}

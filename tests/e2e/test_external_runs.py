@@ -11,15 +11,15 @@ import pytest
 from PIL import Image
 
 import shes
+from shes.bench import bench_rollout
 from shes.cli import main
 from shes.envs.external.description import ExternalDescription
-from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
-from shes.experiments.bench import bench_rollout
-from shes.experiments.presets import make_config
-from shes.experiments.render import render
-from shes.experiments.run_folder import RunFolder
-from shes.experiments.watch import watch
+from shes.runs.folder import RunFolder
+from shes.training.presets import make_config
+from shes.viewing.render import render
+from shes.viewing.watch import watch
 from tests.e2e import runs
 from tests.envs.external_envs import CAR, register
 
@@ -88,10 +88,10 @@ def test_evaluation_loading_and_pictures_need_no_other_word(run, tmp_path, stran
 
 def test_a_loaded_agent_plays_as_evaluation_does(run):
     evaluation = shes.evaluate(run.path, episodes=1, num_workers=1, seed=11)
-    seed = shes.experiments.evaluate.evaluation_seeds(
-        shes.experiments.evaluate.TrainState(seed=11, generation=0, env_steps=0, levels=()),
+    seed = shes.training.evaluate.evaluation_seeds(
+        shes.training.evaluate.TrainState(seed=11, generation=0, env_steps=0, levels=()),
         1,
-        shes.experiments.evaluate.Purpose.FRESH_EPISODES,
+        shes.training.evaluate.Purpose.FRESH_EPISODES,
     )[0]
     agent = shes.load(run.path)
     env = gymnasium.make("tests/Car-v0", terminates_after=9, max_episode_steps=-1)
@@ -313,7 +313,7 @@ def test_the_mazes_of_gymnasium_robotics_train_on_the_command_line(robotics, tmp
 @pytest.mark.parametrize("name", ["robotics-ant-maze", "robotics-point-maze"])
 def test_an_episode_of_the_mazes_depends_on_its_seed_alone(robotics, name):
     def make(num_episodes):
-        return shes.experiments.build.build_task(make_config(name, "smoke"), num_episodes, is_evaluation=False)
+        return shes.training.build.build_task(make_config(name, "smoke"), num_episodes, is_evaluation=False)
 
     alone, crowd = make(1), make(3)
     rng = np.random.default_rng(0)
@@ -333,7 +333,7 @@ def test_an_episode_of_the_mazes_depends_on_its_seed_alone(robotics, name):
 @pytest.mark.extras
 def test_a_maze_whose_physics_blows_up_diverges(robotics, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    task = shes.experiments.build.build_task(make_config("robotics-ant-maze", "smoke"), 2, is_evaluation=False)
+    task = shes.training.build.build_task(make_config("robotics-ant-maze", "smoke"), 2, is_evaluation=False)
     task.reset(np.arange(2), [1, 2])
     task._physics[1].qvel[0] = 1e12
     for _ in range(2):

@@ -7,10 +7,10 @@ import time
 import pytest
 
 from shes.errors import ShesError
-from shes.experiments import train as training
-from shes.experiments.checkpoint import load_checkpoint
-from shes.experiments.train import resume
 from shes.hierarchy.results import PopulationResults
+from shes.runs.checkpoint import load_checkpoint
+from shes.training import train as training
+from shes.training.train import resume
 from tests.e2e import runs
 
 INTERRUPTED = 130
@@ -169,7 +169,7 @@ def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, tiny_run, monke
         return original(path, checkpoint)
 
     original = training.save_checkpoint
-    monkeypatch.setattr("shes.experiments.checkpoint.save_checkpoint", save)
+    monkeypatch.setattr("shes.runs.checkpoint.save_checkpoint", save)
     interrupted(tmp_path / "run")
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").state.generation == 1
     monkeypatch.undo()

@@ -8,7 +8,7 @@ import psutil
 import pytest
 
 import shes
-from shes.experiments import train as training
+from shes.training import train as training
 from tests.e2e import runs
 
 

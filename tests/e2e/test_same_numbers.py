@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import shes
-from shes.experiments.run_folder import RunFolder
-from shes.experiments.settings import NAMES, choices
+from shes.runs.folder import RunFolder
+from shes.runs.settings import NAMES, choices
 from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from shes.experiments.shipped import shipped_names
+from shes.runs.shipped import shipped_names
 
 ROOT = Path(__file__).parents[2]
 

@@ -12,15 +12,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.envs.ant import Ant
-from shes.envs.fall import Fall
-from shes.envs.flagrun import Flagrun
-from shes.envs.gather import Gather
-from shes.envs.maze import Maze
-from shes.envs.point import FallingPoint, Point
-from shes.envs.push import Push
-from shes.envs.registration import register_all
+from shes.envs.bodies.ant import Ant
+from shes.envs.bodies.point import FallingPoint, Point
+from shes.envs.gymnasium.registration import register_all
 from shes.envs.registry import ENVIRONMENTS, Environment
+from shes.envs.tasks.fall import Fall
+from shes.envs.tasks.flagrun import Flagrun
+from shes.envs.tasks.gather import Gather
+from shes.envs.tasks.maze import Maze
+from shes.envs.tasks.push import Push
 from tests.contracts.variants import VARIANTS
 from tests.e2e.own_classes import Corner
 from tests.envs.test_physics import assert_nothing_passes, crash

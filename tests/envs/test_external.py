@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from shes.envs.bodies.point import Point
 from shes.envs.external.description import ExternalDescription, read_description
 from shes.envs.external.environment import ExternalEnvironment
-from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS, READY
-from shes.envs.point import Point
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, READY
 from shes.envs.registry import find_description, make_task, register_environment, register_external_environment
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
 from tests.e2e.own_classes import Corner
 from tests.envs.external_envs import CAR, POINT_MAZE, STEP_M, register

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.task import FRAME_SKIP
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task import FRAME_SKIP
 from shes.envs.worlds import INTEGRATORS
 from shes.sim.cpu import CpuSimulator
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from shes.envs.ant import Ant
-from shes.envs.body import Body
-from shes.envs.gather import Gather
-from shes.envs.point import Point
+from shes.envs.bodies.ant import Ant
+from shes.envs.bodies.body import Body
+from shes.envs.bodies.point import Point
 from shes.envs.registry import ENVIRONMENTS, Environment, check_name, find_environment, make_task, register_environment
-from shes.envs.task import Task
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.gather import Gather
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task import Task
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
 from tests.e2e.own_classes import Corner

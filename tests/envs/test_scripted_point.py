@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shes.envs.registry import make_task
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.options import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 
 NEVER = 10_000

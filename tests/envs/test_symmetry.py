@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.envs.ant import Ant
+from shes.envs.bodies.ant import Ant
+from shes.envs.bodies.symmetry import SignedPermutation
 from shes.envs.registry import ENVIRONMENTS
-from shes.envs.symmetry import SignedPermutation
 from shes.envs.worlds import empty_world
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics

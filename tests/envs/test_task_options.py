@@ -8,7 +8,7 @@ import pytest
 
 import shes  # registers
 from shes.envs.registry import make_task
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 
 assert shes

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from shes.envs.point import DAMPING, GEAR_N
+from shes.envs.bodies.point import DAMPING, GEAR_N
 from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.options import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 from tests.envs import reference_tasks
 from tests.envs.compare_models import model_differences

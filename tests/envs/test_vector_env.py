@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import shes  # registers
-from shes.envs.vector_env import TaskVectorEnv
+from shes.envs.gymnasium.vector_env import TaskVectorEnv
 from shes.errors import ConfigError
 
 assert shes

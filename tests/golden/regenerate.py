@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from shes.algorithm import Settings, evolve
+from shes.algorithms.evolution.algorithm import Settings, evolve
+from shes.algorithms.evolution.worker import RolloutWorker, WorkerPlan
 from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.options import TaskOptions
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import Adam
@@ -27,7 +28,6 @@ from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.outputs import make_controller_output
 from shes.hierarchy.rewards import make_primitive_reward
 from shes.policies.mlp import MLP
-from shes.worker import RolloutWorker, WorkerPlan
 
 GOLDEN_FILE = Path(__file__).with_name("generations.json")
 GENERATIONS = 3

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from shes.algorithm import Settings, evolve
+from shes.algorithms.evolution.algorithm import Settings, evolve
 from shes.backends.backend import Backend
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.schedules import Constant, make_schedule

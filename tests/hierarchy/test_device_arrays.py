@@ -9,14 +9,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from shes.algorithm import evolve, generation_work
+from shes.algorithms.evolution.algorithm import evolve, generation_work
 from shes.backends.serial import SerialBackend
 from shes.es.gradient import weighted_noise_sum
 from shes.es.noise import NoiseTable
-from shes.experiments.build import build_design, build_plan, build_settings, build_state, open_noise_table
-from shes.experiments.presets import make_config
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator
+from shes.training.build import build_design, build_plan, build_settings, build_state, open_noise_table
+from shes.training.presets import make_config
 from tests.strict_arrays import strict_xp
 from tests.strict_simulator import DeviceSimulator
 

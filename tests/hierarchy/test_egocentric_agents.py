@@ -10,8 +10,8 @@ import pytest
 
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
-from shes.experiments.build import build_design, build_task
-from shes.experiments.presets import make_config
+from shes.training.build import build_design, build_task
+from shes.training.presets import make_config
 
 INTERVAL = 4
 EPISODES = 2

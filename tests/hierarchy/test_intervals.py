@@ -6,19 +6,19 @@ from functools import partial
 import numpy as np
 import pytest
 
-from shes.algorithm import evolve
+from shes.algorithms.evolution.algorithm import evolve
+from shes.algorithms.evolution.populations import generation_work, roll_out, roll_out_branches
+from shes.algorithms.evolution.worker import RolloutWorker
 from shes.backends.serial import SerialBackend
 from shes.es.level import RunningEpisodes, UpdateRule, draw_noise_index
 from shes.es.novelty import NSR
 from shes.es.shaping import PairRanks
-from shes.experiments.build import build_design, build_plan, build_settings, build_state, open_noise_table
-from shes.experiments.presets import make_config
 from shes.hierarchy.episodes import EpisodeTask, Snapshot, spread
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, next_running, noted_steps
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.results import PopulationResults
-from shes.populations import generation_work, roll_out, roll_out_branches
-from shes.worker import RolloutWorker
+from shes.training.build import build_design, build_plan, build_settings, build_state, open_noise_table
+from shes.training.presets import make_config
 from tests.hierarchy import designs
 from tests.hierarchy.formula import SETTINGS, changing, constant, formula_state, start_state
 from tests.hierarchy.plain_loop import play

@@ -7,11 +7,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from shes.algorithm import evolve
+from shes.algorithms.evolution.algorithm import evolve
+from shes.algorithms.evolution.worker import RolloutWorker, WorkerPlan
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.options import TaskOptions
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.novelty import NOVELTY_RULES, NS, NSR, NSRA, AuthorsNSRA
@@ -28,7 +29,6 @@ from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import MetresReward, ProgressReward
 from shes.hierarchy.views import ColumnsView, EgocentricView
 from shes.policies.mlp import MLP
-from shes.worker import RolloutWorker, WorkerPlan
 from tests.hierarchy import designs
 from tests.hierarchy.formula import EPISODES, SETTINGS, changing, constant, run_bits, start_state
 from tests.hierarchy.workers import AnyWorker, fake_plan

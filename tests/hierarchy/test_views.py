@@ -6,14 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.envs.ant import Ant
-from shes.envs.point import FallingPoint, Point
+from shes.envs.bodies.ant import Ant
+from shes.envs.bodies.point import FallingPoint, Point
 from shes.envs.registry import ENVIRONMENTS
 from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
-from shes.experiments.build import build_design, build_task, primitive_inputs
-from shes.experiments.presets import make_config
 from shes.hierarchy.views import ColumnsView, EgocentricView
+from shes.training.build import build_design, build_task, primitive_inputs
+from shes.training.presets import make_config
 from tests.contracts.variants import VARIANTS
 
 BODIES = {body.name: body for body in (environment.body for environment in ENVIRONMENTS.values())}

@@ -8,9 +8,9 @@ from pathlib import Path
 from rich.console import Console
 
 from shes.cli.output import print_line, quote
-from shes.experiments.progress import ProgressDisplay
-from shes.experiments.run_folder import RunFolder
-from shes.experiments.train import Run
+from shes.cli.progress_display import ProgressDisplay
+from shes.runs.folder import RunFolder
+from shes.training.train import Run
 
 __all__ = ["show_progress"]
 

@@ -7,11 +7,11 @@ from dataclasses import fields
 from typing import Any, get_type_hints
 
 from shes.cli.options import Group, Option, field_texts, shown_value
-from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
-from shes.experiments.config import HEADINGS, TrainConfig
-from shes.experiments.presets import PRESETS, make_config
-from shes.experiments.settings import choices, flag
+from shes.runs.config import HEADINGS, TrainConfig
+from shes.runs.settings import choices, flag
+from shes.training.presets import PRESETS, make_config
 
 __all__ = ["DEFAULT_ENV", "asked_config", "environment_group", "make_asked_config", "setting_groups"]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from shes.drawing.drawer import Drawer, Window
 from shes.drawing.markers import Marker
-from shes.envs.body import Body
+from shes.envs.bodies.body import Body
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 

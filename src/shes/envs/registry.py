@@ -8,21 +8,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
-from shes.envs.ant import Ant
-from shes.envs.body import Body
+from shes.envs.bodies.ant import Ant
+from shes.envs.bodies.body import Body
+from shes.envs.bodies.point import FallingPoint, Point
 from shes.envs.entries import check_class, check_name_form, check_name_is_free
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.description import ExternalDescription
-from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS, READY
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, READY
 from shes.envs.external.selection import Selection
-from shes.envs.fall import Fall
-from shes.envs.flagrun import Flagrun
-from shes.envs.gather import Gather
-from shes.envs.maze import Maze
-from shes.envs.point import FallingPoint, Point
-from shes.envs.push import Push
-from shes.envs.task import SimulatorFactory, Task
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.fall import Fall
+from shes.envs.tasks.flagrun import Flagrun
+from shes.envs.tasks.gather import Gather
+from shes.envs.tasks.maze import Maze
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.push import Push
+from shes.envs.tasks.task import SimulatorFactory, Task
 from shes.errors import ConfigError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
 
@@ -128,7 +128,7 @@ def register_environment(name: str, body: type[Body], task: type[Task]) -> None:
     check_name_is_free("environment", name, environment, ENVIRONMENTS)
     _check_is_not_external(name)
     ENVIRONMENTS[name] = environment
-    from shes.envs.registration import register_all
+    from shes.envs.gymnasium.registration import register_all
 
     register_all()
 

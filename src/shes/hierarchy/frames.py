@@ -12,7 +12,7 @@ from types import ModuleType
 
 import numpy as np
 
-from shes.envs.symmetry import SymmetryGroup
+from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.types import F32Array, F64Array, IntArray
 
 __all__ = ["Frames", "turned_back"]

@@ -11,7 +11,7 @@ from types import ModuleType
 
 import numpy as np
 
-from shes.envs.symmetry import SymmetryGroup
+from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.hierarchy.agent import Agent, AgentDesign
 from shes.hierarchy.frames import Frames, turned_back
 from shes.hierarchy.goals import GoalEncoding

@@ -12,7 +12,7 @@ from types import ModuleType
 
 import numpy as np
 
-from shes.envs.body import Body
+from shes.envs.bodies.body import Body
 from shes.types import F64Array, IntArray
 
 __all__ = ["ColumnsView", "EgocentricView", "View", "columns"]

@@ -28,7 +28,7 @@ class Arguments:
 
 def _groups(words: Sequence[str]) -> tuple[Group, ...]:
     from shes.cli.settings import asked_config, environment_group, setting_groups
-    from shes.experiments.config import WITHOUT_FLAG
+    from shes.runs.config import WITHOUT_FLAG
 
     config = asked_config(words)
     settings = setting_groups(config, {field.name for field in fields(config)} - WITHOUT_FLAG)
@@ -38,9 +38,9 @@ def _groups(words: Sequence[str]) -> tuple[Group, ...]:
 
 
 def _run(values: dict[str, Any]) -> int:
+    from shes.bench import bench_rollout, bench_update
     from shes.cli.settings import DEFAULT_ENV, make_asked_config
     from shes.errors import ConfigError, UnknownNameError
-    from shes.experiments.bench import bench_rollout, bench_update
 
     benches = {"rollout": bench_rollout, "update": bench_update}
     name, seconds, as_json = values.pop("bench"), values.pop("seconds", 0.0), values.pop("json", False)

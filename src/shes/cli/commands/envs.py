@@ -25,10 +25,10 @@ _GROUPS = (Group(heading="flags", options=options_of(Arguments)),)
 
 
 def _run(values: dict[str, Any]) -> int:
-    from shes.envs.external.ready import EXTERNAL_ENVIRONMENTS
-    from shes.envs.registration import gymnasium_id
+    from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
+    from shes.envs.gymnasium.registration import gymnasium_id
     from shes.envs.registry import ENVIRONMENTS, make_task
-    from shes.envs.task_options import SPECS, TaskOptions
+    from shes.envs.tasks.options import SPECS, TaskOptions
 
     rows: list[dict[str, Any]] = []
     for name, environment in ENVIRONMENTS.items():

@@ -37,7 +37,7 @@ class Arguments:
 
 
 def _run(values: dict[str, Any]) -> int:
-    from shes.experiments.evaluate import evaluate
+    from shes.training.evaluate import evaluate
 
     given = Arguments(**values)
     found = evaluate(

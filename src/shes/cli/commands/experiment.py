@@ -13,11 +13,11 @@ from shes.cli.options import Group, Shown, options_of
 from shes.cli.output import print_error, print_line, print_table, quote
 
 if TYPE_CHECKING:
-    from shes.experiments.comparison import Comparison
-    from shes.experiments.study import Outcome, Study
-    from shes.experiments.study_design import StudyDesign
+    from shes.studies.comparison import Comparison
+    from shes.studies.design import StudyDesign
+    from shes.studies.study import Outcome, Study
 
-# Those of `experiments.studies`, which takes long to import.
+# Those of `studies.index`, which takes long to import.
 _GROUPS = {
     "ablation": ("choices", "sweep", "transfer", "horizon"),
     "learning": ("pieces", "form", "alternatives", "sweep"),
@@ -52,12 +52,12 @@ class Arguments:
 def _run(values: dict[str, Any]) -> int:
     from shes.cli.output import print_facts
     from shes.errors import ConfigError, UnknownNameError
-    from shes.experiments.comparison import compare
-    from shes.experiments.config import TrainConfig
-    from shes.experiments.figures import draw_figures
-    from shes.experiments.studies import STUDIES
-    from shes.experiments.study import cells_left, check_study, choose, read_summaries, run_study
-    from shes.experiments.study_tables import write_csv, write_tables
+    from shes.runs.config import TrainConfig
+    from shes.studies.comparison import compare
+    from shes.studies.figures import draw_figures
+    from shes.studies.index import STUDIES
+    from shes.studies.study import cells_left, check_study, choose, read_summaries, run_study
+    from shes.studies.tables import write_csv, write_tables
 
     given = Arguments(**values)
     if given.experiment not in _NAMES:
@@ -113,7 +113,7 @@ class _Progress:
     """Says what is ahead, what every finished run came to and how long the rest takes; after Ctrl-C, how to go on."""
 
     def __init__(self, study: Study, left: set[str], workers: int, *, is_silent: bool) -> None:
-        from shes.experiments.study import cell_steps
+        from shes.studies.study import cell_steps
 
         self._design = study.design
         self._steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
@@ -122,7 +122,7 @@ class _Progress:
         self._start, self._made = monotonic(), 0
 
     def __enter__(self) -> _Progress:
-        from shes.experiments.progress import format_duration
+        from shes.cli.progress_display import format_duration
 
         total, ahead = sum(self._steps.values()), sum(self._left.values())
         at_once = max(1, min(self._workers, len(self._left)))
@@ -142,7 +142,7 @@ class _Progress:
 
     def show(self, outcome: Outcome) -> None:
         """Say what came of a cell."""
-        from shes.experiments.progress import format_duration
+        from shes.cli.progress_display import format_duration
 
         for event in outcome.events:
             self._say(event)

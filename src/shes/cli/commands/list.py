@@ -20,7 +20,7 @@ class Arguments:
 
 
 def _run(values: dict[str, Any]) -> int:
-    from shes.experiments.shipped import read_agent, shipped_names
+    from shes.runs.shipped import read_agent, shipped_names
 
     agents = {name: read_agent(name) for name in shipped_names()}
     if Arguments(**values).json:

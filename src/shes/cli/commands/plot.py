@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from shes.cli.command import Command
 from shes.cli.options import Group, Shown, options_of
 
-X_AXES = ("env_steps", "generation", "wall_time_s")  # those of `experiments.plot`, which imports matplotlib
+X_AXES = ("env_steps", "generation", "wall_time_s")  # those of `viewing.plot`, which imports matplotlib
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +25,7 @@ class Arguments:
 
 
 def _run(values: dict[str, Any]) -> int:
-    from shes.experiments.plot import plot
+    from shes.viewing.plot import plot
 
     given = Arguments(**values)
     print(f"Learning curves: {plot(given.runs, given.out, x=given.x)}")

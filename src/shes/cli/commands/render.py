@@ -42,7 +42,7 @@ def _run(values: dict[str, Any]) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from shes.experiments.render import render
+    from shes.viewing.render import render
 
     given = Arguments(**values)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # so that ffmpeg and its files are cleared away

@@ -22,7 +22,7 @@ class Arguments:
 def _groups(words: Sequence[str] = ()) -> tuple[Group, ...]:
     del words  # its help shows no values: they are the run's own
     from shes.cli.settings import setting_groups
-    from shes.experiments.config import EXECUTION_FIELDS
+    from shes.runs.config import EXECUTION_FIELDS
 
     settings = setting_groups(None, EXECUTION_FIELDS - {"preset"})
     return (Group(heading="run folder", options=options_of(Arguments)), *settings)
@@ -30,7 +30,7 @@ def _groups(words: Sequence[str] = ()) -> tuple[Group, ...]:
 
 def _explain_unknown(flag: str) -> str | None:
     """Say why a flag of `train` is none of `resume`."""
-    from shes.experiments.config import TrainConfig
+    from shes.runs.config import TrainConfig
 
     name = flag.removeprefix("--").removeprefix("no-").replace("-", "_")
     if name not in TrainConfig.__dataclass_fields__:
@@ -41,7 +41,7 @@ def _explain_unknown(flag: str) -> str | None:
 
 def _run(values: dict[str, Any]) -> int:
     from shes.cli.progress import show_progress
-    from shes.experiments.train import resume
+    from shes.training.train import resume
 
     run: Path = values.pop("run")
     return show_progress(lambda display: resume(run, listener=display, **values), run)

@@ -21,7 +21,7 @@ class Arguments:
 
 def _groups(words: Sequence[str]) -> tuple[Group, ...]:
     from shes.cli.settings import asked_config, environment_group, setting_groups
-    from shes.experiments.config import WITHOUT_FLAG
+    from shes.runs.config import WITHOUT_FLAG
 
     config = asked_config(words)
     run, *others = setting_groups(config, {field.name for field in fields(config)} - WITHOUT_FLAG)
@@ -46,7 +46,7 @@ def _explain_unknown(flag: str) -> str | None:
 def _run(values: dict[str, Any]) -> int:
     from shes.cli.progress import show_progress
     from shes.cli.settings import make_asked_config
-    from shes.experiments.train import start_run
+    from shes.training.train import start_run
 
     out: Path | None = values.pop("out", None)
     config = make_asked_config(values)

@@ -22,7 +22,7 @@ class Arguments:
 
 
 def _run(values: dict[str, Any]) -> int:
-    from shes.experiments.watch import watch
+    from shes.viewing.watch import watch
 
     given = Arguments(**values)
     watch(given.run, checkpoint=given.checkpoint, seed=given.seed)

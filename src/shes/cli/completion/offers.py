@@ -8,7 +8,7 @@ from typing import get_args
 
 from shes.cli.commands import SUMMARIES, load_command
 from shes.cli.options import Option, options_in
-from shes.experiments.shipped import shipped_names
+from shes.runs.shipped import shipped_names
 
 __all__ = ["ALONE", "EVERYWHERE", "Offer", "agents_for", "brief", "gather_offers", "is_path"]
 

@@ -16,8 +16,8 @@ from shes.envs.external.description import ExternalDescription
 from shes.envs.external.reader import ExternalReader
 from shes.envs.external.selection import Places
 from shes.envs.external.success import check_last_info
-from shes.envs.task import SimulatorFactory
-from shes.envs.task_options import TaskOptions
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task import SimulatorFactory
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
 from shes.sim.cpu import CpuSimulator, log_physics_warnings
 from shes.types import IntArray

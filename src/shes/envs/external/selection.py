@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from shes.envs.kinds import is_whole
+from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError
 from shes.types import IntArray
 

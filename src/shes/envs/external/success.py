@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from shes.envs.external.description import ExternalDescription
-from shes.envs.kinds import is_switch
+from shes.envs.value_kinds import is_switch
 from shes.errors import ConfigError
 
 __all__ = ["check_last_info", "read_success"]

@@ -1,0 +1,187 @@
+"""Does a device play the same game as MuJoCo in C? Returns of fixed policies on both, compared by two-sample tests.
+
+Single steps in contact differ in the last digits, and walking is chaotic: episodes from one seed part after a second.
+What must agree is the distribution. Every sample has seeds of its own, so that the samples are independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from shes.envs.registry import find_environment
+from shes.envs.tasks.task import SimulatorFactory
+from shes.es.level import LevelParameters
+from shes.es.streams import Purpose, stream
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
+from shes.hierarchy.rollout import Rollout
+from shes.runs.tables import Row
+from shes.sim.cpu import CpuSimulator
+from shes.training.build import build_design, build_plan, build_state, open_noise_table
+from shes.training.presets import make_config
+from shes.types import F64Array
+
+__all__ = [
+    "ALPHA",
+    "POWER",
+    "Comparison",
+    "compare_samples",
+    "compare_with_cpu",
+    "detectable_shift",
+    "kolmogorov_smirnov",
+    "sample",
+]
+
+ALPHA = 0.001
+"""A difference is one where a test's p, corrected for the number of tests, is below this."""
+POWER = 0.9
+"""Probability with which a shift of `detectable_shift` standard deviations is found."""
+
+_POLICIES = 8  # fixed ones that the episodes of a sample are shared among
+_SPREAD = 0.3  # standard deviation between them: enough that some fall, some crawl
+_LANES = 128
+_MEASURES: dict[str, Callable[[EpisodeResults], float]] = {
+    "environment return": lambda result: float(result.environment_returns[0]),
+    "primitive return": lambda result: float(result.returns[-1, 0]),
+    "steps": lambda result: float(result.steps[0]),
+    "distance moved": lambda result: float(np.hypot(*result.final_position[0])),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """One measure of a task's episodes, on the CPU and on a device."""
+
+    env: str
+    spec: str
+    measure: str
+    episodes: int
+    """Episodes of each of the two samples."""
+    cpu_mean: float
+    device_mean: float
+    cpu_std: float
+    shift: float
+    """Difference of the means, device minus CPU, in standard deviations of the CPU's sample."""
+    p_shift: float
+    """Two-sided, of the difference of means (Welch)."""
+    distance: float
+    """Largest difference of the two empirical distribution functions."""
+    p_distance: float
+    """Of that (Kolmogorov and Smirnov)."""
+
+    def row(self) -> Row:
+        """Return its columns."""
+        return asdict(self)
+
+
+def compare_with_cpu(
+    env: str, simulator: SimulatorFactory, *, spec: str = "shes", episodes: int = 1000, horizon: int = 500
+) -> list[Comparison]:
+    """Return how `episodes` of `env` on `simulator` compare with as many others on the CPU, measure by measure.
+
+    Args:
+        env: Environment of our own.
+        simulator: What makes the simulations of the device.
+        spec: Its specification.
+        episodes: Episodes of each sample.
+        horizon: Steps of an episode.
+
+    Raises:
+        UnknownNameError: There is no such environment or specification.
+    """
+    on_cpu = sample(env, CpuSimulator, spec=spec, episodes=episodes, horizon=horizon, seed=0)
+    on_device = sample(env, simulator, spec=spec, episodes=episodes, horizon=horizon, seed=1)
+    return compare_samples(env, spec, on_cpu, on_device)
+
+
+def compare_samples(
+    env: str, spec: str, on_cpu: dict[str, F64Array], on_device: dict[str, F64Array]
+) -> list[Comparison]:
+    """Return how two samples of `env` compare, measure by measure."""
+    return [_compare(env, spec, measure, on_cpu[measure], on_device[measure]) for measure in on_cpu]
+
+
+def sample(
+    env: str, simulator: SimulatorFactory, *, spec: str, episodes: int, horizon: int, seed: int
+) -> dict[str, F64Array]:
+    """Return each measure of `episodes` [episodes] of fixed policies, as `seed` lets them begin.
+
+    The policies are random, the same for every seed and simulator; exploration and reset noise are those of training.
+    """
+    config = make_config(
+        env, "laptop", {"spec": spec, "hidden": (16,), "horizon": horizon, "noise_table_size": 1_000_000}
+    )
+    design = build_design(config)
+    table = open_noise_table(config, design)
+    plan = build_plan(config, design, table)
+    levels = LevelParameters.of_all(build_state(config, design).levels)
+    generation = Generation(levels=levels, sigma=_SPREAD, episodes_per_policy=1, is_evaluation=False)
+    seeds = stream(seed, Purpose.FRESH_EPISODES).integers(2**62, size=episodes).tolist()
+    tasks = [
+        EpisodeTask(
+            member=number,
+            noise_index=tuple((number % _POLICIES) * dim for dim in design.dims),
+            signs=((1,) * len(levels),),
+            slots=(0,),
+            seeds=(seeds[number],),
+            records_statistics=False,
+        )
+        for number in range(episodes)
+    ]
+    environment = find_environment(env)
+    rollout = Rollout(
+        design, lambda n: environment.make(n, plan.training, simulator), min(episodes, _LANES), 1, horizon
+    )
+    found = dict(rollout.run(iter(enumerate(tasks)), generation, table.on(rollout.task.xp)))
+    rollout.task.check_buffers()
+    return {name: np.array([measure(found[i]) for i in range(episodes)]) for name, measure in _MEASURES.items()}
+
+
+def _compare(env: str, spec: str, measure: str, cpu: F64Array, device: F64Array) -> Comparison:
+    std = float(cpu.std(ddof=1))
+    difference = float(device.mean() - cpu.mean())
+    error = float(np.sqrt(cpu.var(ddof=1) / len(cpu) + device.var(ddof=1) / len(device)))
+    p_shift = 2 * NormalDist().cdf(-abs(difference) / error) if error else float(difference == 0)
+    distance, p_distance = kolmogorov_smirnov(cpu, device)
+    return Comparison(
+        env=env,
+        spec=spec,
+        measure=measure,
+        episodes=len(cpu),
+        cpu_mean=float(cpu.mean()),
+        device_mean=float(device.mean()),
+        cpu_std=std,
+        shift=difference / std if std else difference,
+        p_shift=p_shift,
+        distance=distance,
+        p_distance=p_distance,
+    )
+
+
+def kolmogorov_smirnov(first: F64Array, second: F64Array) -> tuple[float, float]:
+    """Return the largest difference of the empirical distributions of `first` [N] and `second` [M], and its p.
+
+    The p is the asymptotic one with Stephens' correction (1970), good from some 20 values on; ties make it too large.
+    """
+    values = np.concatenate([first, second])
+    below = [np.searchsorted(np.sort(each), values, side="right") / len(each) for each in (first, second)]
+    distance = float(np.abs(below[0] - below[1]).max())
+    root = np.sqrt(len(first) * len(second) / (len(first) + len(second)))
+    scaled = (root + 0.12 + 0.11 / root) * distance
+    if scaled < 0.3:  # the series converges slowly where it is 1 to six digits
+        return distance, 1.0
+    k = np.arange(1, 101)
+    p = 2 * np.sum((-1.0) ** (k - 1) * np.exp(-2 * (k * scaled) ** 2))
+    return distance, float(np.clip(p, 0, 1))
+
+
+def detectable_shift(episodes: int, tests: int = 1) -> float:
+    """Return the shift of the mean, in standard deviations, that is found with probability `POWER`.
+
+    Two samples of `episodes` each, two-sided at `ALPHA` over `tests` tests (Bonferroni).
+    """
+    normal = NormalDist()
+    return (normal.inv_cdf(1 - ALPHA / tests / 2) + normal.inv_cdf(POWER)) * float(np.sqrt(2 / episodes))

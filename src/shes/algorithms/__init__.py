@@ -1,0 +1,1 @@
+"""Algorithms: what a learner is, and those that there are."""

@@ -1,0 +1,1 @@
+"""Evolution strategies: SHES, S-ES and the primitive alone."""

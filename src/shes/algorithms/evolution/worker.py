@@ -1,0 +1,276 @@
+"""What a worker process does: hold the environments, receive a generation, run the episodes it is handed."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import chain
+from pathlib import Path
+
+import mujoco
+
+from shes.envs.registry import EnvironmentMaker
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
+from shes.errors import ConfigError
+from shes.es.noise import NoiseTable
+from shes.hierarchy.agent import AgentDesign
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
+from shes.hierarchy.rollout import Rollout, Work
+from shes.sim.cpu import CpuSimulator
+from shes.sim.simulator import Simulator
+from shes.sim.warp import WarpSimulator
+from shes.sim.warp_device import WarpDevice, is_out_of_memory
+from shes.sim.warp_memory import bytes_per_sim
+
+__all__ = ["RolloutWorker", "WorkerPlan", "lanes_in_memory", "lanes_that_fit", "simulator_factory"]
+
+_SIMULATOR_LOG = logging.getLogger("shes.mujoco")
+_MAX_LOG_LINES = 20  # of the simulator, kept with one task's results
+_CACHE_BYTES = 24 * 2**20  # weights of all lanes beyond this leave the shared cache between two steps
+_MIN_ROWS, _MAX_ROWS = 32, 256  # episodes in lockstep: enough to share Python's work, few enough for the caches
+_SHARE_OF_MEMORY = 0.75  # of a card's: what tasks and policies compute with needs some, too
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerPlan:
+    """Everything that a worker needs to know once; sent to it when it starts."""
+
+    env: EnvironmentMaker
+    """What makes the episodes, not its name: a class of a user's script is in no registry of a worker process."""
+    training: TaskOptions
+    """Options of the environment in training."""
+    evaluation: TaskOptions
+    """Options of the environment in evaluation."""
+    design: AgentDesign
+    """What the agent is made of."""
+    noise_table: Path
+    """File of the noise table on this machine."""
+    horizon: int
+    """Steps after which an episode of training is over."""
+    evaluation_horizon: int
+    """Steps after which an episode of evaluation is over."""
+    chunk_size: int
+    """Members of the population in lockstep; 0 chooses. Never changes a number."""
+    device: str = "cpu"
+    """What computes the physics: `cpu`, `warp-cpu` or `cuda`."""
+    nconmax: int | None = None
+    """Contacts that a device makes room for, per simulation; none chooses."""
+    njmax: int | None = None
+    """Constraint rows that a device makes room for, per simulation; none chooses."""
+    branch_design: AgentDesign | None = None
+    """What acts in branches, where the primitive is judged by intervals."""
+
+    @property
+    def simulator(self) -> SimulatorFactory:
+        """What makes the physics."""
+        return simulator_factory(self.device, self.nconmax, self.njmax)
+
+
+def lanes_that_fit(parameters: int, rows: int) -> int:
+    """Return how many lanes, of `parameters` numbers and `rows` episodes each, a worker best runs in lockstep.
+
+    More rows share the cost of a Python step; but weights beyond the core's share of the cache are slower to use.
+    """
+    cached = _CACHE_BYTES // (4 * parameters)
+    return max(1, -(-_MIN_ROWS // rows), min(cached, _MAX_ROWS // rows))
+
+
+def simulator_factory(device: str, nconmax: int | None, njmax: int | None) -> SimulatorFactory:
+    """Return what makes physics on `device`; `nconmax` and `njmax` concern those with fixed buffers."""
+    return CpuSimulator if device == "cpu" else partial(WarpSimulator, device=device, nconmax=nconmax, njmax=njmax)
+
+
+def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, episodes: int, horizon: int) -> int:
+    """Return how many lanes a card with `free_bytes` has room for.
+
+    Args:
+        free_bytes: Memory that nobody uses.
+        sim_bytes: What one simulation takes.
+        design: The agent; a lane's parameters are there twice, as they are and as matrices.
+        episodes: Episodes of a lane.
+        horizon: Steps of an episode; their exploration noise is there twice while the next one replaces it.
+    """
+    decisions = -(-horizon // design.decision_interval)
+    noise = 4 * (horizon * design.policies[-1].sizes[-1] + decisions * design.decision_size)
+    per_lane = 2 * 4 * sum(design.dims) + episodes * (sim_bytes + 2 * noise)
+    return max(1, int(_SHARE_OF_MEMORY * free_bytes / per_lane))
+
+
+class _LogCollector(logging.Handler):
+    """Keeps what the simulator logs, for the results of the task at hand; what it repeats in a generation, once."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+        self._told: set[str] = set()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        line = f"MuJoCo: {record.getMessage()}"
+        if line not in self._told and len(self.lines) < _MAX_LOG_LINES:
+            self._told.add(line)
+            self.lines.append(line)
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Keep what the simulator logs meanwhile, and keep it from other handlers: it is reported with the results."""
+        self._told.clear()
+        propagated, _SIMULATOR_LOG.propagate = _SIMULATOR_LOG.propagate, False
+        _SIMULATOR_LOG.addHandler(self)
+        try:
+            yield
+        finally:
+            _SIMULATOR_LOG.removeHandler(self)
+            _SIMULATOR_LOG.propagate = propagated
+
+
+class RolloutWorker:
+    """Evaluates tasks: the `Worker` of every backend."""
+
+    def __init__(self, plan: WorkerPlan) -> None:
+        """Open the noise table; environments are built when first used."""
+        self.plan = plan
+        self.table = NoiseTable.open_file(plan.noise_table)
+        self._rollouts: dict[str, Rollout] = {}  # by kind of generation
+        self._room: dict[tuple[str, int], int] = {}  # lanes that a device's memory has room for, by kind of generation
+        self._lanes = 1
+        self._generation: Generation | None = None
+        self._collector = _LogCollector()
+
+    def receive(self, state: Generation) -> None:
+        """Take the mean policies that the next tasks perturb."""
+        self._generation = state
+
+    def run(self, work: Iterator[Work], share: int) -> Iterator[tuple[int, EpisodeResults]]:
+        """Run `work`, of which about `share` tasks are this worker's; yield numbered results as they come.
+
+        Where a device's memory runs out, what has no result yet is done again with half as many policies at a time.
+
+        Raises:
+            ConfigError: A device's buffers were too small for the contacts, or its memory for a single policy.
+        """
+        pending: dict[int, EpisodeTask] = {}
+        new = _noted(work, pending)
+        with self._collector.listening():
+            while True:
+                try:
+                    yield from self._run(chain(tuple(pending.items()), new), pending, share)
+                except (MemoryError, RuntimeError) as error:
+                    if self.plan.device == "cpu" or not is_out_of_memory(error):
+                        raise
+                    self._halve(error)
+                else:
+                    return
+
+    def _run(
+        self, work: Iterator[Work], pending: dict[int, EpisodeTask], share: int
+    ) -> Iterator[tuple[int, EpisodeResults]]:
+        """Run `work` and take off `pending` what has a result."""
+        assert self._generation is not None, "receive() comes first"
+        rollout = self._rollout(self._generation, share)
+        for number, results in rollout.run(work, self._generation, self.table.on(rollout.task.xp)):
+            del pending[number]
+            lines, self._collector.lines = tuple(self._collector.lines), []
+            yield number, replace(results, log=lines) if lines else results
+        rollout.task.check_buffers()
+
+    def _rollout(self, generation: Generation, share: int) -> Rollout:
+        """Return the rollout for this generation with lanes for `share` tasks, building it where needed."""
+        plan, shape = self.plan, (generation.rows, generation.members_per_lane)
+        rollout = self._rollouts.get(generation.kind)
+        if rollout is not None and (rollout.num_episodes, rollout.members_per_lane) != shape:
+            rollout = self._drop(generation)
+        waves = max(1, -(-share // self._chunk(generation, share)))
+        self._lanes = max(1, -(-share // waves))  # even waves: no last one with a few lanes alone
+        if rollout is not None and rollout.num_lanes != self._lanes:
+            rollout = self._drop(generation)
+        if rollout is None:
+            if plan.device != "cpu":
+                WarpDevice(plan.device).release_memory()
+            make = partial(plan.env.make, options=self._options(generation), simulator=plan.simulator)
+            horizon = self._horizon(generation)
+            design = self._design(generation)
+            rollout = Rollout(design, make, self._lanes, generation.rows, horizon, generation.members_per_lane)
+            self._rollouts[generation.kind] = rollout
+        return rollout
+
+    def _drop(self, generation: Generation) -> None:
+        """Close the rollout for generations of this kind, if there is one."""
+        rollout = self._rollouts.pop(generation.kind, None)
+        if rollout is not None:
+            rollout.task.close()
+
+    def _chunk(self, generation: Generation, share: int) -> int:
+        """Return how many lanes to run in lockstep at most: all on a device, if its memory has room for them."""
+        plan, kind = self.plan, (generation.kind, generation.rows)
+        asked = -(-plan.chunk_size // generation.members_per_lane)  # policies are asked for
+        if plan.device == "cpu":
+            return asked or lanes_that_fit(sum(self._design(generation).dims), generation.rows)
+        if kind not in self._room and not plan.chunk_size:
+            self._lanes = 1  # what is measured is too little memory for one, if it does not fit
+            self._room[kind] = self._measure_room(generation)
+        return max(1, min(asked or share, self._room.get(kind, share)))
+
+    def _measure_room(self, generation: Generation) -> int:
+        """Return how many lanes the device's memory has room for."""
+        free = WarpDevice(self.plan.device).free_bytes()
+        if free is None:
+            return sys.maxsize
+        design = self._design(generation)
+        return lanes_in_memory(free, self._sim_bytes, design, generation.rows, self._horizon(generation))
+
+    @cached_property
+    def _sim_bytes(self) -> float:
+        """What a simulation takes of the device's memory; in evaluation it is nearly the same world."""
+        plan, models = self.plan, list[mujoco.MjModel]()
+
+        def note(model: mujoco.MjModel, num_sims: int) -> Simulator:
+            models.append(model)
+            return CpuSimulator(model, num_sims)
+
+        plan.env.make(1, plan.training, note).close()
+        return bytes_per_sim(models[0], plan.device, FRAME_SKIP, plan.nconmax, plan.njmax)
+
+    def _halve(self, error: BaseException) -> None:
+        """Make room for half as many lanes as have just been too many.
+
+        Raises:
+            ConfigError: It was one.
+        """
+        assert self._generation is not None
+        generation, device, lanes = self._generation, self.plan.device, self._lanes
+        if lanes == 1:
+            raise ConfigError(
+                f"device {device} has too little memory for {generation.rows} episodes at a time ({error}). "
+                "Set --nconmax or --njmax lower, use --device cpu, or start another run with fewer "
+                "--episodes-per-policy or --mirrored none: they are computed together."
+            ) from error
+        half = self._room[generation.kind, generation.rows] = -(-lanes // 2)
+        self._drop(generation)
+        before, now = (each * generation.members_per_lane for each in (lanes, half))
+        self._collector.lines.append(
+            f"{before} policies at a time are too many for the memory of device {device}: {now} from here on"
+        )
+
+    def _options(self, generation: Generation) -> TaskOptions:
+        return self.plan.evaluation if generation.is_evaluation else self.plan.training
+
+    def _design(self, generation: Generation) -> AgentDesign:
+        plan = self.plan
+        return plan.branch_design if generation.branch_steps and plan.branch_design is not None else plan.design
+
+    def _horizon(self, generation: Generation) -> int:
+        if generation.branch_steps:
+            return generation.branch_steps
+        return self.plan.evaluation_horizon if generation.is_evaluation else self.plan.horizon
+
+
+def _noted(work: Iterator[Work], pending: dict[int, EpisodeTask]) -> Iterator[Work]:
+    """Yield `work`, noting in `pending` what has been taken."""
+    for number, task in work:
+        pending[number] = task
+        yield number, task

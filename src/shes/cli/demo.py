@@ -1,0 +1,115 @@
+"""`make demo`: an ant learns to walk, then to collect food; both before and after, in numbers and on video.
+
+`python -m shes.cli.demo point` does the same with a point robot, which needs no walker, in half the time.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from rich.console import Console
+
+from shes.cli.progress_display import ProgressDisplay, format_duration
+from shes.errors import ShesError
+from shes.training.evaluate import evaluate
+from shes.training.train import train
+from shes.viewing.plot import plot
+from shes.viewing.render import render
+
+__all__ = ["main"]
+
+EPISODES = 50
+GATHER_MINUTES = 1.25
+"""What the ant's controller gets: as the walker before it takes about a minute, the whole demo stays below four."""
+VIDEO_STEPS = {"ant": 100, "point": 200}
+"""Control steps of each video: without a card a step takes a fifth of a second to draw twice."""
+
+
+def main() -> int:
+    """Run the demo in the working directory; return the exit code."""
+    console, start = Console(), monotonic()
+    robot = sys.argv[1] if len(sys.argv) > 1 else "ant"
+    if robot not in _DEMOS:
+        print(f"there is a demo of the {' and the '.join(_DEMOS)}, not of {robot!r}", file=sys.stderr)
+        return 2
+    folder = Path("runs") / f"demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    try:
+        last = _DEMOS[robot](console, folder)
+    except KeyboardInterrupt:
+        console.print(f"Stopped; what was trained is in {folder}.", highlight=False, soft_wrap=True)
+        return 130
+    except ShesError as error:
+        Console(stderr=True).print(f"Error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
+        return error.exit_code
+    console.print(
+        f"\nAll of it took {format_duration(monotonic() - start)}.\n"
+        f"Next: .venv/bin/shes resume {last} --generations 200   (it goes on learning)\n"
+        f"      .venv/bin/shes evaluate {last} --episodes 200\n"
+        "      .venv/bin/shes --help",
+        highlight=False,
+        soft_wrap=True,
+    )
+    return 0
+
+
+def _ant(console: Console, folder: Path) -> Path:
+    """Train a walker and a controller on it; return the run folder of the latter."""
+    walker, gather = folder / "walker", folder / "gather"
+    console.print(
+        "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect food (+1) and "
+        "leave poison (-1): a controller sets the goals. Under four minutes; Ctrl-C stops and keeps everything.",
+        highlight=False,
+    )
+    _learn(console, "ant-flagrun", walker)
+    _show(console, walker, "return on moving goals (untrained it stands: 0)", lambda found: found.returns.mean())
+    _learn(console, "ant-gather", gather, primitive=walker, minutes=GATHER_MINUTES)
+    _show(console, gather, "score on Gather (8 is the most there is)", lambda found: found.scores.mean())
+    _draw(console, {"walking": walker, "gathering": gather}, folder, VIDEO_STEPS["ant"])
+    return gather
+
+
+def _point(console: Console, folder: Path) -> Path:
+    """Train both levels of a point robot; return its run folder."""
+    console.print(
+        "A point robot learns, by evolution, to collect food (+1) and leave poison (-1): a controller that sets goals, "
+        "and a primitive that reaches them. Two to three minutes on two cores; Ctrl-C stops and keeps everything.",
+        highlight=False,
+    )
+    _learn(console, "point-gather", folder)
+    _show(console, folder, "score (8 is the most there is)", lambda found: found.scores.mean())
+    _draw(console, {"before-after": folder}, folder, VIDEO_STEPS["point"])
+    return folder
+
+
+_DEMOS: dict[str, Callable[[Console, Path], Path]] = {"ant": _ant, "point": _point}
+
+
+def _learn(console: Console, env: str, path: Path, **settings: Any) -> None:
+    """Train on `env` with live progress."""
+    display = ProgressDisplay(console)
+    with display:
+        train(env, out=path, listener=display, **settings)
+
+
+def _show(console: Console, path: Path, what: str, number: Callable[[Any], float]) -> None:
+    """Print what the run at `path` reaches on fresh episodes, before and after training."""
+    before, after = (number(evaluate(path, episodes=EPISODES, checkpoint=name)) for name in ("0", "best"))
+    console.print(f"\nMean {what}, {EPISODES} fresh episodes: {before:.2f} before training, {after:.2f} after.\n")
+
+
+def _draw(console: Console, runs: dict[str, Path], folder: Path, steps: int) -> None:
+    """Draw curves and a video, before and after training, of each run by its name."""
+    console.print("Drawing the untrained and the trained agents ...", highlight=False)
+    for name, path in runs.items():
+        curves = plot([path], path / "curves.png")
+        video = render(path, folder / f"{name}.mp4", checkpoints=("0", "best"), size=320, steps=steps)
+        console.print(f"{name}: {video}   curves: {curves}", highlight=False, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,171 @@
+"""Live progress of a run in a terminal, or a line now and then where there is none."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.markup import escape
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from shes.runs.config import TrainConfig
+
+__all__ = ["ProgressDisplay", "format_duration"]
+
+Row = dict[str, Any]
+
+_BLOCKS = "▁▂▃▄▅▆▇█"
+_LINE_EVERY_S = 10.0  # without a terminal
+_REMEMBERED = 20  # generations that the time left is judged by
+
+
+def format_duration(seconds: float) -> str:
+    """Return seconds as people say them: `45 s`, `3 min 05 s`, `2 h 10 min`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def _sparkline(values: list[float], width: int) -> str:
+    """Return the course of `values` in `width` characters at most."""
+    if len(values) < 2:
+        return ""
+    step = max(1, -(-len(values) // width))
+    shown = [sum(values[i : i + step]) / len(values[i : i + step]) for i in range(0, len(values), step)]
+    low, high = min(shown), max(shown)
+    scale = (len(_BLOCKS) - 1) / (high - low) if high > low else 0
+    return "".join(_BLOCKS[round((value - low) * scale)] for value in shown)
+
+
+class ProgressDisplay:
+    """A `Listener` that shows generation, returns of both levels, evaluation score, steps per second and time left."""
+
+    def __init__(self, console: Console) -> None:
+        """Show on `console`; use as a context manager."""
+        self.path: Path | None = None
+        """The run folder, once there is one."""
+        self._console = console
+        self._live = Live(console=console, auto_refresh=False, transient=False) if console.is_terminal else None
+        self._config: TrainConfig | None = None
+        self._row: Row = {}
+        self._evaluation: Row = {}
+        self._scores: list[float] = []
+        self._events: deque[str] = deque(maxlen=3)
+        self._times: deque[float] = deque(maxlen=_REMEMBERED)
+        self._start = self._last_line = monotonic()
+
+    def __enter__(self) -> ProgressDisplay:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
+        """Say what begins, and where it writes."""
+        self.path, self._config = path, config
+        self._start = monotonic()
+        workers = f"{num_workers} worker{'s' * (num_workers != 1)}" if config.backend != "serial" else "this process"
+        if config.device != "cpu":
+            workers = f"device {config.device}"
+        after = f" after generation {generation}" if generation else ""
+        self._console.print(
+            f"Training [bold]{config.env}[/bold] ({config.preset}) on {workers}{after}. "
+            f"Run folder: [cyan]{escape(str(path))}[/cyan]",
+            highlight=False,
+            soft_wrap=True,
+        )
+
+    def on_generation(self, row: Row) -> None:
+        """Show a generation."""
+        self._row = row
+        self._times.append(monotonic())
+        is_last = self._config is not None and self._config.is_over(row["generation"], row["env_steps"])
+        if self._live is not None:
+            self._live.update(self._view(), refresh=True)
+        elif monotonic() - self._last_line >= _LINE_EVERY_S or is_last or row["generation"] == 1:
+            self._last_line = monotonic()
+            self._console.print(self._line(), highlight=False, soft_wrap=True)
+
+    def on_evaluation(self, row: Row) -> None:
+        """Remember an evaluation; it is shown with its generation."""
+        self._evaluation = row
+        self._scores.append(row["score_mean"])
+
+    def on_event(self, event: str) -> None:
+        """Show something unusual."""
+        self._events.append(event)
+        if self._live is None:
+            self._console.print(event, style="yellow", highlight=False, markup=False, soft_wrap=True)
+
+    def _seconds_left(self) -> float | None:
+        """Return the seconds to the end, judged by the last generations; None before there is a second one."""
+        config = self._config
+        if config is None or len(self._times) < 2:
+            return None
+        pace = (self._times[-1] - self._times[0]) / (len(self._times) - 1)
+        left = pace * (config.generations - self._row["generation"])
+        if config.env_steps is not None:
+            generations = (config.env_steps - self._row["env_steps"]) / self._row["env_steps"] * self._row["generation"]
+            left = min(left, max(0.0, pace * generations))
+        if config.minutes is not None:
+            left = min(left, max(0.0, 60 * config.minutes - (monotonic() - self._start)))
+        return left
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return what is shown, by name."""
+        row, evaluation = self._row, self._evaluation
+        left = self._seconds_left()
+        score = "-"
+        if evaluation:
+            score = f"{evaluation['score_mean']:.2f} ± {evaluation['score_std']:.2f}"
+        total = self._config.generations if self._config else 0
+        names = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
+        return [
+            ("generation", f"{row['generation']} / {total}"),
+            *(
+                (f"{name} return", f"{row[f'{name}_return_mean']:.2f} (best {row[f'{name}_return_max']:.2f})")
+                for name in names
+            ),
+            ("evaluation score", score),
+            ("env steps/s", f"{row['env_steps_per_s']:,.0f} ({row['env_steps'] / 1e6:,.1f} M so far)"),
+            ("time left", "-" if left is None else format_duration(left)),
+        ]
+
+    def _line(self) -> Text:
+        return Text("  ".join(f"{name} {value}" for name, value in self._facts()))
+
+    def _view(self) -> Group:
+        """Return the block that is redrawn: it fits a terminal of 40 columns and uses up to 100."""
+        width = min(self._console.width, 100)
+        table = Table.grid(padding=(0, 2))
+        table.add_column(style="dim", no_wrap=True)
+        table.add_column(no_wrap=True, overflow="ellipsis")
+        for name, value in self._facts():
+            table.add_row(name, value)
+        course = _sparkline(self._scores, max(10, width - 22))
+        if course:
+            table.add_row("score so far", Text(course, style="green"))
+        total = self._config.generations if self._config else 1
+        done = self._row["generation"]
+        if self._config is not None:
+            config, shares = self._config, [done / total]
+            if config.env_steps is not None:
+                shares.append(self._row["env_steps"] / config.env_steps)
+            if config.minutes is not None:
+                shares.append((monotonic() - self._start) / (60 * config.minutes))
+            total, done = 1000, round(1000 * min(1.0, max(shares)))
+        bar = Table.grid()  # ends the bar's line: alone, the bar does not
+        bar.add_row(ProgressBar(total=total, completed=done, width=width))
+        return Group(bar, table, *(Text(event, style="yellow") for event in self._events))

@@ -1,0 +1,181 @@
+"""The ant of the HIRO and SHES tasks: not Gymnasium's, which has another time step, gear and gait.
+
+Source: environment specification, Ant body (`easier_ant.xml` of the authors' environments).
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from shes.envs.bodies.body import Body
+from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
+from shes.envs.observation_spec import ObservationElement, elements
+from shes.types import BoolArray, F64Array
+
+__all__ = ["Ant"]
+
+TORSO_HEIGHT_M = 0.75
+TORSO_RADIUS_M = 0.25
+LEG_RADIUS_M = 0.08
+UPPER_M = 0.2  # reach in x and in y of the fixed capsule and of the hip's
+LOWER_M = 0.4  # reach in x and in y of the ankle's capsule
+HIP_RANGE_DEG = (-30.0, 30.0)
+HEALTHY_Z_M = (0.2, 1.0)
+"""The ant has fallen when its torso leaves this range."""
+
+# number: (sign of x, sign of y, ankle axis, ankle range in degrees)
+_LEGS = {
+    1: (1, 1, (-1, 1, 0), (30.0, 70.0)),
+    2: (-1, 1, (1, 1, 0), (-70.0, -30.0)),
+    3: (-1, -1, (-1, 1, 0), (-70.0, -30.0)),
+    4: (1, -1, (1, 1, 0), (30.0, 70.0)),
+}
+_ACTUATOR_ORDER = (4, 1, 2, 3)  # not the order of the legs in qpos
+_FLEXION = {1: 1, 2: -1, 3: -1, 4: 1}
+"""An ankle's angle times this is how far it is bent: the same for all legs that look the same."""
+_NEXT_LEG = {1: 2, 2: 3, 3: 4, 4: 1}  # to the left, by a quarter turn
+_MIRRORED_LEG = {1: 4, 2: 3, 3: 2, 4: 1}  # left for right
+_JOINTS = [f"{joint}_{number}" for number in _LEGS for joint in ("hip", "ankle")]
+
+
+class Ant(Body):
+    """Four legs of two joints; qpos: x y z, quaternion w x y z, then hip and ankle of legs 1 to 4."""
+
+    name = "ant"
+    pose: ClassVar[tuple[ObservationElement, ...]] = (
+        *elements(["torso_x", "torso_y", "torso_z"], "{} in the world", "m"),
+        *(ObservationElement(name=f"torso_q{i}", meaning=f"{i} of the torso's unit quaternion") for i in "wxyz"),
+        *elements(_JOINTS, "angle of {}", "rad"),
+    )
+    velocity: ClassVar[tuple[ObservationElement, ...]] = (
+        *elements([f"torso_v{axis}" for axis in "xyz"], "{}: velocity along a world axis", "m/s"),
+        *elements([f"torso_w{axis}" for axis in "xyz"], "{}: angular velocity about an axis of the torso", "rad/s"),
+        *elements([f"{joint}_velocity" for joint in _JOINTS], "{}", "rad/s"),
+    )
+    controls: ClassVar[tuple[str, ...]] = tuple(
+        f"{joint}_{number}" for number in _ACTUATOR_ORDER for joint in ("hip", "ankle")
+    )
+    control_unit: ClassVar[str] = "N m"
+    control_limit: ClassVar[float] = 30.0
+    quaternion: ClassVar[slice | None] = slice(3, 7)
+    egocentric: ClassVar[tuple[ObservationElement, ...]] = (
+        *elements(["torso_z"], "{} in the world", "m"),
+        *elements(["tilt_ahead", "tilt_left"], "{}: that component of the torso's own z axis"),
+        *elements(["velocity_ahead", "velocity_left", "velocity_up"], "{} of the torso", "m/s"),
+        *elements([f"torso_w{axis}" for axis in "xyz"], "{}: angular velocity about an axis of the torso", "rad/s"),
+        *elements(_JOINTS, "angle of {}", "rad"),
+        *elements([f"{joint}_velocity" for joint in _JOINTS], "{}", "rad/s"),
+    )
+
+    def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
+        """Add torso, legs and motors to `spec`."""
+        torso = spec.worldbody.add_body(name="torso", pos=[0, 0, ground_m + TORSO_HEIGHT_M])
+        torso.add_joint(name="root", type=mujoco.mjtJoint.mjJNT_FREE, margin=0.01)
+        torso.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[TORSO_RADIUS_M, 0, 0])
+        for number in _LEGS:
+            self._add_leg(torso, number)
+        for joint in self.controls:
+            motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            motor.set_to_motor()
+            motor.ctrllimited = True
+            motor.ctrlrange = [-self.control_limit, self.control_limit]
+
+    @staticmethod
+    def _add_leg(torso: mujoco.MjsBody, number: int) -> None:
+        """Add one leg to the torso: a fixed capsule, the hip's, the ankle's."""
+        sign_x, sign_y, ankle_axis, ankle_range = _LEGS[number]
+        upper = [UPPER_M * sign_x, UPPER_M * sign_y, 0]
+        lower = [LOWER_M * sign_x, LOWER_M * sign_y, 0]
+        base = torso.add_body(name=f"leg_{number}")
+        hip = base.add_body(name=f"upper_{number}", pos=upper)
+        ankle = hip.add_body(name=f"lower_{number}", pos=upper)
+        for body, end in ((base, upper), (hip, upper), (ankle, lower)):
+            body.add_geom(
+                name=f"{body.name}_geom",
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                size=[LEG_RADIUS_M, 0, 0],
+                fromto=[0, 0, 0, *end],
+            )
+        hinge = {"type": mujoco.mjtJoint.mjJNT_HINGE, "armature": 1.0, "damping": 1.0, "limited": True}
+        hip.add_joint(name=f"hip_{number}", axis=[0, 0, 1], range=HIP_RANGE_DEG, **hinge)
+        ankle.add_joint(name=f"ankle_{number}", axis=ankle_axis, range=ankle_range, **hinge)
+
+    def heading(self, qpos: F64Array) -> F64Array:
+        """Return the angle [N] of the torso's x axis, rotated by its quaternion, in the xy plane."""
+        w, x, y, z = (qpos[..., i] for i in range(3, 7))
+        return np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
+
+    def fallen(self, qpos: F64Array) -> BoolArray:
+        """Return whether the torso's height is outside `HEALTHY_Z_M` [N]."""
+        height = qpos[..., 2]
+        return ~((height >= HEALTHY_Z_M[0]) & (height <= HEALTHY_Z_M[1]))
+
+    def frame_angle(self, qpos: F64Array) -> F64Array:
+        """Return the twist of the torso about the vertical [N].
+
+        Deviation: not the heading. Seen from above, the x and y axes of a tilted torso are not a quarter turn apart, so
+        that the frame of the heading breaks the symmetry by as much as the square of the tilt.
+        """
+        return 2 * np.arctan2(qpos[:, 6], qpos[:, 3])
+
+    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Write height, tilt, velocity, angular velocity and joints [N, 25]; see `Body.write_egocentric`.
+
+        MuJoCo gives the angular velocity in the torso's own frame: it is egocentric as it is.
+        """
+        cosine, sine = np.cos(angle), np.sin(angle)
+        w, x, y, z = (qpos[:, i] for i in range(3, 7))
+        out[:, 0] = qpos[:, 2]
+        _turn_back(2 * (x * z + w * y), 2 * (y * z - w * x), cosine, sine, out[:, 1:3])
+        _turn_back(qvel[:, 0], qvel[:, 1], cosine, sine, out[:, 3:5])
+        out[:, 5:9] = qvel[:, 2:6]
+        out[:, 9:17] = qpos[:, 7:15]
+        out[:, 17:25] = qvel[:, 6:14]
+
+    def symmetry(self, *, is_mirrored: bool) -> SymmetryGroup:
+        """Return the four quarter turns, with their mirror images the eight elements of the square's symmetry."""
+        # In the frame turned by a quarter to the left: x' = y, y' = -x, and the leg that comes next is leg 1.
+        turned = ([2, 1], [1, -1])
+        turn = _view_element(turned, turned, turned, _NEXT_LEG, hip_sign=1)
+        # A rotation about an axis in the mirror's plane changes its sense, one about the axis across it does not.
+        mirrored = ([1, 2], [1, -1])
+        mirror = _view_element(mirrored, mirrored, ([1, 2], [-1, 1]), _MIRRORED_LEG, hip_sign=-1)
+        controls = [_leg_element(_ACTUATOR_ORDER, legs, sign) for legs, sign in ((_NEXT_LEG, 1), (_MIRRORED_LEG, -1))]
+        return dihedral_group(4, (turn, controls[0]), (mirror, controls[1]), is_mirrored=is_mirrored)
+
+
+_Plane = tuple[list[int], list[int]]
+"""How an element maps the x and y of a vector: the component (1 or 2) that each comes from, and its sign."""
+
+
+def _view_element(
+    tilt: _Plane, velocity: _Plane, rotation: _Plane, legs: dict[int, int], hip_sign: int
+) -> SignedPermutation:
+    """Return what an element of the symmetry does to the egocentric view: its generators differ in these."""
+    joints = _leg_element(tuple(_LEGS), legs, hip_sign)
+    index = [0, *tilt[0], *(2 + i for i in velocity[0]), 5, *(5 + i for i in rotation[0]), 8]
+    # Left for right, the rotation about the vertical changes its sense, as the hips about theirs do.
+    sign = [1, *tilt[1], *velocity[1], 1, *rotation[1], hip_sign]
+    return SignedPermutation(
+        np.array([*index, *(9 + joints.source), *(17 + joints.source)]), np.array([*sign, *joints.sign, *joints.sign])
+    )
+
+
+def _leg_element(order: tuple[int, ...], legs: dict[int, int], hip_sign: int) -> SignedPermutation:
+    """Return what it does to a hip's and an ankle's value of every leg, which stand in this `order` of legs."""
+    index, sign = list[int](), list[float]()
+    for leg in order:
+        source = legs[leg]
+        first = 2 * order.index(source)
+        index += [first, first + 1]
+        sign += [hip_sign, _FLEXION[leg] * _FLEXION[source]]
+    return SignedPermutation(np.array(index), np.array(sign, dtype=np.float64))
+
+
+def _turn_back(x: F64Array, y: F64Array, cosine: F64Array, sine: F64Array, out: F64Array) -> None:
+    """Write the vectors (`x`, `y`) [N], turned back by the angle of `cosine` and `sine`, into `out` [N, 2]."""
+    np.add(cosine * x, sine * y, out=out[:, 0])
+    np.subtract(cosine * y, sine * x, out=out[:, 1])

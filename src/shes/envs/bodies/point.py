@@ -1,0 +1,91 @@
+"""The point: the ant's cheap twin, a sphere pushed along x and y. Source: environment specification, Point body."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from shes.envs.bodies.body import Body
+from shes.envs.observation_spec import ObservationElement, elements
+from shes.types import BoolArray, F64Array
+
+__all__ = ["FallingPoint", "Point"]
+
+RADIUS_M = 0.25
+MASS_KG = 0.33
+HEIGHT_M = 0.5
+"""Height of the centre: the sphere touches walls and blocks, never the floor."""
+FALLING_HEIGHT_M = 0.75
+"""Height of the centre above the ground at the start, where there is gravity (that of the ant's torso)."""
+GEAR_N = 6.0
+DAMPING = 0.8
+"""In N s/m: the top speed is GEAR_N / DAMPING = 7.5 m/s, reached with a time constant of 0.4 s, four control steps."""
+
+
+class Point(Body):
+    """A sphere on two slide joints; qpos and qvel are x and y. Its heading is always 0, and it cannot fall."""
+
+    name = "point"
+    pose: ClassVar[tuple[ObservationElement, ...]] = elements(["torso_x", "torso_y"], "{} in the world", "m")
+    velocity: ClassVar[tuple[ObservationElement, ...]] = elements(
+        ["torso_vx", "torso_vy"], "{}: velocity along a world axis", "m/s"
+    )
+    controls: ClassVar[tuple[str, ...]] = ("slide_x", "slide_y")
+    egocentric: ClassVar[tuple[ObservationElement, ...]] = velocity
+    control_unit: ClassVar[str] = "6 N"
+    control_limit: ClassVar[float] = 1.0
+    quaternion: ClassVar[slice | None] = None
+
+    def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
+        """Add the sphere, its slides and its motors to `spec`."""
+        self._add_sphere(spec, ground_m + HEIGHT_M)
+
+    def _add_sphere(self, spec: mujoco.MjSpec, height: float) -> mujoco.MjsBody:
+        """Add the sphere at this height, and what moves it along x and y."""
+        body = spec.worldbody.add_body(name="torso", pos=[0, 0, height])
+        body.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS_M, 0, 0], mass=MASS_KG)
+        for name, axis in zip(self.controls, ([1, 0, 0], [0, 1, 0]), strict=True):
+            body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=DAMPING)
+            motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            motor.set_to_motor()
+            motor.gear = [GEAR_N, 0, 0, 0, 0, 0]
+            motor.ctrllimited = True
+            motor.ctrlrange = [-self.control_limit, self.control_limit]
+        return body
+
+    def heading(self, qpos: F64Array) -> F64Array:
+        """Return zeros [N]."""
+        return np.zeros_like(qpos[..., 0])
+
+    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Write the velocity [N, 2]: the point looks along x for ever."""
+        del qpos, angle
+        out[:] = qvel
+
+    def fallen(self, qpos: F64Array) -> BoolArray:
+        """Return False [N]."""
+        return np.zeros_like(qpos[..., 0], dtype=np.bool_)
+
+
+class FallingPoint(Point):
+    """The point of Fall: a third slide lets it rest on the ground and fall; qpos and qvel are x, y and height."""
+
+    pose: ClassVar[tuple[ObservationElement, ...]] = elements(["torso_x", "torso_y", "torso_z"], "{} in the world", "m")
+    velocity: ClassVar[tuple[ObservationElement, ...]] = elements(
+        ["torso_vx", "torso_vy", "torso_vz"], "{}: velocity along a world axis", "m/s"
+    )
+    egocentric: ClassVar[tuple[ObservationElement, ...]] = (pose[2], *velocity)
+
+    def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Write height and velocity [N, 4]."""
+        del angle
+        out[:, 0] = qpos[:, 2]
+        out[:, 1:] = qvel
+
+    def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
+        """Add the sphere, its slides and its motors to `spec`; the third coordinate is the height itself."""
+        height = ground_m + FALLING_HEIGHT_M
+        body = self._add_sphere(spec, height)
+        body.add_joint(name="slide_z", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], ref=height, damping=DAMPING)

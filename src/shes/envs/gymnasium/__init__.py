@@ -1,0 +1,1 @@
+"""The environments as Gymnasium sees them: single, vector, registered."""

@@ -1,0 +1,184 @@
+"""What the single and the vector Gymnasium environment share: spaces, actions, info and pictures of a task."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from functools import partial
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import ArrayLike
+
+from shes.drawing.drawer import Drawer, Picture, Window
+from shes.drawing.renderer import check_camera
+from shes.envs.observation_spec import bounds
+from shes.envs.registry import make_task
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.value_kinds import is_whole
+from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
+from shes.sim.cpu import CpuSimulator
+from shes.types import BoolArray, F64Array, IntArray
+
+__all__ = ["TaskAdapter"]
+
+_PICTURE_DEFAULTS: dict[str, Any] = {"width": 480, "height": 480, "camera": "follow"}
+
+
+class TaskAdapter:
+    """A task of N episodes in Gymnasium's terms."""
+
+    def __init__(
+        self,
+        name: str,
+        num_envs: int,
+        render_mode: str | None,
+        render_modes: Sequence[str],
+        options: Mapping[str, Any],
+        num_threads: int = 1,
+    ) -> None:
+        """Make `num_envs` episodes of environment `name`, whose physics `num_threads` threads share.
+
+        Raises:
+            UnknownNameError: `name`, `render_mode` or another name is not known.
+            ConfigError: An option is unknown or out of range.
+        """
+        if not is_whole(num_envs) or num_envs < 1:
+            raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs!r}.")
+        if render_mode is not None and render_mode not in render_modes:
+            raise UnknownNameError("render_mode", str(render_mode), render_modes)
+        self._render_mode = render_mode
+        task_options, self._picture = _split_options(options)
+        threads = min(num_threads, num_envs)
+        self.task = make_task(name, num_envs, task_options, partial(CpuSimulator, num_threads=threads))
+        low, high = bounds(self.task.layout)
+        self.observation_space = Box(low, high, dtype=np.float64)
+        self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)
+        self._drawer: Drawer | None = None
+        self._window: Window | None = None
+        self._is_new_episode = True
+
+    @staticmethod
+    def draw_seed(rng: np.random.Generator) -> int:
+        """Return the seed of the next episode of an environment whose generator is `rng`."""
+        return int(rng.integers(0, 2**63))
+
+    @property
+    def ended(self) -> BoolArray:
+        """Whether each episode has ended by itself [N]; a simulation that diverged has."""
+        return self.task.terminated | self.task.diverged
+
+    def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
+        """Begin episodes `ids` anew."""
+        self.task.reset(ids, seeds)
+        self._is_new_episode = True
+        self._show()
+
+    def step(self, ids: IntArray, actions: ArrayLike) -> None:
+        """Move episodes `ids` by one control step with `actions` [N, A], cut to [-1, 1].
+
+        Raises:
+            ShapeError: `actions` has another shape.
+            PolicyError: They are no numbers, or one of `ids` holds NaN or infinity.
+        """
+        asked = _as_numbers(actions)
+        expected = (self.task.num_episodes, self.task.action_size)
+        if asked.shape != expected:
+            each = f" in each of {expected[0]} environments" if expected[0] > 1 else ""
+            raise ShapeError(
+                f"an action of {self.task.body.name}-{self.task.name} has shape ({expected[1]},){each}; "
+                f"got {asked.shape if expected[0] > 1 else asked.shape[1:]}."
+            )
+        if not np.isfinite(asked[ids]).all():
+            raise PolicyError("the action holds NaN or infinity; actions lie in [-1, 1]. Look at the policy's output.")
+        self.task.step(ids, np.clip(asked, -1.0, 1.0) * self.task.control_limit)
+        self._show()
+
+    def observation(self) -> F64Array:
+        """Return a copy of what is observed [N, O]."""
+        return self.task.observe().copy()
+
+    def info(self) -> dict[str, Any]:
+        """Return what `info` carries, as arrays [N] or [N, 2]."""
+        task = self.task
+        return {
+            "success": task.success.copy(),
+            "score": task.score.astype(np.float64),
+            "distance": task.distance.copy(),
+            "position": task.position.copy(),
+            "heading": task.heading.copy(),
+            "diverged": task.diverged.copy(),
+            **{name: np.array(count) for name, count in task.counts.items()},
+        }
+
+    def info_of(self, episode: int) -> dict[str, Any]:
+        """Return what `info` carries of one episode."""
+        of_one = {name: values[episode] for name, values in self.info().items()}
+        return {name: value if isinstance(value, np.ndarray) else value.item() for name, value in of_one.items()}
+
+    def picture(self, episode: int) -> Picture:
+        """Return a picture [H, W, 3] of episode `episode`."""
+        task = self.task
+        if self._drawer is None:
+            self._drawer = task.make_drawer(self._picture["width"], self._picture["height"])
+        return self._drawer.draw(task.pose(episode), task.markers(episode), self._picture["camera"])
+
+    def render(self, episode: int) -> Picture | None:
+        """Return a picture of episode `episode` in mode `rgb_array`; in mode `human` the window shows it.
+
+        Raises:
+            ConfigError: No render mode was chosen.
+        """
+        if self._render_mode is None:
+            raise ConfigError('there is no render_mode: make the environment with render_mode="rgb_array" or "human".')
+        return self.picture(episode) if self._render_mode == "rgb_array" else None
+
+    def _show(self) -> None:
+        """Show the first episode in the window, if there is to be one."""
+        if self._render_mode != "human":
+            return
+        task = self.task
+        if self._window is None:
+            self._window = task.open_window()
+        self._window.show(task.pose(0), task.markers(0), is_new_episode=self._is_new_episode)
+        self._is_new_episode = False
+
+    def close(self) -> None:
+        """Close the window and free the renderer."""
+        for holder in (self._drawer, self._window):
+            if holder is not None:
+                holder.close()
+        self._drawer = self._window = None
+
+
+def _as_numbers(actions: ArrayLike) -> F64Array:
+    """Return `actions` as an array of float64.
+
+    Raises:
+        PolicyError: They are no numbers, or lists of several lengths.
+    """
+    try:
+        given = np.asarray(actions)
+    except ValueError:
+        given = np.array(None)
+    if given.dtype.kind not in "biuf":
+        raise PolicyError(f"an action must be an array of numbers in [-1, 1], got {actions!r}.")
+    return given.astype(np.float64)
+
+
+def _split_options(options: Mapping[str, Any]) -> tuple[TaskOptions, dict[str, Any]]:
+    """Return the options of the task and those of its pictures.
+
+    Raises:
+        ConfigError: An option is unknown or out of range.
+        UnknownNameError: A name is not known.
+    """
+    of_task = [field.name for field in fields(TaskOptions)]
+    for name in options:
+        if name not in of_task and name not in _PICTURE_DEFAULTS:
+            known = nearest_first(name, [*of_task, *_PICTURE_DEFAULTS])
+            raise ConfigError(f"the environment has no option {name!r}. Options: {', '.join(known)}.")
+    picture = {name: options.get(name, default) for name, default in _PICTURE_DEFAULTS.items()}
+    check_camera(picture["camera"])
+    return TaskOptions(**{name: value for name, value in options.items() if name in of_task}), picture

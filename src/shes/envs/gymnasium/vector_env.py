@@ -1,0 +1,222 @@
+"""The vector Gymnasium environment: a task with N episodes, stepped at once.
+
+Source: Gymnasium's `VectorEnv` with its three autoreset modes; what it returns equals `SyncVectorEnv` over N single
+environments, to the bit.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from shes.drawing.renderer import Picture
+from shes.envs.gymnasium.adapter import TaskAdapter
+from shes.envs.value_kinds import is_whole
+from shes.errors import ConfigError
+from shes.types import BoolArray, F64Array, IntArray
+
+__all__ = ["TaskVectorEnv"]
+
+_RENDER_MODES = ["rgb_array"]
+Steps = tuple[F64Array, F64Array, BoolArray, BoolArray, dict[str, Any]]
+
+
+def _num_cores() -> int:
+    """Return the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _step_limit(max_episode_steps: int | None) -> float:
+    """Return the steps after which an episode is truncated; None and -1 are never, as in `gymnasium.make`.
+
+    Raises:
+        ConfigError: It is something else than a whole number of at least 1.
+    """
+    if max_episode_steps is None or max_episode_steps == -1:
+        return np.inf
+    if not is_whole(max_episode_steps) or max_episode_steps < 1:
+        raise ConfigError(
+            f"max_episode_steps must be a whole number of at least 1, or -1 for no limit; got {max_episode_steps!r}."
+        )
+    return int(max_episode_steps)
+
+
+class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
+    """N episodes of a task at a time. Actions [N, A] lie in [-1, 1]; a step takes 0.1 s of simulated time."""
+
+    def __init__(
+        self,
+        name: str,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        num_threads: int = 0,
+        **options: Any,
+    ) -> None:
+        """Make `num_envs` environments `name` of the registry.
+
+        Args:
+            name: Name in the registry, e.g. `ant-gather`.
+            num_envs: Number of environments, N.
+            max_episode_steps: Control steps after which an episode is truncated; never if None or -1.
+            render_mode: `rgb_array` or None.
+            autoreset_mode: When an episode that has ended begins anew: `NextStep`, `SameStep` or `Disabled`.
+            num_threads: Threads that share the physics; 0 is one for every core. Never changes a number.
+            options: Fields of `TaskOptions`; `width`, `height` and `camera` (`follow` or `top`) of the pictures.
+
+        Raises:
+            UnknownNameError: `name`, `render_mode` or another name is not known.
+            ConfigError: An option is unknown or out of range.
+        """
+        if not is_whole(num_threads) or num_threads < 0:
+            raise ConfigError(f"num_threads must be a whole number of at least 0, got {num_threads!r}.")
+        threads = num_threads or _num_cores()
+        self._adapter = TaskAdapter(name, num_envs, render_mode, _RENDER_MODES, options, threads)
+        try:
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
+        except ValueError as error:
+            allowed = ", ".join(mode.value for mode in AutoresetMode)
+            raise ConfigError(f"autoreset_mode must be one of {allowed}; got {autoreset_mode!r}.") from error
+        self.metadata = {
+            "render_modes": _RENDER_MODES,
+            "render_fps": 10,
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.single_observation_space = self._adapter.observation_space
+        self.single_action_space = self._adapter.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._max_steps = _step_limit(max_episode_steps)
+        self._rngs: list[np.random.Generator | None] = [None] * num_envs
+        self._has_ended: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+        self._is_ready: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[F64Array, dict[str, Any]]:
+        """Begin episodes: all of them, or those of `options["reset_mask"]` [N].
+
+        Args:
+            seed: Environment i takes `seed + i`, or `seed[i]`; without one it goes on with the seeds before.
+            options: `reset_mask`, a Boolean array [N] with at least one True.
+
+        Raises:
+            ConfigError: There are not N seeds, one of them is none, or the mask is none.
+        """
+        ids = np.flatnonzero(self._mask(options))
+        self._begin(ids, self._seeds(seed))
+        self._has_ended[ids] = False
+        self._is_ready[ids] = True
+        return self._adapter.observation(), self._info(ids)
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """Return the seed of each environment [N]; None where it goes on with those before."""
+        if seed is None:
+            return [None] * self.num_envs
+        if is_whole(seed):
+            return [int(seed) + i for i in range(self.num_envs)]
+        given: Any = seed
+        is_list = isinstance(given, Sequence) or (isinstance(given, np.ndarray) and given.ndim == 1)
+        seeds: list[Any] = list(given) if is_list else [given]
+        if not all(each is None or is_whole(each) for each in seeds):
+            raise ConfigError(f"seed must be a whole number or a list of them, got {seed!r}.")
+        if len(seeds) != self.num_envs:
+            raise ConfigError(f"a list of seeds must have one for each of {self.num_envs} environments; got {seed!r}.")
+        return seeds
+
+    def _mask(self, options: dict[str, Any] | None) -> BoolArray:
+        """Return which environments a reset is for."""
+        mask = np.ones(self.num_envs, np.bool_) if options is None else options.get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            raise ConfigError(f"reset_mask must be a Boolean array of shape ({self.num_envs},); got {mask!r}.")
+        if not mask.any():
+            raise ConfigError("reset_mask must have at least one True.")
+        return mask
+
+    def _begin(self, ids: IntArray, seeds: Sequence[int | None]) -> None:
+        """Begin episodes `ids`, each by its seed [N], or by the generator of its environment."""
+        chosen: list[int] = []
+        for i in ids.tolist():
+            seed = seeds[i]
+            if seed is not None or self._rngs[i] is None:
+                self._rngs[i] = np_random(None if seed is None else int(seed))[0]
+            rng = self._rngs[i]
+            assert rng is not None
+            chosen.append(self._adapter.draw_seed(rng) if seed is None else int(seed))
+        self._adapter.reset(ids, chosen)
+
+    def step(self, actions: NDArray[Any]) -> Steps:
+        """Move for 0.1 s; episodes that ended begin anew as `autoreset_mode` says.
+
+        Raises:
+            ShapeError: `actions` has another shape than [N, A].
+            PolicyError: `actions` holds NaN or infinity, or no numbers.
+            ResetNeeded: An episode has not begun, or has ended in mode `Disabled`.
+        """
+        mode = self.autoreset_mode
+        if not self._is_ready.all() or (mode == AutoresetMode.DISABLED and self._has_ended.any()):
+            raise ResetNeeded("an episode has not begun, or has ended: call reset() before step().")
+        late = np.flatnonzero(self._has_ended)  # in mode NextStep
+        moving = np.flatnonzero(~self._has_ended)
+        self._adapter.step(moving, actions)
+        if len(late):
+            self._begin(late, [None] * self.num_envs)
+        reward = self._adapter.task.reward.copy()
+        terminated = self._adapter.ended
+        truncated: BoolArray = self._adapter.task.time >= self._max_steps
+        self._has_ended = terminated | truncated
+        final: dict[str, Any] = {}
+        if mode == AutoresetMode.SAME_STEP and self._has_ended.any():
+            final = self._restart()
+        info = self._info(np.arange(self.num_envs)) | final
+        return self._adapter.observation(), reward, terminated, truncated, info
+
+    def _restart(self) -> dict[str, Any]:
+        """Begin the episodes that have ended at once; return their last observations and infos."""
+        ids = np.flatnonzero(self._has_ended)
+        observation = self._adapter.observation()
+        final_obs = np.full(self.num_envs, None, dtype=object)  # as Gymnasium has it: None where nothing has ended
+        for i in ids:
+            final_obs[i] = observation[i]
+        final = {
+            "final_obs": final_obs,
+            "_final_obs": self._has_ended.copy(),
+            "final_info": self._info(ids),
+            "_final_info": self._has_ended.copy(),
+        }
+        self._begin(ids, [None] * self.num_envs)
+        self._has_ended = np.zeros(self.num_envs, dtype=np.bool_)
+        return final
+
+    def _info(self, ids: IntArray) -> dict[str, Any]:
+        """Return the infos of `ids` as Gymnasium's vector environments do: arrays, and masks of who has a value."""
+        mask = np.zeros(self.num_envs, dtype=np.bool_)
+        mask[ids] = True
+        found: dict[str, Any] = {}
+        for name, values in self._adapter.info().items():
+            values[~mask] = 0
+            found[name], found[f"_{name}"] = values, mask.copy()
+        return found
+
+    def render(self) -> tuple[Picture, ...] | None:  # type: ignore[override] - Gymnasium's type is wider
+        """Return a picture [H, W, 3] of each environment."""
+        if self.render_mode is None:
+            self._adapter.render(0)  # refuses
+        return tuple(self._adapter.picture(i) for i in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free the renderer."""
+        self._adapter.close()

@@ -1,0 +1,194 @@
+"""Flagrun: follow goals that move. Source: algorithm specification section 6, environment specification, Flagrun."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from shes.arrays import to_host
+from shes.drawing.markers import TARGET, Marker, ball
+from shes.envs.bodies.body import Body
+from shes.envs.bodies.reader import BodyReader
+from shes.envs.observation_spec import ObservationElement, elements
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task import SimulatorFactory, Task, TaskDescription
+from shes.envs.worlds import GATHER, add_grid, empty_world
+from shes.sim.cpu import CpuSimulator
+from shes.types import BoolArray, F64Array, IntArray
+
+__all__ = ["Flagrun"]
+
+NEAR_M = 1.0
+"""Goals are drawn at least this far away; nearer to one is worth 1 more in each step."""
+DISTANCE_SCALE = 0.001
+_GOALS_AT_ONCE = 16
+
+
+class FlagrunReader(BodyReader):
+    """Reads where the flag is from the sine and cosine of its bearing and its distance."""
+
+    def goal(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array:
+        """Return the goal [N, 2] in the world, in metres."""
+        bearing = np.arctan2(rows[:, 0], rows[:, 1]) + heading
+        distance = rows[:, 2] / DISTANCE_SCALE
+        return position + np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
+
+
+class Flagrun(Task):
+    """A goal within 4 m along x and y that moves every 25 control steps, between walls at 12 m.
+
+    Trains a primitive alone, under a random controller. A goal moves after a step was paid for the old one, so that an
+    observation always shows the goal that the next action is for. Where it has just moved, `distance`, also in `info`,
+    is that to the new goal; the step's reward and success are of the old one.
+
+    `hiro` is `shes` with that specification's conventions, RK4 and velocities that are not clipped, so that a primitive
+    can be trained for the hiro tasks: Nachum et al. have no such task.
+    """
+
+    name: ClassVar[str] = "flagrun"
+    specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
+    sets_goals: ClassVar[bool] = True
+    heeds: ClassVar[frozenset[str]] = frozenset({"goal_interval", "goal_range"})
+    description: ClassVar[TaskDescription] = TaskDescription(
+        reward="1 - d/d_c, where d is the distance to the goal and d_c what it was when the goal was drawn; "
+        "1 more where d is below 1 m",
+        ends="when the robot falls over (the ant: its torso leaves heights of 0.2 to 1.0 m; the point cannot)",
+        score="the return",
+        success="the goal that the step was for is nearer than 1 m",
+    )
+
+    def __init__(
+        self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
+    ) -> None:
+        """Build the arena for `body` and `num_episodes` simulations of it."""
+        super().__init__(body, num_episodes, options, simulator)
+        self._goal: F64Array = self.xp.ones((num_episodes, 2))
+        self._offset: F64Array = self.xp.zeros((2, num_episodes))  # to the goal along x and y
+        self._distance: F64Array = self.xp.ones(num_episodes)
+        self._start_distance: F64Array = self.xp.ones(num_episodes)
+        self._is_near: BoolArray = self.xp.zeros(num_episodes, dtype=np.bool_)
+        self._rngs: list[np.random.Generator | None] = [None] * num_episodes
+        self._offsets: F64Array = np.zeros((num_episodes, _GOALS_AT_ONCE, 2))  # from the robot, of goals to come
+        self._num_used: IntArray = np.zeros(num_episodes, dtype=np.int64)  # of these
+        self._has_begun: BoolArray = np.zeros(num_episodes, dtype=np.bool_)
+        # `time` on the host, where goals are drawn: whose are due is known without waiting for a device.
+        self._host_time: IntArray = np.zeros(num_episodes, dtype=np.int64)
+        self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
+
+    @classmethod
+    def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
+        """Return the arena of Gather."""
+        spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
+        add_grid(spec, GATHER)
+        body.add_to(spec)
+        return spec
+
+    @property
+    def layout(self) -> tuple[ObservationElement, ...]:
+        """Three features of the goal, the robot's qpos and qvel, which shes clips."""
+        angle = "of the goal's bearing from the heading"
+        return (
+            ObservationElement(name="goal_sin", meaning=f"sine {angle}", low=-1.0, high=1.0),
+            ObservationElement(name="goal_cos", meaning=f"cosine {angle}", low=-1.0, high=1.0),
+            *elements(["goal_distance"], "distance to the goal, in km", "km", low=0.0),
+            *self._robot_layout(),
+        )
+
+    @property
+    def goal(self) -> F64Array:
+        """Goals in the world [N, 2] in metres."""
+        return self._goal
+
+    @property
+    def reader(self) -> FlagrunReader:
+        """How an agent reads what it shows."""
+        return FlagrunReader(self.body, self.observation_size, self.proprioception)
+
+    @property
+    def terminated(self) -> BoolArray:
+        """Whether the robot has fallen [N]."""
+        return self.body.fallen(self.sim.qpos)
+
+    @property
+    def distance(self) -> F64Array:
+        """Distance to the goal that the next step is for [N], in metres."""
+        return self._distance.copy()
+
+    @property
+    def score(self) -> F64Array:
+        """The return [N]; 0 after a divergence."""
+        return np.where(self.sim.diverged, 0.0, self.running_return)
+
+    @property
+    def success(self) -> BoolArray:
+        """Whether the last step ended nearer than 1 m to the goal that it was for [N], even if that has moved since."""
+        return self._is_near & ~self.sim.diverged
+
+    def markers(self, episode: int) -> list[Marker]:
+        """Return the goal."""
+        return [ball((*to_host(self.goal[episode]), 0.5), 0.4, TARGET)]
+
+    def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        self._is_near[self.xp.asarray(ids)] = False
+        self._host_time[ids] = 0
+        self._num_used[ids] = _GOALS_AT_ONCE
+        self._has_begun[ids] = True
+        for i, rng in zip(ids.tolist(), rngs, strict=True):
+            self._rngs[i] = rng
+        self._move_goals(ids)
+
+    def _move_goals(self, ids: IntArray) -> None:
+        """Move the goals of episodes `ids`."""
+        for i in ids[self._num_used[ids] == _GOALS_AT_ONCE].tolist():
+            self._draw_goals(i)
+        rows = self.xp.asarray(ids)
+        self._goal[rows] = self.position[rows] + self.xp.asarray(self._offsets[ids, self._num_used[ids]])
+        self._num_used[ids] += 1
+        # Not the lengths of what was drawn: rounding must not make the distance differ from the start distance.
+        self._measure()
+        self._start_distance[rows] = self._distance[rows]
+
+    def _measure(self) -> None:
+        """Measure from every robot to its goal."""
+        np.subtract(self._goal.T, self.position.T, out=self._offset)
+        squares = self._offset * self._offset
+        np.add(squares[0], squares[1], out=self._distance)
+        np.sqrt(self._distance, out=self._distance)
+
+    def _draw_goals(self, episode: int) -> None:
+        """Draw where the next goals of an episode are from the robot: the numbers of drawing one after another."""
+        rng, half_width, count = self._rngs[episode], self.options.goal_range, 0
+        assert rng is not None, "an episode draws goals from its reset on"
+        self._num_used[episode] = 0
+        while count < _GOALS_AT_ONCE:
+            drawn = rng.uniform(-half_width, half_width, (_GOALS_AT_ONCE - count, 2))
+            squares = drawn * drawn
+            drawn = drawn[squares[:, 0] + squares[:, 1] >= NEAR_M**2]
+            self._offsets[episode, count : count + len(drawn)] = drawn
+            count += len(drawn)
+
+    def _update_features(self) -> F64Array:
+        self._measure()
+        np.less(self._distance, NEAR_M, out=self._is_near)
+        reward = 1 - self._distance / self._start_distance + self._is_near
+        self._host_time += 1
+        due = np.flatnonzero((self._host_time % self.options.goal_interval == 0) & self._has_begun)
+        if len(due):
+            self._move_goals(due)
+        return reward
+
+    def observe(self) -> F64Array:
+        """Return goal and robot [N, O]."""
+        nq, nv = self.body.num_qpos, self.body.num_qvel
+        angle = np.arctan2(self._offset[1], self._offset[0])
+        angle -= self.heading
+        out = self._observation
+        np.sin(angle, out=out[:, 0])
+        np.cos(angle, out=out[:, 1])
+        np.multiply(self._distance, DISTANCE_SCALE, out=out[:, 2])
+        out[:, 3 : 3 + nq] = self.sim.qpos
+        self._write_velocity(self.sim.qvel, out[:, 3 + nq : 3 + nq + nv])
+        return out

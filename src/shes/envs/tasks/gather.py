@@ -1,0 +1,280 @@
+"""Gather: collect food, leave poison.
+
+Source: environment specification, Tasks and Gather details. `shes` is the SHES authors', `hiro` rllab's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from shes.arrays import to_host
+from shes.drawing.markers import FOOD, POISON, Marker, ball
+from shes.envs.bodies.body import Body
+from shes.envs.observation_spec import ObservationElement, elements
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
+from shes.envs.worlds import GATHER, add_grid, add_square_walls, empty_world
+from shes.errors import ConfigError
+from shes.sim.cpu import CpuSimulator
+from shes.types import BoolArray, F64Array, IntArray
+
+__all__ = ["Gather"]
+
+NUM_OBJECTS = 8
+"""Objects of each kind: food, poison."""
+ACTIVITY_RANGE_M = 10.0
+"""Objects lie in the square of this half width."""
+FREE_RADIUS_M = 2.0
+"""No object lies nearer to the origin than this."""
+CATCH_RANGE_M = 1.0
+SENSOR_RANGE_M = {"shes": 8.0, "hiro": 6.0}
+HIRO_WALLS_M = 10.5
+"""Half width of the arena in hiro; in shes the walls are those of the grid."""
+HIRO_FALL_REWARD = -10.0
+OBSERVED_TIME_SCALE = {"shes": TIME_SCALE, "hiro": 1.0}
+"""Control steps are observed times this: in the hiro Gather alone as they are."""
+NUM_BINS = 10
+"""Sensor bins of each kind over the full circle; bin 0 starts behind the robot."""
+MARKER_RADIUS_M = 0.4
+"""Objects are drawn this big; they have no body."""
+FOOD_REWARD, POISON_REWARD = 1.0, -1.0
+"""Reward of an object of each kind."""
+
+
+class Gather(Task):
+    """Eight pieces of food (+1) and eight of poison (-1) between walls.
+
+    A robot notices an object in one of ten sectors around its heading, and collects it within 1 m. In `shes` objects
+    lie anywhere, the sensors reach 8 m and the walls are at 12 m; in `hiro` objects lie on even coordinates, the
+    sensors reach 6 m and the walls are at 10.5 m.
+    The time is observed in thousands of control steps, in `hiro` in control steps.
+    """
+
+    name: ClassVar[str] = "gather"
+    specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
+    heeds: ClassVar[frozenset[str]] = frozenset({"fall_penalty"})
+    description: ClassVar[TaskDescription] = TaskDescription(
+        reward="+1 for each piece of food and -1 for each piece of poison collected; hiro: -10 in the step of a fall",
+        ends="when the robot falls over (the ant: its torso leaves heights of 0.2 to 1.0 m; the point cannot); "
+        "hiro: when all is collected, too",
+        score="highest running return in the episode, at least 0",
+        success="the score is above 0",
+    )
+
+    def __init__(
+        self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
+    ) -> None:
+        """Build the arena for `body` and `num_episodes` simulations of it."""
+        super().__init__(body, num_episodes, options, simulator)
+        n, xp = num_episodes, self.xp
+        # Coordinates first, [xy, N, kind, object]: what is computed of x alone or y alone is contiguous.
+        self._places: F64Array = xp.zeros((2, n, 2, NUM_OBJECTS))
+        self.present: BoolArray = xp.zeros((n, 2, NUM_OBJECTS), dtype=np.bool_)
+        """Which objects have not been collected [N, kind, object]."""
+        # First bin of each kind in the flat readings of all episodes [N, kind, 1].
+        self._first_bin: IntArray = NUM_BINS * xp.arange(2 * n).reshape(n, 2, 1)
+        self._best_return: F64Array = xp.zeros(n)
+        self._offset: F64Array = xp.zeros(self._places.shape)
+        self._squared_distance: F64Array = xp.zeros(self.present.shape)
+        self._observation: F64Array = xp.zeros((n, self.observation_size))
+
+    @classmethod
+    def _check(cls, options: TaskOptions) -> None:
+        super()._check(options)
+        if options.spec == "shes" and not options.fall_penalty:
+            raise ConfigError(
+                "gather has a penalty for falls in specification hiro alone, got fall_penalty False with shes. "
+                "Leave --no-fall-penalty away, or set --spec hiro."
+            )
+
+    @classmethod
+    def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
+        """Return the arena: a free square between walls; objects are not geoms."""
+        spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
+        if options.spec == "hiro":
+            add_square_walls(spec, HIRO_WALLS_M)
+        else:
+            add_grid(spec, GATHER)
+        body.add_to(spec)
+        return spec
+
+    @property
+    def layout(self) -> tuple[ObservationElement, ...]:
+        """The robot's qpos and qvel, two kinds of readings, time; in hiro the time before the readings."""
+        readings = tuple(
+            element
+            for kind in ("food", "poison")
+            for number in range(NUM_BINS)
+            for element in elements([f"{kind}_{number}"], _sector(kind, number, self.options.spec), low=0.0, high=1.0)
+        )
+        time = self._time_layout(OBSERVED_TIME_SCALE[self.options.spec])
+        if self.options.spec == "hiro":
+            return self._robot_layout() + time + readings
+        return self._robot_layout() + readings + time
+
+    @property
+    def terminated(self) -> BoolArray:
+        """Whether the robot has fallen [N]; in hiro also whether nothing is left."""
+        fallen = self.body.fallen(self.sim.qpos)
+        return fallen | ~self.present.any(axis=(1, 2)) if self.options.spec == "hiro" else fallen
+
+    @property
+    def score(self) -> F64Array:
+        """Highest running return in the episode, at least 0 [N]; 0 after a divergence."""
+        return self._best_return * ~self.sim.diverged
+
+    @property
+    def success(self) -> BoolArray:
+        """Whether the score is above 0 [N]: more food than poison at some time."""
+        return self.score > 0
+
+    @property
+    def distance(self) -> F64Array:
+        """Distance to the nearest piece of food left [N], in metres; infinity where none is left."""
+        left = np.where(self.present[:, 0], self._squared_distance[:, 0], np.inf)
+        return np.sqrt(left.min(axis=1))
+
+    @property
+    def counts(self) -> dict[str, IntArray]:
+        """Pieces of food and of poison collected [N]."""
+        return {"food": self.food, "poison": self.poison}
+
+    def markers(self, episode: int) -> list[Marker]:
+        """Return what lies there, as balls."""
+        objects, present = to_host(self.objects[episode]), to_host(self.present[episode])
+        return [
+            ball((*place, MARKER_RADIUS_M), MARKER_RADIUS_M, color)
+            for kind, color in enumerate((FOOD, POISON))
+            for place in objects[kind][present[kind]]
+        ]
+
+    @property
+    def objects(self) -> F64Array:
+        """Places [N, kind, object, xy] in metres: kind 0 is food, kind 1 poison. A view."""
+        return np.moveaxis(self._places, 0, -1)
+
+    @property
+    def food(self) -> IntArray:
+        """Pieces of food collected [N]."""
+        return NUM_OBJECTS - self.present[:, 0].sum(axis=1)
+
+    @property
+    def poison(self) -> IntArray:
+        """Pieces of poison collected [N]."""
+        return NUM_OBJECTS - self.present[:, 1].sum(axis=1)
+
+    def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        draw = _draw_lattice if self.options.spec == "hiro" else _draw_places
+        drawn = np.stack([draw(rng, 2 * NUM_OBJECTS) for rng in rngs])  # [ids, object of any kind, xy]
+        places = np.moveaxis(drawn, -1, 0).reshape(2, len(ids), 2, NUM_OBJECTS)
+        rows = self.xp.asarray(ids)
+        self._places[:, rows] = self.xp.asarray(places)
+        self.present[rows] = True
+        self._best_return[rows] = 0
+        self._measure()
+
+    def _measure(self) -> None:
+        """Measure from every robot to its objects."""
+        np.subtract(self._places, self.position.T[:, :, None, None], out=self._offset)
+        squares = self._offset * self._offset
+        np.add(squares[0], squares[1], out=self._squared_distance)
+
+    def _update_features(self) -> F64Array:
+        self._measure()
+        reward: F64Array = self.xp.zeros(self.num_episodes)
+        collects_nothing = self.sim.diverged
+        if self.options.spec == "hiro" and self.options.fall_penalty:
+            fallen = self.body.fallen(self.sim.qpos)
+            reward = np.where(fallen, HIRO_FALL_REWARD, reward)
+            collects_nothing = collects_nothing | fallen
+        caught = self.present & (self._squared_distance < CATCH_RANGE_M**2)
+        if self.xp is not np or caught.any():  # asking a device takes longer than doing it
+            caught &= ~collects_nothing[:, None, None]
+            self.present ^= caught
+            counts = caught.sum(axis=2)
+            reward += counts[:, 0] * FOOD_REWARD + counts[:, 1] * POISON_REWARD
+            np.maximum(self._best_return, self.running_return + reward, out=self._best_return)
+        return reward
+
+    def observe(self) -> F64Array:
+        """Return robot, readings after this step's pickups, and time [N, O]."""
+        nq, nv = self.body.num_qpos, self.body.num_qvel
+        is_hiro = self.options.spec == "hiro"
+        out = self._observation
+        out[:, :nq] = self.sim.qpos
+        self._write_velocity(self.sim.qvel, out[:, nq : nq + nv])
+        readings = slice(nq + nv + 1, None) if is_hiro else slice(nq + nv, -1)
+        out[:, readings] = self._readings()
+        time_scale = OBSERVED_TIME_SCALE[self.options.spec]
+        np.multiply(self.time, time_scale, out=out[:, nq + nv if is_hiro else -1])
+        return out
+
+    def _readings(self) -> F64Array:
+        """Return the reading of the nearest object in each bin [N, kind * bin], 0 where there is none.
+
+        `1 - d^2 / range^2` in shes, `1 - d / range` in hiro.
+        """
+        sensor_range = SENSOR_RANGE_M[self.options.spec]
+        if self.xp is np:
+            seen = np.flatnonzero(self.present & (self._squared_distance < sensor_range**2))
+            squared = self._squared_distance.ravel()[seen]
+            x, y = self._offset.reshape(2, -1).take(seen, axis=1)
+            row = seen // NUM_OBJECTS  # an episode's food, then its poison
+            heading, first_bin = self.heading[row // 2], NUM_BINS * row
+        else:
+            # All objects: a device would be waited for to learn which are seen. At the end of the range they read 0.
+            end = sensor_range**2
+            squared = np.minimum(np.where(self.present, self._squared_distance, end), end)
+            x, y = self._offset[0], self._offset[1]
+            heading, first_bin = self.heading[:, None, None], self._first_bin
+        if self.options.spec == "hiro":
+            intensity = 1 - np.sqrt(squared) / sensor_range
+        else:
+            intensity = 1 - squared / sensor_range**2
+        bearing = np.arctan2(y, x) - heading
+        turn = bearing / (2 * np.pi) + 0.5
+        turn -= np.floor(turn)
+        bins = np.minimum((turn * NUM_BINS).astype(np.intp), NUM_BINS - 1)
+        bins += first_bin
+        readings = self.xp.zeros(2 * self.num_episodes * NUM_BINS)
+        self.xp.maximum.at(readings, bins, intensity)
+        return readings.reshape(self.num_episodes, 2 * NUM_BINS)
+
+
+def _sector(kind: str, number: int, spec: str) -> str:
+    """Return the meaning of a reading."""
+    width = 360 // NUM_BINS
+    first = number * width - 180
+    reading = "1 - d/6" if spec == "hiro" else "1 - d^2/8^2"
+    return (
+        f"{reading} of the nearest {kind} at a bearing of {first} to {first + width} degrees from the heading; "
+        "0 if none is in range"
+    )
+
+
+def _lattice() -> F64Array:
+    """Return the places [any, 2] with even coordinates that objects of the hiro Gather may lie at."""
+    line = np.arange(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, 2.0)
+    places = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    return places[(places**2).sum(axis=1) >= FREE_RADIUS_M**2]
+
+
+_LATTICE = _lattice()
+
+
+def _draw_lattice(rng: np.random.Generator, count: int) -> F64Array:
+    """Draw `count` places [count, 2] with even coordinates, all different, as `_draw_places` does else."""
+    return _LATTICE[rng.permutation(len(_LATTICE))[:count]]
+
+
+def _draw_places(rng: np.random.Generator, count: int) -> F64Array:
+    """Draw `count` places [count, 2] uniform in the activity square, outside the free radius."""
+    places = np.empty((0, 2))
+    while len(places) < count:
+        drawn = rng.uniform(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, (2 * count, 2))
+        places = np.concatenate([places, drawn[(drawn**2).sum(axis=1) >= FREE_RADIUS_M**2]])
+    return places[:count]

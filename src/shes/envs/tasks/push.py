@@ -1,0 +1,24 @@
+"""Push: move a block out of the way. Source: environment specification, Tasks."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from shes.envs.tasks.target_task import TargetTask
+from shes.envs.worlds import PUSH, Grid
+
+__all__ = ["Push"]
+
+
+class Push(TargetTask):
+    """A block stands in the way. Pushed straight ahead it closes the passage; pushed aside it opens it.
+
+    The block weighs 0.2 g, as published, which makes its contacts soft: a point that rams it against a wall sinks in by
+    up to 0.35 m (its centre), an ant's foot by up to 0.54 m, and is pushed out again.
+    """
+
+    name: ClassVar[str] = "push"
+    heeds: ClassVar[frozenset[str]] = frozenset({"target", "evaluation_target", "observe_block"})
+    grid: ClassVar[Grid] = PUSH
+    block_axes: ClassVar[str] = "xy"
+    own_target: ClassVar[tuple[float, ...]] = (0.0, 19.0)

@@ -1,0 +1,160 @@
+"""Reach a target: what Maze, Push and Fall share. Source: environment specification, Tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from shes.arrays import to_host
+from shes.drawing.markers import TARGET, Marker, ball, disc
+from shes.envs.bodies.body import Body
+from shes.envs.observation_spec import ObservationElement, elements
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
+from shes.envs.worlds import Grid, add_grid, empty_world
+from shes.errors import ConfigError
+from shes.sim.cpu import CpuSimulator
+from shes.types import BoolArray, F64Array, IntArray
+
+__all__ = ["SUCCESS_DISTANCE_M", "TargetTask"]
+
+SUCCESS_DISTANCE_M = 5.0
+
+
+class TargetTask(Task):
+    """A robot is to come within 5 m of a target; it is paid the negative distance."""
+
+    specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
+    grid: ClassVar[Grid]
+    """The world."""
+    block_axes: ClassVar[str] = ""
+    """Axes that the block of the world moves along, in the order of its coordinates; none without a block."""
+    own_target: ClassVar[tuple[float, ...]]
+    """The target that evaluation has if no option says otherwise, x and y or x, y and z, in metres."""
+    target_scale: ClassVar[float] = 1.0
+    """The target is observed times this, in shes."""
+    description: ClassVar[TaskDescription] = TaskDescription(
+        reward="minus the distance to the target, in metres",
+        ends="never",
+        score="1 if the last distance is below 5 m, else 0",
+        success="the distance is below 5 m",
+    )
+
+    def __init__(
+        self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
+    ) -> None:
+        """Build the world for `body` and `num_episodes` simulations of it."""
+        super().__init__(body, num_episodes, options, simulator)
+        self.target: F64Array = self.xp.tile(self.xp.asarray(self.own_target, dtype=np.float64), (num_episodes, 1))
+        """Targets [N, 2] or [N, 3] in metres."""
+        self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
+
+    @classmethod
+    def _check(cls, options: TaskOptions) -> None:
+        super()._check(options)
+        for name in ("target", "evaluation_target"):
+            place = getattr(options, name)
+            if place is not None and len(place) != len(cls.own_target):
+                raise ConfigError(
+                    f"{name} of {cls.name} must be {len(cls.own_target)} coordinates in metres, got {place}. "
+                    f"Set --{name.replace('_', '-')}."
+                )
+
+    @classmethod
+    def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
+        """Return the world of the grid."""
+        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, has_block=bool(cls.block_axes))
+        body.add_to(spec, cls.ground_m)
+        add_grid(spec, cls.grid)
+        return spec
+
+    @property
+    def observes_block(self) -> bool:
+        """Whether the block's place and velocity are observed."""
+        if not self.block_axes:
+            return False
+        asked = self.options.observe_block
+        return self.options.spec == "shes" if asked is None else asked
+
+    @property
+    def layout(self) -> tuple[ObservationElement, ...]:
+        """The qpos and qvel of the robot, each with the block's behind it, time, target."""
+        axes = self.block_axes if self.observes_block else ""
+        pose = elements([f"block_{axis}" for axis in axes], "{}: how far the block has moved along it", "m")
+        velocity = elements([f"block_v{axis}" for axis in axes], "{}: velocity of the block", "m/s")
+        scale = "" if self._target_scale == 1 else f", times {self._target_scale}"
+        return (
+            *self.body.pose,
+            *pose,
+            *self._clipped((*self.body.velocity, *velocity)),
+            *self._time_layout(),
+            *elements([f"target_{axis}" for axis in "xyz"[: len(self.own_target)]], f"{{}}{scale}", "m"),
+        )
+
+    @property
+    def _target_scale(self) -> float:
+        return self.target_scale if self.options.spec == "shes" else 1.0
+
+    @property
+    def primitive_view(self) -> IntArray:
+        """In hiro the target is for the controller alone."""
+        seen = np.arange(self.observation_size)
+        return seen[: -len(self.own_target)] if self.options.spec == "hiro" else seen
+
+    @property
+    def distance(self) -> F64Array:
+        """Distance to the target [N], in as many coordinates as it has."""
+        offset = self.sim.qpos[:, : self.target.shape[1]] - self.target
+        offset *= offset
+        total = offset[:, 0]
+        for axis in range(1, offset.shape[1]):
+            total = total + offset[:, axis]
+        return np.sqrt(total)
+
+    @property
+    def success(self) -> BoolArray:
+        """Whether the target is nearer than 5 m [N]."""
+        return (self.distance < SUCCESS_DISTANCE_M) & ~self.sim.diverged
+
+    @property
+    def score(self) -> F64Array:
+        """1 where the target is nearer than 5 m, else 0 [N]."""
+        return self.success.astype(np.float64)
+
+    def markers(self, episode: int) -> list[Marker]:
+        """Return the target, and the circle that counts."""
+        x, y, *_ = to_host(self.target[episode])
+        ring = disc((x, y, self.ground_m + 0.02), SUCCESS_DISTANCE_M, (*TARGET[:3], 0.25), height=0.01)
+        return [ring, ball((x, y, self.ground_m + 0.5), 0.5, TARGET)]
+
+    def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        chosen = np.array([self._choose_target(rng) for rng in rngs])
+        self.target[self.xp.asarray(ids)] = self.xp.asarray(chosen)
+
+    def _choose_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
+        """Return the target of an episode: fixed ones draw nothing."""
+        if self.options.evaluation:
+            return self.options.evaluation_target or self.own_target
+        return self.options.target or self._training_target(rng)
+
+    def _training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
+        """Return the target of training where no option fixes it."""
+        return self.own_target
+
+    def _update_features(self) -> F64Array:
+        return -self.distance
+
+    def observe(self) -> F64Array:
+        """Return robot and block, time, target [N, O]."""
+        nq, nv = self.body.num_qpos, self.body.num_qvel
+        if self.observes_block:
+            nq, nv = nq + len(self.block_axes), nv + len(self.block_axes)
+        out = self._observation
+        out[:, :nq] = self.sim.qpos[:, :nq]
+        self._write_velocity(self.sim.qvel[:, :nv], out[:, nq : nq + nv])
+        np.multiply(self.time, TIME_SCALE, out=out[:, nq + nv])
+        np.multiply(self.target, self._target_scale, out=out[:, nq + nv + 1 :])
+        return out

@@ -1,0 +1,1 @@
+"""What a run folder is: configuration, checkpoints, tables, log, provenance."""

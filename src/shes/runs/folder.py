@@ -1,0 +1,232 @@
+"""The run folder: where it keeps what, and that there is exactly one run in it."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import fields, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
+from shes.runs.checkpoint import Checkpoint, load_checkpoint
+from shes.runs.config import TrainConfig, in_words_of_today
+from shes.runs.device import device_changes
+from shes.runs.provenance import provenance
+from shes.runs.shipped import find_run, shipped_hint, shipped_name
+from shes.storage import storage_errors, write_atomically
+
+__all__ = ["RunFolder", "new_folder"]
+
+_FORMAT = 1
+
+
+def new_folder(config: TrainConfig) -> Path:
+    """Make a new folder below `runs/` in the working directory; no two runs are given the same one.
+
+    Raises:
+        StorageError: It cannot be made.
+    """
+    name = f"{config.env}-{config.preset}-seed{config.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    number = 1
+    while True:
+        path = Path("runs") / (name if number == 1 else f"{name}-{number}")
+        with storage_errors(path), suppress(FileExistsError):
+            path.mkdir(parents=True)
+            return path
+        number += 1
+
+
+class RunFolder:
+    """`config.json`, `progress.csv`, `evaluation.csv`, `checkpoints/`, `tensorboard/`, `log.txt`."""
+
+    def __init__(self, path: Path) -> None:
+        """Name the files below `path`; use `create` or `open`."""
+        self.path = path
+        self.config = path / "config.json"
+        self.progress = path / "progress.csv"
+        self.evaluation = path / "evaluation.csv"
+        self.checkpoints = path / "checkpoints"
+        self.tensorboard = path / "tensorboard"
+        self.log = path / "log.txt"
+        self._lock = path / ".lock"
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep other processes from running in this folder.
+
+        Raises:
+            RunFolderError: Another process does, or the folder is that of a shipped agent.
+            StorageError: The folder cannot be written.
+        """
+        self._refuse_shipped()
+        with storage_errors(self._lock):
+            file = self._lock.open("w")
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise RunFolderError(
+                    f"{self.path} is in use: a run is being trained in it. Wait for its end, or choose another folder."
+                ) from error
+            yield
+
+    def _refuse_shipped(self) -> None:
+        """Refuse to write into a shipped agent.
+
+        Raises:
+            RunFolderError: This is the folder of one.
+        """
+        name = shipped_name(self.path)
+        if name is not None:
+            raise RunFolderError(
+                f"{name} is a shipped agent, part of the package, and nothing is written into it. Begin a run with its "
+                f"primitive: shes train ENV --primitive {name}. Or copy {self.path} to a folder of your own, with its "
+                "checkpoints/best.npz as checkpoints/last.npz, and resume that."
+            )
+
+    @classmethod
+    def create(cls, path: Path) -> RunFolder:
+        """Make a folder at `path`; it holds a run as soon as `record_start` has written its record.
+
+        Raises:
+            RunFolderError: `path` already holds a run or parts of one, or is a file.
+            StorageError: It cannot be written.
+        """
+        folder = cls(path)
+        if folder.config.exists():
+            raise RunFolderError(
+                f"{path} already holds a run. Go on with it by `shes resume {path}`, "
+                "or choose another folder with --out."
+            )
+        if path.exists() and not path.is_dir():
+            raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
+        # A start that was cut short leaves a lock and first checkpoints; whatever else is there is not ours.
+        checkpoints = [] if folder._lock.exists() else folder.checkpoints.glob("*.npz")
+        for taken in (folder.progress, folder.evaluation, *checkpoints):
+            if taken.exists():
+                raise RunFolderError(
+                    f"{path} holds {taken.relative_to(path)} but no config.json: parts of a run, or another program's "
+                    "files. Choose another folder with --out."
+                )
+        with storage_errors(path):
+            folder.checkpoints.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    @classmethod
+    def open(cls, run: Path | str) -> RunFolder:
+        """Return the run folder `run`: a path, or the name of a shipped agent.
+
+        Raises:
+            RunFolderError: `run` is neither.
+        """
+        folder = cls(find_run(run))
+        if not folder.config.is_file():
+            what = "does not exist" if not folder.path.exists() else "is not a run folder: it has no config.json"
+            raise RunFolderError(
+                f"{folder.path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
+            )
+        return folder
+
+    def read_config(self) -> TrainConfig:
+        """Return the settings of the run.
+
+        Raises:
+            RunFolderError: `config.json` is damaged.
+            ConfigError: A setting in it is unknown, or its value is not allowed.
+        """
+        record = self.read_record()
+        try:
+            return TrainConfig.from_dict(record["config"])
+        except (KeyError, TypeError, AttributeError) as error:
+            raise RunFolderError(f"{self.config} is damaged: {error!r}. Restore it from a copy.") from error
+        except (ConfigError, UnknownNameError) as error:
+            raise ConfigError(f"{self.config}: {error}") from error
+
+    def record_start(self, config: TrainConfig, origins: Mapping[str, Mapping[str, Any]]) -> None:
+        """Write down what the run is, and which levels (`primitive`, `controller`) it has from other runs.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
+        record = {"format": _FORMAT, "config": config.to_dict(), **origins, **provenance(config.device), "resumed": []}
+        self.write_record(record)
+
+    def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
+        """Write down that the run went on from `generation`; return what is other than before, on what numbers depend.
+
+        Versions are compared with those that the run began with, the device with that of the part before.
+        """
+        record = self.read_record()
+        here, began = provenance(config.device), record.get("versions", {})
+        changes = [
+            f"{name} {began.get(name)} -> {now}" for name, now in here["versions"].items() if began.get(name) != now
+        ]
+        before = [record, *record.get("resumed", [])][-1].get("device", {"name": "cpu"})
+        changes += device_changes(before, here["device"])
+        record["config"] = config.to_dict()
+        record["resumed"] = [*record.get("resumed", []), {"generation": generation, **here}]
+        self.write_record(record)
+        return changes
+
+    def checkpoint_path(self, name: str | int) -> Path:
+        """Return the file of checkpoint `name`: `last`, `best` or the number of a generation."""
+        return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
+
+    def load(self, name: str | int) -> Checkpoint:
+        """Return checkpoint `name` of this run.
+
+        Raises:
+            CheckpointError: It is missing, damaged, or of another run.
+        """
+        path, agent = self.checkpoint_path(name), shipped_name(self.path)
+        if agent is not None and not path.is_file():
+            raise CheckpointError(
+                f"the shipped agent {agent} has the checkpoint best alone, got {name!r}. Leave --checkpoint away."
+            )
+        checkpoint, config = load_checkpoint(path), self.read_config()
+        mine = config.numbers()
+        # Settings that came after the checkpoint was written have their defaults, which change nothing.
+        missing = {field.name: field.default for field in fields(TrainConfig) if field.name in mine}
+        checkpoint = replace(checkpoint, numbers={**missing, **in_words_of_today(checkpoint.numbers)})
+        if checkpoint.numbers != mine:
+            keys = sorted(mine.keys() | checkpoint.numbers.keys())
+            other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]
+            shown = ", ".join(f"{key} is {checkpoint.numbers.get(key)!r}, not {mine.get(key)!r}" for key in other[:3])
+            raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
+        levels = tuple(level.name for level in checkpoint.state.levels)
+        if levels != config.level_names:  # version 0.1 trained a controller on flagrun, too
+            raise CheckpointError(
+                f"{path} has the levels {', '.join(levels)}, but a run of {config.env} has "
+                f"{', '.join(config.level_names)} now. Use the version that wrote it (config.json of the run names it)."
+            )
+        return checkpoint
+
+    def read_record(self) -> dict[str, Any]:
+        """Return what `config.json` holds: the settings, and what made the run.
+
+        Raises:
+            RunFolderError: It is damaged, or of another format.
+        """
+        try:
+            record = json.loads(self.config.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise RunFolderError(f"{self.config} cannot be read: {error}. Restore it from a copy.") from error
+        if not isinstance(record, dict) or record.get("format") != _FORMAT:
+            raise RunFolderError(
+                f"{self.config} is not the record of a SHES run of format {_FORMAT}. Give the folder that `shes train` "
+                "printed; a run of another version of SHES needs that version."
+            )
+        return record
+
+    def write_record(self, record: dict[str, Any]) -> None:
+        """Write `config.json`.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
+        text = json.dumps(record, indent=2) + "\n"
+        write_atomically(self.config, lambda file: file.write(text.encode()))

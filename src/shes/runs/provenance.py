@@ -1,0 +1,53 @@
+"""When, where, by what command and with what versions a run was made."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from shes.runs.device import device_facts
+
+__all__ = ["provenance"]
+
+_PACKAGES = ("shes", "mujoco", "numpy")
+
+
+def provenance(device: str) -> dict[str, Any]:
+    """Return what a run writes down of this process, which computes on `device`."""
+    versions = {name: metadata.version(name) for name in _PACKAGES}
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
+        "versions": {"python": platform.python_version(), **versions},
+        "git_commit": _git_commit(),
+        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
+        "device": device_facts(device),
+    }
+
+
+def _git_commit() -> str | None:
+    """Return the commit of this package's source tree; None where the package is not part of a repository."""
+    here = Path(__file__)
+    try:
+        for command in (["ls-files", "--error-unmatch", here.name], ["rev-parse", "HEAD"]):
+            asked = subprocess.run(
+                ["git", *command], cwd=here.parent, capture_output=True, text=True, check=True, timeout=5
+            )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return asked.stdout.strip()
+
+
+def _processor() -> str:
+    """Return the processor's name: results repeat to the bit only on processors with the same features."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())

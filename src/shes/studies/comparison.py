@@ -1,0 +1,125 @@
+"""Comparisons of a study's variants, with the base and with each other: means, intervals, permutation tests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+
+import numpy as np
+
+from shes.runs.tables import Row
+from shes.studies.design import StudyDesign
+from shes.studies.study import Study
+from shes.studies.tables import Summary
+from shes.types import F64Array
+from shes.viewing.plot import interval
+
+__all__ = ["Comparison", "compare", "holm", "permutation_test"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """A variant on a task, beside another one: a row of `comparison.csv`."""
+
+    group: str
+    variant: str
+    env: str
+    seeds: int
+    score_mean: float
+    score_low: float
+    """The interval of the mean over seeds, 95 %, by bootstrap."""
+    score_high: float
+    against: str | None = None
+    """The other variant; none for the base itself."""
+    difference: float | None = None
+    """How much higher the mean is than the other one's."""
+    p: float | None = None
+    """Two-sided, by a permutation test of the difference of means."""
+    p_holm: float | None = None
+    """The same, corrected for the comparisons of this group on this task."""
+
+    def row(self) -> Row:
+        """Return its columns."""
+        return asdict(self)
+
+
+def compare(study: Study, summaries: Mapping[str, Summary]) -> list[Comparison]:
+    """Return every variant of which a run is finished, compared with the base of its task, and in pairs."""
+    design, scores = study.design, dict[tuple[str, str, str], list[float]]()
+    for cell in study.cells:
+        if cell.name in summaries and cell.env in design.metrics:
+            place = (cell.env, cell.group, cell.variant)
+            scores.setdefault(place, []).append(summaries[cell.name].row[design.metrics[cell.env].column])
+    found: list[Comparison] = []
+    for env in design.metrics:
+        for group in design.groups:
+            variants = {variant: np.array(v) for (e, g, variant), v in scores.items() if (e, g) == (env, group)}
+            base = scores.get((env, *design.base))
+            found += _compare_group(design, group, env, variants, None if base is None else np.array(base))
+    return found
+
+
+def _compare_group(
+    design: StudyDesign, group: str, env: str, variants: dict[str, F64Array], base: F64Array | None
+) -> list[Comparison]:
+    """Return the comparisons of a group on a task, corrected for their number."""
+    pairs: list[tuple[str, str | None, F64Array | None]] = []
+    for variant in variants:
+        is_base = (group, variant) == design.base or base is None
+        pairs.append((variant, None, None) if is_base else (variant, design.base[1], base))
+    for first, second in design.paired.get(group, ()):
+        if first in variants and second in variants:
+            pairs.append((second, first, variants[first]))
+    tests = [None if other is None else permutation_test(variants[variant], other) for variant, _, other in pairs]
+    corrected = iter(holm([p for p in tests if p is not None]))
+    found: list[Comparison] = []
+    for (variant, against, other), p in zip(pairs, tests, strict=True):
+        values = variants[variant]
+        low, high = interval(values[:, None])
+        found.append(
+            Comparison(
+                group=group,
+                variant=variant,
+                env=env,
+                seeds=len(values),
+                score_mean=float(values.mean()),
+                score_low=float(low[0]),
+                score_high=float(high[0]),
+                against=against,
+                difference=None if other is None else float(values.mean() - other.mean()),
+                p=p,
+                p_holm=None if p is None else next(corrected),
+            )
+        )
+    return found
+
+
+def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_000, seed: int = 0) -> float:
+    """Return the two-sided p of the difference of means between `first` [N] and `second` [M].
+
+    It is the share of divisions of all values into N and M whose difference is at least as large: of all of them, if
+    there are no more than `permutations`, else of so many random ones, with the division at hand as one more, so that
+    p is never 0 (Phipson and Smyth 2010).
+    """
+    pooled, count = np.concatenate([first, second]), len(first)
+    tolerance = 1e-12 * max(1.0, float(np.abs(pooled).max()))  # equal sums in another order
+    least = abs(first.mean() - second.mean()) - tolerance
+    if math.comb(len(pooled), count) <= permutations:
+        chosen = np.array(list(combinations(range(len(pooled)), count)))
+        sums = pooled[chosen].sum(axis=1)
+        differences = np.abs(sums / count - (pooled.sum() - sums) / (len(pooled) - count))
+        return float(np.mean(differences >= least))
+    shuffled = np.random.default_rng(seed).permuted(np.tile(pooled, (permutations, 1)), axis=1)
+    differences = np.abs(shuffled[:, :count].mean(axis=1) - shuffled[:, count:].mean(axis=1))
+    return float((1 + np.count_nonzero(differences >= least)) / (1 + permutations))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return `p_values` corrected for their number by Holm's step-down method (1979)."""
+    order = np.argsort(p_values, kind="stable")
+    corrected = np.empty(len(order))
+    steps = np.asarray(p_values, dtype=np.float64)[order] * np.arange(len(order), 0, -1)
+    corrected[order] = np.minimum(1.0, np.maximum.accumulate(steps))
+    return corrected.tolist()

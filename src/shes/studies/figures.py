@@ -1,0 +1,237 @@
+"""Figures of a study, by its design: variants below each other, what factors of settings do, learning curves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import blended_transform_factory
+
+from shes.storage import write_atomically
+from shes.studies.comparison import Comparison
+from shes.studies.design import Curves, Forest, Sweep, sweep_name
+from shes.studies.study import Study
+from shes.studies.tables import Cell, Summary
+from shes.types import F64Array
+from shes.viewing.plot import interval
+
+__all__ = ["draw_figures"]
+
+_WIDTH = 10.0
+"""Inches: at 100 % of a page of 900 pixels, text is as large as the page's own."""
+_DPI = 150
+_BASE_COLOR, _COLOR = "#1f77b4", "#c44e00"
+_Place = tuple[str, str, str]
+"""Environment, group, variant."""
+
+
+class _Results:
+    """The finished cells of a study by place, seed after seed."""
+
+    def __init__(self, study: Study, summaries: Mapping[str, Summary], comparisons: Sequence[Comparison]) -> None:
+        self.design = study.design
+        self.summaries: dict[_Place, list[Summary]] = {}
+        self.cells: dict[_Place, Cell] = {}
+        for cell in study.cells:
+            place = (cell.env, cell.group, cell.variant)
+            self.cells[place] = cell
+            if cell.name in summaries:
+                self.summaries.setdefault(place, []).append(summaries[cell.name])
+        self._p = {(c.env, c.group, c.variant): c.p_holm for c in comparisons if c.against == study.design.base[1]}
+
+    def scores(self, place: _Place) -> F64Array:
+        """Return what is compared, of every seed."""
+        column = self.design.metrics[place[0]].column
+        return np.array([summary.row[column] for summary in self.summaries.get(place, ())], dtype=np.float64)
+
+    def p(self, place: _Place) -> str:
+        """Return the corrected p against the base, in words; their heading beside the base itself."""
+        p = self._p.get(place)
+        if p is None:
+            return "against base" if place[1:] == self.design.base else ""
+        return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
+
+    def has(self, *groups: str) -> bool:
+        """Tell whether a cell of one of `groups`, other than the base, is finished."""
+        return any(place[1] in groups and place[1:] != self.design.base for place in self.summaries)
+
+    def variants(self, env: str, group: str) -> list[_Place]:
+        """Return the base of `env` and the variants of `group`, in the order of the study, if anything is finished."""
+        own = [place for place in self.cells if place[:2] == (env, group) and place[1:] != self.design.base]
+        return [place for place in ((env, *self.design.base), *own) if place in self.summaries]
+
+
+def draw_figures(
+    study: Study, summaries: Mapping[str, Summary], comparisons: Sequence[Comparison], out: Path
+) -> list[Path]:
+    """Draw what the finished cells of a study show into `out`; return the pictures.
+
+    They are those of the study's design, each if a cell of it is finished.
+
+    Raises:
+        StorageError: A picture cannot be written.
+    """
+    results = _Results(study, summaries, comparisons)
+    drawn: list[Path] = []
+    for asked in study.design.figures:
+        if results.has(*asked.groups):
+            with _style():
+                figure = _draw(results, asked)
+            try:
+                write_atomically(out / asked.file, lambda file, figure=figure: figure.savefig(file, format="png"))
+            finally:
+                plt.close(figure)
+            drawn.append(out / asked.file)
+    return drawn
+
+
+def _draw(results: _Results, asked: Forest | Sweep | Curves) -> Figure:
+    """Draw the figure that is asked for."""
+    if isinstance(asked, Forest):
+        return _draw_forest(results, asked)
+    if isinstance(asked, Sweep):
+        return _draw_sweep(results, asked)
+    return _draw_curves(results, asked)
+
+
+def _title(env: str) -> str:
+    """Return an environment's name as a heading."""
+    return env.replace("-", " ").title()
+
+
+@contextmanager
+def _style() -> Iterator[None]:
+    """Draw without a box around, and with letters of one size."""
+    with plt.rc_context({"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": _DPI, "font.size": 10}):
+        yield
+
+
+def _draw_forest(results: _Results, figure_of: Forest) -> Figure:
+    """Draw a panel per environment: every variant of the group with its seeds, its mean and its interval."""
+    envs = list(results.design.metrics)
+    panels = {env: results.variants(env, figure_of.group) for env in envs}
+    heights = [max(1, len(places)) for places in panels.values()]
+    figure, axes = plt.subplots(
+        len(envs),
+        1,
+        figsize=(_WIDTH, sum(1.0 + 0.36 * height for height in heights)),
+        height_ratios=heights,
+        layout="constrained",
+        squeeze=False,
+    )
+    for axis, (env, places) in zip(axes[:, 0], panels.items(), strict=True):
+        _forest(axis, results, env, places)
+        axis.set_xlabel(f"{results.design.metrics[env].words}: each seed, mean with its 95 % interval")
+    return figure
+
+
+def _forest(axis: Axes, results: _Results, env: str, places: Sequence[_Place]) -> None:
+    """Draw the variants at `places` below each other."""
+    rng = np.random.default_rng(0)
+    for y, place in enumerate(places):
+        values = results.scores(place)
+        is_base = place[1:] == results.design.base
+        color = _BASE_COLOR if is_base else _COLOR
+        heights = y + rng.uniform(-0.16, 0.16, len(values))  # seeds of one score stay apart
+        axis.scatter(values, heights, s=14, color=color, alpha=0.35, linewidth=0)
+        low, high = interval(values[:, None])
+        axis.plot([low[0], high[0]], [y, y], color=color, linewidth=2)
+        axis.plot(values.mean(), y, "D", color=color, markersize=6, markeredgecolor="white")
+        beside = blended_transform_factory(axis.transAxes, axis.transData)
+        axis.text(1.01, y, results.p(place), transform=beside, va="center", fontsize="small")
+        if is_base:
+            axis.axvline(values.mean(), color=_BASE_COLOR, linewidth=1, alpha=0.5, zorder=0)
+    axis.set_yticks(range(len(places)), [results.design.label(place[2]) for place in places])
+    axis.set_ylim(max(1, len(places)) - 0.5, -0.5)
+    axis.set_title(_title(env), loc="left", fontweight="bold")
+    axis.grid(axis="x", alpha=0.3)
+
+
+def _draw_sweep(results: _Results, figure_of: Sweep) -> Figure:
+    """Draw a row per environment and a column per setting: mean and interval over the factor."""
+    metrics = results.design.metrics
+    height = max(3.4, 2.6 * len(metrics))
+    figure, axes = plt.subplots(
+        len(metrics),
+        len(figure_of.settings),
+        figsize=(_WIDTH, height),
+        layout="constrained",
+        sharey="row",
+        squeeze=False,
+    )
+    for row, env in zip(axes, metrics, strict=True):
+        for axis, setting in zip(row, figure_of.settings, strict=True):
+            _sensitivity(axis, results, env, figure_of, setting)
+        row[0].set_ylabel(f"{_title(env)}\n{metrics[env].short or metrics[env].words}")
+    for axis, setting in zip(axes[0], figure_of.settings, strict=True):
+        axis.set_title(setting.replace("_", " "), fontsize="medium")
+    return figure
+
+
+def _sensitivity(axis: Axes, results: _Results, env: str, figure_of: Sweep, setting: str) -> None:
+    """Draw what the factors of a setting do on a task, the base in the middle."""
+    places = {factor: (env, figure_of.group, sweep_name(setting, factor)) for factor in figure_of.factors}
+    places = dict(sorted({**places, 1.0: (env, *results.design.base)}.items()))
+    found = {factor: values for factor, place in places.items() if len(values := results.scores(place))}
+    bounds = [interval(values[:, None]) for values in found.values()]
+    means = [values.mean() for values in found.values()]
+    axis.fill_between(
+        list(found),
+        [low[0] for low, _ in bounds],
+        [high[0] for _, high in bounds],
+        color=_COLOR,
+        alpha=0.2,
+        linewidth=0,
+    )
+    axis.plot(list(found), means, "o-", color=_COLOR, markersize=4)
+    if 1.0 in found:
+        axis.plot(1.0, found[1.0].mean(), "D", color=_BASE_COLOR, markersize=7, markeredgecolor="white")
+        axis.axhline(found[1.0].mean(), color=_BASE_COLOR, linewidth=1, alpha=0.5, zorder=0)
+    axis.set_xscale("log", base=2)
+    labels = [f"{results.cells[place].settings[setting]:g}" for place in places.values()]
+    axis.set_xticks(list(places), labels, fontsize="small", rotation=45)
+    axis.minorticks_off()
+    axis.set_xlim(0.8 * min(places), 1.25 * max(places))
+    axis.grid(alpha=0.3)
+
+
+def _draw_curves(results: _Results, figure_of: Curves) -> Figure:
+    """Draw what is measured over environment steps, panel beside panel."""
+    panels = figure_of.panels
+    lines = max(len(panel.curves) for panel in panels)
+    figure, axes = plt.subplots(
+        1, len(panels), figsize=(_WIDTH, 3.2 + 0.2 * lines), layout="constrained", squeeze=False
+    )
+    for axis, panel in zip(axes[0], panels, strict=True):
+        measure = results.design.curves[panel.env]
+        for number, (group, variant, words) in enumerate(panel.curves):
+            place = (panel.env, group, variant)
+            if place in results.summaries:
+                name = words or results.design.label(variant)
+                _draw_curve(axis, results.summaries[place], measure.column, name, f"C{number}")
+        axis.set_title(panel.title, fontsize="medium", fontweight="bold")
+        axis.set_ylabel(measure.words)
+        axis.set_xlabel("thousand environment steps")
+        axis.grid(alpha=0.3)
+        if axis.lines:
+            axis.legend(fontsize="small", frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.22))
+    return figure
+
+
+def _draw_curve(axis: Axes, runs: Sequence[Summary], column: str, name: str, color: str) -> None:
+    """Draw the mean of the seeds and its interval, where all of them reach."""
+    steps = [np.array([row["env_steps"] for row in run.curve], dtype=np.float64) for run in runs]
+    scores = [np.array([row[column] for row in run.curve], dtype=np.float64) for run in runs]
+    start, end = max(x[0] for x in steps), min(x[-1] for x in steps)
+    places = np.concatenate(steps)
+    grid = np.unique(places[(places >= start) & (places <= end)])
+    values = np.stack([np.interp(grid, x, y) for x, y in zip(steps, scores, strict=True)])
+    low, high = interval(values)
+    words = f"{name} ({len(runs)} seed{'s' * (len(runs) != 1)})"
+    axis.plot(grid / 1000, values.mean(axis=0), color=color, label=words)
+    axis.fill_between(grid / 1000, low, high, color=color, alpha=0.2, linewidth=0)

@@ -1,0 +1,160 @@
+"""The tables of a study. They are enough to go on from where the run folders, a gigabyte, are gone."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from shes.errors import RunFolderError
+from shes.runs.tables import Row
+from shes.storage import write_atomically
+
+__all__ = ["Cell", "Summary", "read_tables", "write_csv", "write_tables"]
+
+_SETTINGS = "settings"  # the column that says of which settings a row is
+_PLACE = ("group", "variant", "env", "seed")
+_WORDS = frozenset({"group", "variant", "env", _SETTINGS})  # columns that are no numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One run of a study."""
+
+    group: str
+    """Which question it belongs to."""
+    variant: str
+    """What is changed; runs of one variant differ in the seed alone."""
+    env: str
+    seed: int
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the run by name, over those of the preset."""
+    primitive: str | None = None
+    """Name of the cell whose primitive it begins with."""
+    preset: str = "laptop"
+
+    @property
+    def name(self) -> str:
+        """What it is called, and its run folder below that of the study."""
+        return f"{self.env}/{self.group}/{self.variant}/seed-{self.seed}"
+
+    @property
+    def identity(self) -> Row:
+        """The columns by which tables know it."""
+        return {"group": self.group, "variant": self.variant, "env": self.env, "seed": self.seed}
+
+    @property
+    def digest(self) -> str:
+        """What tells its settings from others, in eight letters."""
+        told = json.dumps([self.preset, dict(self.settings), self.primitive], sort_keys=True)
+        return hashlib.sha256(told.encode()).hexdigest()[:8]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """What came of a cell."""
+
+    row: Row
+    """Its row of `runs.csv`."""
+    curve: tuple[Row, ...]
+    """Its rows of `curves.csv`."""
+
+
+def write_tables(cells: Sequence[Cell], summaries: Mapping[str, Summary], out: Path) -> None:
+    """Write `runs.csv`, a row per finished cell, and `curves.csv`, a row per evaluation, in the order of `cells`.
+
+    Rows that are there already and belong to none of `cells` stay, behind these.
+
+    Raises:
+        RunFolderError: A table is damaged.
+        StorageError: They cannot be written.
+    """
+    found = [(cell, summaries[cell.name]) for cell in cells if cell.name in summaries]
+    curves = [{**row, _SETTINGS: cell.digest} for cell, summary in found for row in summary.curve]
+    runs = [{**summary.row, _SETTINGS: cell.digest} for cell, summary in found]
+    own = {_key(cell) for cell in cells}
+    for name, rows in (("curves.csv", curves), ("runs.csv", runs)):
+        others = [row for row in _read(out / name) if _place(row) not in own]
+        write_csv(out / name, [*rows, *others])
+
+
+def read_tables(cells: Sequence[Cell], out: Path) -> dict[str, Summary]:
+    """Return what the tables at `out` say of `cells`, by name; rows of other settings are not theirs.
+
+    Raises:
+        RunFolderError: A table is damaged.
+    """
+    curves: dict[tuple[Any, ...], list[Row]] = {}
+    for row in _read(out / "curves.csv"):
+        curves.setdefault(_place(row), []).append(_without_settings(row))
+    rows = {_place(row): _without_settings(row) for row in _read(out / "runs.csv")}
+    return {
+        cell.name: Summary(row=rows[_key(cell)], curve=tuple(curves[_key(cell)]))
+        for cell in cells
+        if _key(cell) in rows and _key(cell) in curves
+    }
+
+
+def _key(cell: Cell) -> tuple[Any, ...]:
+    return _place({**cell.identity, _SETTINGS: cell.digest})
+
+
+def _without_settings(row: Row) -> Row:
+    return {name: value for name, value in row.items() if name != _SETTINGS}
+
+
+def _place(row: Row) -> tuple[Any, ...]:
+    return tuple(row[name] for name in (*_PLACE, _SETTINGS))
+
+
+def _read(path: Path) -> list[Row]:
+    """Return the rows of a table, none if there is no table.
+
+    Raises:
+        RunFolderError: It is damaged, or does not say of which settings it is.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        for row in rows[:1]:
+            _check_columns(row)
+        return [{name: _value(name, text) for name, text in row.items()} for row in rows]
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, TypeError) as error:
+        raise RunFolderError(f"{path} cannot be read as a table of runs: {error!r}. Move it elsewhere.") from error
+
+
+def _check_columns(row: Mapping[str, str]) -> None:
+    missing = {*_PLACE, _SETTINGS} - row.keys()
+    if missing:
+        raise ValueError(f"it has no column {', '.join(sorted(missing))}")
+
+
+def _value(name: str, text: str) -> Any:
+    """Return what was written as `text`."""
+    if name in _WORDS:
+        return text
+    if not text:
+        return None
+    return int(text) if text.lstrip("-").isdigit() else float(text)
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Write `rows` as a table; None, and a column that a row has not, is an empty place.
+
+    Raises:
+        StorageError: It cannot be written; what was there is untouched.
+    """
+    text = io.StringIO()
+    if rows:
+        columns = dict.fromkeys(name for row in rows for name in row)
+        writer = csv.DictWriter(text, list(columns), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    write_atomically(path, lambda file: file.write(text.getvalue().encode()))

@@ -1,0 +1,114 @@
+"""Trained agents, ready to act: parameters, observation statistics and the goal they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shes.errors import ConfigError, PolicyError, ShapeError
+from shes.es.level import LevelParameters, LevelState
+from shes.runs.config import TrainConfig
+from shes.runs.folder import RunFolder
+from shes.training.build import build_design, build_task
+from shes.types import F64Array, FloatArray
+
+__all__ = ["Agent", "load"]
+
+
+class Agent:
+    """The mean policies of a checkpoint, acting without noise in `num_envs` environments of the trained kind.
+
+    It holds its goal between calls: call `reset` when an episode begins.
+    """
+
+    def __init__(self, config: TrainConfig, levels: tuple[LevelState, ...], num_envs: int = 1) -> None:
+        """Take the policies of `levels`; see `load`."""
+        if num_envs < 1:
+            raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs}.")
+        self.config = config
+        self.num_envs = num_envs
+        task = build_task(config, 1, is_evaluation=True)
+        self._reader = task.reader
+        self.observation_size = task.observation_size
+        task.close()
+        # One policy per environment, so that each has its own clock and can be reset alone.
+        self._agent = build_design(config).make(num_envs, 1)
+        parameters = LevelParameters.of_all(levels)
+        self._agent.normalise_by(parameters)
+        for theta, level in zip(self._agent.theta, parameters, strict=True):
+            theta[:] = level.theta
+        self.reset()
+
+    @property
+    def goal(self) -> F64Array | None:
+        """The goals being held, in the world [num_envs, 2], in metres; none with flat S-ES, which knows no goals."""
+        held = self._agent.goal
+        return None if held is None else held.copy()
+
+    def reset(self, env: int | None = None) -> None:
+        """Begin a new episode in environment `env`, or in all of them: the next `act` sets a new goal."""
+        if env is not None and not 0 <= env < self.num_envs:
+            raise ConfigError(f"env must be from 0 to {self.num_envs - 1}, got {env}: there are {self.num_envs}.")
+        for number in range(self.num_envs) if env is None else (env,):
+            self._agent.start(np.array([number]))
+
+    def act(self, observation: Any, info: Mapping[str, Any] | None = None) -> FloatArray:
+        """Return the action for one step: in [-1, 1], or within the action space's bounds of an external environment.
+
+        Args:
+            observation: What the environment shows: [O], or [num_envs, O] for several; of an external environment
+                also its own observation, a dictionary for example, or that of a vector environment.
+            info: What the environment says beside it; needed where an external environment's position is in it.
+
+        Returns:
+            [A], or [num_envs, A] if several observations were given.
+
+        Raises:
+            ShapeError: `observation` has another shape.
+            PolicyError: `observation` holds NaN or infinity.
+            ConfigError: `info` is needed.
+        """
+        try:
+            rows, is_single = self._reader.rows(observation, self.num_envs)
+        except ShapeError as error:
+            raise ShapeError(
+                f"{error} This agent was trained on {self.config.env}; load it with num_envs=... for several."
+            ) from error
+        if not np.isfinite(rows).all():
+            raise PolicyError(
+                "the observation holds NaN or infinity: the simulation has blown up. Reset the environment."
+            )
+        position, heading = self._reader.locate(rows, info)
+        goal = self._reader.goal(rows, position, heading)
+        action = self._reader.to_action(self.control(rows, position, heading, goal))
+        return action[0] if is_single else action
+
+    def control(self, rows: F64Array, position: F64Array, heading: F64Array, goal: F64Array | None = None) -> F64Array:
+        """Return the controls [num_envs, A] for one step of robots that observe `rows` [num_envs, O].
+
+        Args:
+            rows: What is observed, flat.
+            position: Where the robots are [num_envs, 2], in metres.
+            heading: Their yaw [num_envs], in radians.
+            goal: Where the environment itself tells them to go [num_envs, 2], in metres, if it does.
+        """
+        return self._agent.act(rows, position, heading, goal=goal).astype(np.float64)
+
+
+def load(run: Path | str, *, checkpoint: str = "best", num_envs: int = 1) -> Agent:
+    """Return the agent of a run.
+
+    Args:
+        run: The run folder, or the name of a shipped agent.
+        checkpoint: `best`, `last` or the number of a generation.
+        num_envs: Environments that it acts in at once.
+
+    Raises:
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
+        CheckpointError: The checkpoint is missing or damaged.
+    """
+    folder = RunFolder.open(run)
+    return Agent(folder.read_config(), folder.load(checkpoint).state.levels, num_envs)

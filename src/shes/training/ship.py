@@ -1,0 +1,248 @@
+"""`python -m shes.training.ship RUN NAME ...`: a shipped agent, made out of the best checkpoint of a run.
+
+The agent is complete or it is not there: it is made in a folder beside its place, evaluated, and then moved.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from shes.errors import ConfigError, RunFolderError, ShesError
+from shes.es.optimizers import OptimizerState
+from shes.runs import shipped
+from shes.runs.checkpoint import Checkpoint, save_checkpoint
+from shes.runs.config import TrainConfig
+from shes.runs.folder import RunFolder
+from shes.runs.shipped import AGENT_FILE, FreshEvaluation, ShippedAgent
+from shes.runs.tables import read_csv
+from shes.storage import storage_errors, write_atomically
+from shes.training.evaluate import Evaluation, evaluate
+
+__all__ = ["main", "ship"]
+
+_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_MOST_ROWS = 300
+_DIGITS = 6
+"""Significant digits that the tables keep."""
+_NOTABLY = 0.9
+"""The optimizer's state is left out where the file is smaller than this share of the whole one."""
+
+
+def ship(
+    run: Path | str,
+    name: str,
+    *,
+    description: str,
+    commands: Sequence[str],
+    episodes: int = 200,
+    seed: int | None = None,
+    num_workers: int = 0,
+    into: Path | str | None = None,
+    earlier: Sequence[Path | str] = (),
+) -> ShippedAgent:
+    """Make the shipped agent `name` out of the best checkpoint of `run`, and return what is told of it.
+
+    Args:
+        run: The run folder.
+        name: What it is called: small letters, digits and hyphens.
+        description: What it does, on one line.
+        commands: The commands that made it.
+        episodes: Fresh episodes on which it is evaluated.
+        seed: Seed of the episodes; a stream of the run's own, apart from its training, if none.
+        num_workers: Worker processes; 0 is one for every core.
+        into: Where shipped agents are; the package if none.
+        earlier: Runs that this one went on from, such as its primitive's: their time and steps count, too.
+
+    Raises:
+        RunFolderError: `run` is not a run folder or has no evaluation yet, or there is an agent of this name.
+        ConfigError: The name, the description, the commands or a number is not allowed.
+        StorageError: A file cannot be written.
+    """
+    place = shipped.AGENTS if into is None else Path(into)
+    _check_words(name, description, commands)
+    if (place / name).exists():
+        raise RunFolderError(f"{place / name} is there already. Delete it first, or choose another name.")
+    source = RunFolder.open(run)
+    checkpoint = source.load("best")
+    if checkpoint.best.generation < 0:
+        raise RunFolderError(f"{source.path} has no evaluation yet, and so no best checkpoint. Train it further first.")
+    with storage_errors(place):
+        place.mkdir(exist_ok=True)
+        temporary = TemporaryDirectory(prefix=f".{name}.", dir=place)
+    with temporary:
+        folder = RunFolder.create(Path(temporary.name) / name)
+        _copy(source, checkpoint, folder)
+        found = evaluate(folder.path, episodes=episodes, seed=seed, num_workers=num_workers)
+        agent = _describe(source, checkpoint, found, seed, description, commands)
+        agent = _with_cost_of(agent, [RunFolder.open(Path(each)) for each in earlier])
+        text = json.dumps(agent.to_dict(), indent=2, ensure_ascii=False) + "\n"
+        write_atomically(folder.path / AGENT_FILE, lambda file: file.write(text.encode()))
+        with storage_errors(place / name):
+            folder.path.rename(place / name)
+    return agent
+
+
+def _check_words(name: str, description: str, commands: Sequence[str]) -> None:
+    """Refuse a name, a description or commands that an agent cannot have.
+
+    Raises:
+        ConfigError: There is one.
+    """
+    if not _NAME.fullmatch(name):
+        raise ConfigError(f"name must be small letters, digits and hyphens, e.g. ant-walker, got {name!r}.")
+    if not description.strip() or "\n" in description:
+        raise ConfigError(f"description must be one line of text, got {description!r}. Set --description.")
+    if not commands or not all(command.strip() for command in commands):
+        raise ConfigError(f"commands must name at least one, got {list(commands)!r}. Set --command.")
+
+
+def _describe(
+    run: RunFolder,
+    checkpoint: Checkpoint,
+    found: Evaluation,
+    seed: int | None,
+    description: str,
+    commands: Sequence[str],
+) -> ShippedAgent:
+    """Return what is told of the agent of `checkpoint`, whose evaluation was `found`."""
+    config, progress, summary = run.read_config(), read_csv(run.progress), found.summary()
+    told = [field.name for field in fields(FreshEvaluation) if field.name != "seed"]
+    return ShippedAgent(
+        description=description,
+        env=config.env,
+        commands=tuple(commands),
+        cores=_cores(config, run),
+        hours=round(progress["wall_time_s"][-1] / 3600, 3),
+        env_steps=int(progress["env_steps"][-1]),
+        generation=checkpoint.state.generation,
+        evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in told}),
+    )
+
+
+def _with_cost_of(agent: ShippedAgent, earlier: Sequence[RunFolder]) -> ShippedAgent:
+    """Return `agent` with the time and the steps of the runs before its own."""
+    tables = [read_csv(run.progress) for run in earlier]
+    hours = agent.hours + sum(table["wall_time_s"][-1] for table in tables) / 3600
+    steps = agent.env_steps + sum(int(table["env_steps"][-1]) for table in tables)
+    return replace(agent, hours=round(hours, 3), env_steps=steps)
+
+
+def _copy(source: RunFolder, checkpoint: Checkpoint, target: RunFolder) -> None:
+    """Copy what an agent needs of a run, without paths of this machine."""
+    record = _without_paths(source.read_record())
+    config = TrainConfig.from_dict(record["config"])
+    record["config"] = config.to_dict()
+    target.write_record(record)
+    _copy_checkpoint(replace(checkpoint, numbers=config.numbers()), target.checkpoint_path("best"))
+    for table, copy in ((source.progress, target.progress), (source.evaluation, target.evaluation)):
+        _copy_table(table, copy, checkpoint.state.generation)
+
+
+def _without_paths(value: Any) -> Any:
+    """Return a value of JSON in which absolute paths, also after `--flag=`, are their last parts."""
+    if isinstance(value, dict):
+        return {key: _without_paths(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_paths(item) for item in value]
+    if not isinstance(value, str):
+        return value
+    flag, equals, path = value.partition("=") if value.startswith("--") else ("", "", value)
+    return flag + equals + PurePosixPath(path).name if path.startswith(("/", "~")) else value
+
+
+def _copy_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
+    """Write `checkpoint`, compressed, without running episodes; without the optimizer's state if that saves much."""
+    checkpoint = replace(checkpoint, state=replace(checkpoint.state, running=None))
+    levels = tuple(
+        replace(
+            level,
+            optimizer=OptimizerState(
+                steps=0, slots={slot: np.zeros_like(values) for slot, values in level.optimizer.slots.items()}
+            ),
+        )
+        for level in checkpoint.state.levels
+    )
+    bare = path.with_name("bare.npz")
+    save_checkpoint(path, checkpoint, is_compressed=True)
+    save_checkpoint(bare, replace(checkpoint, state=replace(checkpoint.state, levels=levels)), is_compressed=True)
+    if bare.stat().st_size < _NOTABLY * path.stat().st_size:
+        bare.replace(path)
+    else:
+        bare.unlink()
+
+
+def _copy_table(source: Path, target: Path, generation: int) -> None:
+    """Copy a table with rounded numbers and at most `_MOST_ROWS` rows: first, last, and that of `generation` included.
+
+    Raises:
+        RunFolderError: It is missing or damaged.
+    """
+    columns = read_csv(source)
+    with source.open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    kept = set(np.linspace(0, len(rows) - 1, min(len(rows), _MOST_ROWS - 1)).round().astype(int).tolist())
+    kept |= {number for number, each in enumerate(columns["generation"]) if each == generation}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([_rounded(cell) for cell in rows[number]] for number in sorted(kept))
+    write_atomically(target, lambda file: file.write(text.getvalue().encode()))
+
+
+def _rounded(cell: str) -> str:
+    """Return a number of a table with six significant digits; a whole number as it is."""
+    return cell if cell.lstrip("-").isdecimal() else f"{float(cell):.{_DIGITS}g}"
+
+
+def _cores(config: TrainConfig, run: RunFolder) -> int:
+    """Return the cores that a run had: one for each of its workers."""
+    if config.backend == "serial" or config.device != "cpu":
+        return 1
+    return config.num_workers or run.read_record()["machine"]["cores"]
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Ship an agent as the command line asks for it; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m shes.training.ship", description="Make a run a shipped agent.")
+    parser.add_argument("run", metavar="RUN", help="the run folder")
+    parser.add_argument("name", metavar="NAME", help="what the agent is called, e.g. ant-walker")
+    text, number = {"metavar": "TEXT", "required": True}, {"metavar": "INT", "type": int}
+    parser.add_argument("--description", **text, help="what it does, on one line")
+    parser.add_argument(
+        "--command", **text, action="append", dest="commands", help="a command that made it; repeatable"
+    )
+    parser.add_argument("--episodes", **number, default=200, help="fresh episodes of its evaluation (default: 200)")
+    parser.add_argument("--seed", **number, help="seed of the episodes; a stream of the run's own if none")
+    parser.add_argument("--workers", **number, default=0, dest="num_workers", help="0 is one for every core")
+    parser.add_argument(
+        "--earlier",
+        metavar="RUN",
+        nargs="+",
+        default=(),
+        help="runs that this one went on from, such as its primitive's: their time and steps count, too",
+    )
+    parser.add_argument("--into", metavar="DIR", help="where shipped agents are; the package if none")
+    given = vars(parser.parse_args(words))
+    try:
+        agent = ship(given.pop("run"), given.pop("name"), **given)
+    except ShesError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return error.exit_code
+    print(json.dumps(agent.to_dict(), indent=2, ensure_ascii=False))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

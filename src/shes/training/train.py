@@ -1,0 +1,304 @@
+"""Training: the generator of `algorithm.py`, with files, evaluations, an end and an interruption around it."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Protocol
+
+from shes.algorithms.evolution.algorithm import GenerationReport, evolve
+from shes.backends.backend import Backend
+from shes.errors import ConfigError
+from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, save_checkpoint
+from shes.runs.config import EXECUTION_FIELDS, TrainConfig, check_fields
+from shes.runs.device import array_module, check_asked_device
+from shes.runs.folder import RunFolder, new_folder
+from shes.runs.log import logger, run_log
+from shes.runs.settings import flag
+from shes.runs.tables import Records, Row, progress_row, read_csv
+from shes.training.build import (
+    build_backend,
+    build_design,
+    build_plan,
+    build_settings,
+    build_state,
+    check_device,
+    open_noise_table,
+)
+from shes.training.evaluate import evaluate_levels, evaluation_seeds
+from shes.training.interruption import Interruption
+from shes.training.presets import make_config
+from shes.training.transfer import transfer
+
+__all__ = ["Listener", "Run", "resume", "start_run", "train"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A run that has ended."""
+
+    path: Path
+    """The run folder."""
+    config: TrainConfig
+    generation: int
+    """Generations made."""
+    best: Best
+    """The best evaluation."""
+
+
+class Listener(Protocol):
+    """Hears of a run's progress."""
+
+    def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
+        """Hear that the run at `path` begins after `generation`."""
+
+    def on_generation(self, row: Row) -> None:
+        """Hear of a row of `progress.csv`."""
+
+    def on_evaluation(self, row: Row) -> None:
+        """Hear of a row of `evaluation.csv`."""
+
+    def on_event(self, event: str) -> None:
+        """Hear of something unusual: a lost worker, a warning of the simulator."""
+
+
+def train(
+    env: str,
+    *,
+    preset: str = "laptop",
+    out: Path | str | None = None,
+    listener: Listener | None = None,
+    **settings: Any,
+) -> Run:
+    """Train on `env` and return the run.
+
+    Args:
+        env: Environment, e.g. `ant-gather`.
+        preset: `paper`, `laptop` or `smoke`.
+        out: The run folder, which must not hold a run yet; a new one below `runs/` if none.
+        listener: Hears of the progress.
+        settings: Any field of `TrainConfig`, e.g. `seed=0, num_workers=4`.
+
+    Raises:
+        UnknownNameError: An environment, preset or other name is not known.
+        ConfigError: A setting is unknown or out of range.
+        RunFolderError: `out` already holds a run.
+        StorageError: A file cannot be written.
+        WorkerError: A worker failed, or workers keep dying.
+        PolicyError: A policy returned NaN.
+    """
+    return start_run(make_config(env, preset, settings), out, listener)
+
+
+def start_run(config: TrainConfig, out: Path | str | None = None, listener: Listener | None = None) -> Run:
+    """Begin a run with the settings of `config`; see `train`."""
+    check_device(config)
+    design = build_design(config)
+    open_noise_table(config, design)  # what can be wrong with it, or with a transfer, shows before there is a folder
+    state, origins = transfer(config, build_state(config, design))
+    folder = RunFolder.create(new_folder(config) if out is None else _path(out))
+    with folder.lock():
+        checkpoint = Checkpoint(state=state, best=Best(), numbers=config.numbers())
+        for name in ("0", "best", "last"):
+            save_checkpoint(folder.checkpoint_path(name), checkpoint)
+        # From here on it is a run, which can be resumed.
+        folder.record_start(config, {level: asdict(origin) for level, origin in origins.items()})
+        return _go_on(folder, config, checkpoint, listener)
+
+
+def _path(out: Path | str) -> Path:
+    """Return the run folder asked for.
+
+    Raises:
+        ConfigError: It is no path.
+    """
+    if not isinstance(out, str | os.PathLike) or not str(out):
+        raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or leave it away.")
+    return Path(out)
+
+
+def resume(path: Path | str, *, listener: Listener | None = None, **settings: Any) -> Run:
+    """Go on with the run at `path` as if it had never stopped, from its last checkpoint.
+
+    Args:
+        path: The run folder.
+        listener: Hears of the progress.
+        settings: Settings that do not change what the run is, e.g. `generations=2000, num_workers=8, device="cuda"`.
+
+    Raises:
+        RunFolderError: `path` is not a run folder, or that of a shipped agent.
+        CheckpointError: The last checkpoint is damaged or of another run.
+        ConfigError: A setting would change the run's numbers, the run has reached its last generation, or there is no
+            such device.
+        MissingExtraError: The device needs a package that is not installed.
+    """
+    folder = RunFolder.open(path)
+    stored = folder.read_config()
+    check_fields(settings)
+    for name in settings:
+        if name not in EXECUTION_FIELDS - {"preset"}:
+            allowed = ", ".join(flag(field) for field in sorted(EXECUTION_FIELDS - {"preset"}))
+            raise ConfigError(
+                f"{flag(name)} would change the numbers of the run; resume takes {allowed}. "
+                "Start another run to change it."
+            )
+    config = replace(stored, **{"minutes": None, **settings})
+    check_asked_device(config, settings)
+    check_device(config)
+    with folder.lock():
+        checkpoint = folder.load("last")
+        done, steps = checkpoint.state.generation, checkpoint.state.env_steps
+        if config.is_over(done, steps):
+            is_long = done >= config.generations
+            made, end = (done, config.generations) if is_long else (steps, config.env_steps)
+            raise ConfigError(
+                f"the run has made {made} {'generations' if is_long else 'environment steps'}, and is to end after "
+                f"{end}. To go on: shes resume {shlex.quote(str(path))} "
+                f"{flag('generations' if is_long else 'env_steps')} {2 * made}"
+            )
+        changes = folder.record_resume(done, config)
+        if changes:
+            event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
+            with run_log(folder):
+                logger.warning(event)
+            if listener is not None:
+                listener.on_event(event)
+        return _go_on(folder, config, checkpoint, listener)
+
+
+def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, listener: Listener | None) -> Run:
+    """Run from `checkpoint` to the end of the generations, steps or minutes, or to an interruption."""
+    design = build_design(config)
+    table = open_noise_table(config, design).on(array_module(config.device))
+    with ExitStack() as stack:
+        stack.enter_context(run_log(folder))
+        interruption = stack.enter_context(Interruption())
+        records = stack.enter_context(closing(Records(folder, checkpoint.state.generation)))
+        writer = stack.enter_context(closing(CheckpointWriter()))
+        backend = stack.enter_context(build_backend(config, build_plan(config, design, table)))
+        pool = stack.enter_context(ThreadPoolExecutor(min(config.workers, 8), thread_name_prefix="shes-gradient"))
+        session = _Session(folder, config, checkpoint, records, writer, backend, listener)
+        generations = evolve(checkpoint.state, build_settings(config), table, backend, pool)
+        on_device = "" if config.device == "cpu" else f" on device {config.device}"
+        logger.info(
+            "begins after generation %d with %d workers%s", checkpoint.state.generation, backend.num_workers, on_device
+        )
+        session.check_schedules()
+        while not session.is_over() and not interruption.is_requested:
+            logger.info("generation %d begins", session.checkpoint.state.generation + 1)
+            with interruption.at_once():
+                report = next(generations)
+            session.add(report, interruption)
+            logger.info("generation %d ends", report.state.generation)
+        generations.close()
+    if interruption.is_requested and not session.is_over():
+        raise KeyboardInterrupt
+    state = session.checkpoint.state
+    return Run(path=folder.path, config=config, generation=state.generation, best=session.checkpoint.best)
+
+
+class _Session:
+    """What happens after every generation."""
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        config: TrainConfig,
+        checkpoint: Checkpoint,
+        records: Records,
+        writer: CheckpointWriter,
+        backend: Backend,
+        listener: Listener | None,
+    ) -> None:
+        self.checkpoint = checkpoint
+        self._folder, self._config = folder, config
+        self._records, self._writer, self._backend, self._listener = records, writer, backend, listener
+        self._earlier_s = _wall_time(folder)
+        self._start = self._generation_start = perf_counter()
+        if listener is not None:
+            listener.on_start(folder.path, config, checkpoint.state.generation, backend.num_workers)
+
+    def check_schedules(self) -> None:
+        """Say so where the run ends before its schedules do."""
+        config = self._config
+        if config.has_schedule and config.generations < config.schedule_generations:
+            self._tell_event(
+                f"the schedules take {config.schedule_generations} generations, but the run ends after "
+                f"{config.generations}, short of their end: see --schedule-generations"
+            )
+
+    def is_over(self) -> bool:
+        """Tell whether the run, or this call's time, has come to its end."""
+        minutes = self._config.minutes
+        is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
+        state = self.checkpoint.state
+        return is_late or self._config.is_over(state.generation, state.env_steps)
+
+    def add(self, report: GenerationReport, interruption: Interruption) -> None:
+        """Write down a generation, evaluate where it is due, and put the checkpoint on its way."""
+        state = report.state
+        now = perf_counter()
+        row = progress_row(report, self._earlier_s + now - self._start, now - self._generation_start)
+        self._generation_start = now
+        row["evaluation_s"] = 0.0
+        self._tell_events(report.log)
+        # `last` last: a run that dies before it does this generation, its evaluation and its other checkpoints again.
+        best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
+        if state.generation == 1 or state.generation % self._config.evaluation_interval == 0:
+            with interruption.at_once():
+                evaluation = self._evaluate(report)
+            self._records.add_evaluation(evaluation)
+            is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score says nothing
+            if is_sound and best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
+                best = Best(
+                    generation=state.generation,
+                    score=evaluation["score_mean"],
+                    mean_return=evaluation["return_mean"],
+                )
+                paths.insert(0, self._folder.checkpoint_path("best"))
+            self._tell_events([])
+            self._tell("on_evaluation", evaluation)
+            self._generation_start = perf_counter()
+            row["evaluation_s"] = round(self._generation_start - now, 4)
+        if state.generation % self._config.keep_checkpoints == 0:
+            paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
+        self._records.add_progress(row)
+        self.checkpoint = Checkpoint(state=state, best=best, numbers=self.checkpoint.numbers)
+        self._writer.write(paths, self.checkpoint)
+        self._tell("on_generation", row)
+
+    def _evaluate(self, report: GenerationReport) -> Row:
+        """Return the row of `evaluation.csv` for the mean policies after this generation."""
+        seeds = evaluation_seeds(report.state, self._config.evaluation_episodes)
+        found = evaluate_levels(report.state.levels, seeds, self._backend, self._config.episodes_per_policy)
+        return {
+            "generation": report.state.generation,
+            "env_steps": report.state.env_steps,
+            "wall_time_s": round(self._earlier_s + perf_counter() - self._start, 3),
+            **found.summary(),
+        }
+
+    def _tell_events(self, lines: list[str]) -> None:
+        """Log what the simulators and the workers had to say."""
+        for event in (*lines, *self._backend.take_events()):
+            self._tell_event(event)
+
+    def _tell_event(self, event: str) -> None:
+        """Log something unusual."""
+        logger.warning(event)
+        self._tell("on_event", event)
+
+    def _tell(self, method: str, content: Any) -> None:
+        if self._listener is not None:
+            getattr(self._listener, method)(content)
+
+
+def _wall_time(folder: RunFolder) -> float:
+    """Return the seconds that the run took so far, by its table."""
+    times = read_csv(folder.progress).get("wall_time_s", []) if folder.progress.exists() else []
+    return times[-1] if times else 0.0

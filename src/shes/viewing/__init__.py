@@ -1,0 +1,1 @@
+"""Looking at runs: curves, videos, a live viewer."""

@@ -1,0 +1,155 @@
+"""One episode of a trained agent, step by step, with what is worth seeing of it: for videos and the viewer."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shes.drawing.drawer import Drawer, Window
+from shes.drawing.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
+from shes.envs.episode_batch import EpisodeBatch
+from shes.errors import ConfigError
+from shes.es.level import TrainState
+from shes.es.streams import Purpose
+from shes.runs.folder import RunFolder
+from shes.training.build import build_task
+from shes.training.evaluate import evaluation_seeds
+from shes.training.play import Agent
+from shes.types import F64Array
+
+__all__ = ["Moment", "Playback"]
+
+_TRAIL_STEPS = 150
+_GOAL_RADIUS_M = 0.45
+_ABOVE_GROUND_M = 0.03
+_LINE_RADIUS_M = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """One control step."""
+
+    pose: Any
+    """What there is to draw: the pose [nq] of everything, or a picture."""
+    markers: list[Marker]
+    """What the task shows, the controller's goal, the robot's trail."""
+    caption: str
+    """Checkpoint, time and score, and how the episode ended."""
+
+
+class Playback:
+    """Episodes of one checkpoint, under the conditions of evaluation."""
+
+    def __init__(self, run: Path | str, checkpoint: str, seed: int | None = None, steps: int | None = None) -> None:
+        """Load `checkpoint` of `run`.
+
+        Args:
+            run: The run folder, or the name of a shipped agent.
+            checkpoint: `best`, `last` or the number of a generation.
+            seed: Seed of the episodes, as `evaluate` takes it.
+            steps: Control steps after which an episode ends; evaluation's horizon if none.
+
+        Raises:
+            RunFolderError: `run` is neither a run folder nor a shipped agent.
+            CheckpointError: The checkpoint is missing or damaged.
+            ConfigError: `seed` is negative or `steps` is not positive.
+        """
+        if seed is not None and seed < 0:
+            raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
+        if steps is not None and (not isinstance(steps, int) or steps < 1):
+            raise ConfigError(f"steps must be a whole number of at least 1, got {steps}. Set --steps.")
+        folder = RunFolder.open(run)
+        config = folder.read_config()
+        state = folder.load(checkpoint).state
+        self.name = f"{checkpoint} (generation {state.generation})" if not checkpoint.isdecimal() else checkpoint
+        self.steps = steps or config.evaluation_horizon or config.horizon
+        self._agent = Agent(config, state.levels)
+        self._task = build_task(config, 1, is_evaluation=True)
+        self._draws = state if seed is None else TrainState(seed=seed, generation=0, env_steps=0, levels=state.levels)
+
+    @property
+    def step_s(self) -> float:
+        """Time of a control step, in seconds."""
+        return self._task.step_s
+
+    def make_drawer(self, width: int, height: int) -> Drawer:
+        """Return what makes pictures of the moments, of this size; ask before `play`.
+
+        Raises:
+            ConfigError: There are no pictures of this environment, or not of this size.
+        """
+        return self._task.make_drawer(width, height)
+
+    def open_window(self) -> Window:
+        """Return a window that shows the moments; ask before `play`.
+
+        Raises:
+            ConfigError: There is no screen, or no window of this environment.
+        """
+        return self._task.open_window()
+
+    def close(self) -> None:
+        """Give back what the environment holds."""
+        self._task.close()
+
+    def seed_of(self, episode: int) -> int:
+        """Return the seed of the `episode`-th of the episodes that `evaluate` runs.
+
+        Raises:
+            ConfigError: `episode` is negative.
+        """
+        if episode < 0:
+            raise ConfigError(f"episode must be a whole number of at least 0, got {episode}. Set --episode.")
+        return evaluation_seeds(self._draws, episode + 1, Purpose.FRESH_EPISODES)[episode]
+
+    def play(self, seed: int) -> Iterator[Moment]:
+        """Yield the moments of the episode with this seed, the start first."""
+        task, one = self._task, np.array([0])
+        task.reset(one, [seed])
+        self._agent.reset()
+        trail = deque([task.position[0].copy()], maxlen=_TRAIL_STEPS)
+        for step in range(self.steps):
+            control = self._agent.control(task.observe(), task.position, task.heading, task.goal)
+            yield self._moment(step, trail, "")
+            task.step(one, control)
+            trail.append(task.position[0].copy())
+            ending = _ending(task, step + 1 == self.steps)
+            if ending:
+                yield self._moment(step + 1, trail, ending)
+                return
+
+    def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
+        task = self._task
+        parts = [self.name, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending]
+        return Moment(
+            pose=task.pose(0),
+            markers=[*task.markers(0), *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
+            caption=" · ".join(part for part in parts if part),
+        )
+
+
+def _ending(task: EpisodeBatch, is_last: bool) -> str:
+    """Return why the episode has ended, in a word or two; nothing while it goes on."""
+    if task.diverged[0]:
+        return "diverged"
+    if task.terminated[0]:
+        return "ended"
+    return "time is up" if is_last else ""
+
+
+def _goal_and_trail(goals: F64Array | None, trail: deque[F64Array], ground: float) -> list[Marker]:
+    """Return the goal, if there is one, a line to it, the way that the robot came, and a spot under the robot."""
+    height = ground + _ABOVE_GROUND_M
+    places = [(*place, height) for place in trail]
+    way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
+    spot = disc(places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
+    if goals is None:
+        return [*way, spot]
+    goal = (*goals[0], height)
+    return [*way, spot, line(places[-1], goal, _LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]

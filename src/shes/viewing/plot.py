@@ -1,0 +1,173 @@
+"""Learning curves of runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from shes.errors import ConfigError, RunFolderError, UnknownNameError
+from shes.runs.config import TrainConfig
+from shes.runs.folder import RunFolder
+from shes.runs.tables import read_csv
+from shes.storage import write_atomically
+from shes.types import F64Array
+
+__all__ = ["X_AXES", "interval", "plot"]
+
+X_AXES = {"generation": "generation", "env_steps": "environment steps", "wall_time_s": "minutes"}
+"""What a curve can be drawn over: column of the tables -> label."""
+
+Panel = tuple[str, str, str]
+"""Table, column, title."""
+_CONFIDENCE = 0.95
+_RESAMPLES = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Group:
+    """Runs that share all settings but the seed: repetitions of each other. In every panel they look the same."""
+
+    folders: list[RunFolder]
+    label: str
+    color: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Curve:
+    x: F64Array
+    y: F64Array
+
+
+def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str = "env_steps") -> Path:
+    """Draw the learning curves of `runs` and return the picture's path.
+
+    Runs of the same settings but for the seed are one group: its mean is drawn, and a 95 % bootstrap interval over its
+    runs. A run alone shows the spread of its evaluation's episodes instead (mean, plus or minus two standard errors).
+
+    Args:
+        runs: Run folders, or names of shipped agents.
+        out: The picture; its suffix (.png, .pdf, .svg) says the format.
+        x: `env_steps`, `generation` or `wall_time_s`.
+
+    Raises:
+        RunFolderError: A run is neither a run folder nor a shipped agent, or has no generation yet.
+        UnknownNameError: `x` is not one of `X_AXES`.
+        ConfigError: No run is given, or the suffix of `out` is no picture format.
+        StorageError: The picture cannot be written.
+    """
+    if not runs:
+        raise ConfigError("plot needs at least one run folder: shes plot RUN... --out curves.png")
+    if x not in X_AXES:
+        raise UnknownNameError("x axis", x, X_AXES, "Set --x.")
+    target = Path(out)
+    opened = [RunFolder.open(run) for run in runs]
+    folders = list({folder.path.resolve(): folder for folder in opened}.values())  # a run named twice counts once
+    panels, groups = _panels(folders), _groups(folders)
+    figure, axes = plt.subplots(1, len(panels), figsize=(5 * len(panels), 3.8), layout="constrained")
+    try:
+        picture_format = target.suffix.lstrip(".").lower()
+        if picture_format not in figure.canvas.get_supported_filetypes():
+            raise ConfigError(f"out must end in .png, .pdf or .svg, got {str(out)!r}. Set --out.")
+        for axis, (table, column, label) in zip(axes, panels, strict=True):
+            for group in groups:
+                if _has_level(group.folders[0], column):
+                    _draw_group(axis, group, table, column, x)
+            axis.set_xlabel(X_AXES[x])
+            axis.set_title(label)
+            axis.grid(alpha=0.3)
+        axes[0].legend(fontsize="small")
+        write_atomically(target, lambda file: figure.savefig(file, format=picture_format, dpi=150))
+    finally:
+        plt.close(figure)
+    return target
+
+
+def _panels(folders: list[RunFolder]) -> list[Panel]:
+    """Return what is drawn: the score, and the return of each level that one of the runs has."""
+    levels = dict.fromkeys(name for folder in folders for name in folder.read_config().level_names)
+    returns = [("progress", f"{name}_return_mean", f"{name} return (training)") for name in levels]
+    return [("evaluation", "score_mean", "evaluation score"), *returns]
+
+
+def _has_level(folder: RunFolder, column: str) -> bool:
+    """Tell whether a run has the level that `column` is of; every run has a score."""
+    level = column.removesuffix("_return_mean")
+    return level == column or level in folder.read_config().level_names
+
+
+def _groups(folders: list[RunFolder]) -> list[_Group]:
+    """Return the groups that `folders` are of."""
+    found: dict[str, list[RunFolder]] = {}
+    for folder in folders:
+        config = folder.read_config()
+        settings = {name: value for name, value in config.numbers().items() if name != "seed"}
+        found.setdefault(json.dumps([config.preset, settings], sort_keys=True), []).append(folder)
+    names = [_name(members[0].read_config()) for members in found.values()]
+    groups: list[_Group] = []
+    for number, (name, members) in enumerate(zip(names, found.values(), strict=True)):
+        label = name if names.count(name) == 1 else f"{name}: {members[0].path.name}"
+        several = f" ({len(members)} runs)" if len(members) > 1 else ""
+        groups.append(_Group(folders=members, label=label + several, color=f"C{number}"))
+    return groups
+
+
+def _draw_group(axis: Axes, group: _Group, table: str, column: str, x: str) -> None:
+    """Draw one column of a group's runs."""
+    curves = [_read_curve(folder, table, column, x) for folder in group.folders]
+    if len(curves) == 1:
+        axis.plot(curves[0].x, curves[0].y, label=group.label, color=group.color)
+        _draw_spread(axis, group, curves[0], table, column)
+        return
+    grid, values = _on_one_grid(curves)
+    low, high = interval(values)
+    axis.plot(grid, values.mean(axis=0), label=group.label, color=group.color)
+    axis.fill_between(grid, low, high, alpha=0.2, color=group.color, linewidth=0)
+
+
+def _draw_spread(axis: Axes, group: _Group, curve: _Curve, table: str, column: str) -> None:
+    """Shade two standard errors of a single run's evaluations."""
+    if (table, column) != ("evaluation", "score_mean"):
+        return
+    columns = read_csv(group.folders[0].evaluation)
+    error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])
+    axis.fill_between(curve.x, curve.y - error, curve.y + error, alpha=0.2, color=group.color, linewidth=0)
+
+
+def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> _Curve:
+    path = folder.evaluation if table == "evaluation" else folder.progress
+    if not path.exists():
+        raise RunFolderError(f"{folder.path} has no generation yet: {path.name} is missing. Train it first.")
+    columns = read_csv(path)
+    if column not in columns:
+        raise RunFolderError(f"{path} has no column {column!r}, or no row.")
+    scale = 1 / 60 if x == "wall_time_s" else 1.0
+    return _Curve(x=np.array(columns[x]) * scale, y=np.array(columns[column]))
+
+
+def _name(config: TrainConfig) -> str:
+    return f"{config.env} {config.preset}"
+
+
+def _on_one_grid(curves: list[_Curve]) -> tuple[F64Array, F64Array]:
+    """Return places [K] that all curves reach, and their values there [runs, K]."""
+    end = min(curve.x[-1] for curve in curves)
+    start = max(curve.x[0] for curve in curves)
+    grid = np.unique(np.concatenate([curve.x[(curve.x >= start) & (curve.x <= end)] for curve in curves]))
+    return grid, np.stack([np.interp(grid, curve.x, curve.y) for curve in curves])
+
+
+def interval(values: F64Array, seed: int = 0) -> tuple[F64Array, F64Array]:
+    """Return the 95 % bootstrap interval [K], [K] of the mean over runs of `values` [runs, K]."""
+    rng = np.random.default_rng(seed)
+    runs = len(values)
+    shares = rng.multinomial(runs, np.full(runs, 1 / runs), _RESAMPLES) / runs  # how often a resample takes each run
+    means = shares @ values
+    tail = (1 - _CONFIDENCE) / 2
+    low, high = np.quantile(means, [tail, 1 - tail], axis=0)
+    return low, high

@@ -1,0 +1,163 @@
+"""`shes render`: a video of one episode, for one checkpoint or several side by side, with or without a screen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import zip_longest
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from shes.drawing.drawer import Drawer, Picture
+from shes.drawing.renderer import CAMERAS
+from shes.errors import ConfigError, UnknownNameError
+from shes.viewing.playback import Moment, Playback
+from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
+
+__all__ = ["VIEWS", "render"]
+
+VIEWS = ("both", *CAMERAS)
+"""Cameras to choose from: both, the one that follows, the one above."""
+
+_CAPTION_PIXELS = 28
+_BAR, _INK = (28, 32, 38, 200), (240, 243, 246)
+_SMALLEST_FONT = 8
+_HELD_S = 0.7  # the last frame stays for so long
+
+
+def render(
+    run: Path | str,
+    out: Path | str = "walk.mp4",
+    *,
+    checkpoints: str | Sequence[str] = ("best",),
+    camera: str = "both",
+    episode: int = 0,
+    seed: int | None = None,
+    size: int = 480,
+    steps: int | None = None,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a video of an episode and return its path.
+
+    The episode is one of those that `evaluate` runs. Between control steps the pose is interpolated. An external
+    environment draws itself, through its own camera and without the goals.
+
+    Args:
+        run: The run folder, or the name of a shipped agent.
+        out: The video: .mp4 or .gif.
+        checkpoints: `best`, `last` or numbers of generations: side by side, all in the same episode.
+        camera: `both`, `follow` or `top`.
+        episode: Which of the episodes of `evaluate`, from 0.
+        seed: Seed of the episodes, as `evaluate` takes it.
+        size: Height and width of one view in pixels; even.
+        steps: Control steps at most; evaluation's horizon if none.
+        on_step: Hears how many control steps are drawn, and how many there are at most.
+
+    Raises:
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
+        CheckpointError: A checkpoint is missing or damaged.
+        UnknownNameError: `camera` is not one of `VIEWS`.
+        ConfigError: Another argument is out of range, or the environment draws no pictures.
+        StorageError: The video cannot be written.
+    """
+    target = Path(out)
+    check_video_path(target)
+    if camera not in VIEWS:
+        raise UnknownNameError("camera", camera, VIEWS, "Set --camera.")
+    if isinstance(checkpoints, str):
+        checkpoints = (checkpoints,)
+    if not checkpoints:
+        raise ConfigError(
+            "render needs at least one checkpoint: best, last or the number of a generation. Set --checkpoint."
+        )
+    if size % 2 or not 64 <= size <= 1080:
+        raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
+    playbacks = [Playback(run, str(name), seed, steps) for name in checkpoints]
+    episode_seed = playbacks[0].seed_of(episode)
+    drawers: list[Drawer] = []
+    try:
+        drawers.extend(each.make_drawer(size, size) for each in playbacks)
+        cameras = _cameras(drawers[0], camera)
+        episodes = [each.play(episode_seed) for each in playbacks]
+        if on_step is not None:
+            episodes[0] = _counted(episodes[0], playbacks[0].steps, on_step)
+        rate = FRAMES_PER_SECOND * playbacks[0].step_s
+        columns = [_frames(moments, drawer, cameras, rate) for moments, drawer in zip(episodes, drawers, strict=True)]
+        if len(columns) == 1:
+            frames = (np.hstack(views) for views in columns[0])
+        else:
+            frames = _side_by_side([(np.vstack(views) for views in column) for column in columns])
+        write_video(target, _held(frames, round(_HELD_S * FRAMES_PER_SECOND)))
+    finally:
+        for each in (*drawers, *playbacks):
+            each.close()
+    return target
+
+
+def _counted(moments: Iterator[Moment], steps: int, on_step: Callable[[int, int], None]) -> Iterator[Moment]:
+    """Yield `moments`; tell after each how far it is."""
+    for number, moment in enumerate(moments):
+        yield moment
+        on_step(number, steps)
+
+
+def _cameras(drawer: Drawer, asked: str) -> Sequence[str]:
+    """Return the cameras to look through.
+
+    Raises:
+        ConfigError: The environment draws itself, and has not the camera that was asked for.
+    """
+    if asked == "both":
+        return drawer.cameras
+    if asked not in drawer.cameras:
+        raise ConfigError(f"this environment draws itself, and has no camera {asked!r}. Leave --camera away.")
+    return (asked,)
+
+
+def _frames(
+    moments: Iterator[Moment], drawer: Drawer, cameras: Sequence[str], frames_per_step: float
+) -> Iterator[list[Picture]]:
+    """Yield the views of an episode, frame by frame; the first bears the caption.
+
+    Where the frames of a step are no whole number, some steps have one more than others, or none.
+    """
+    before: Moment | None = None
+    for step, moment in enumerate(moments):
+        start = moment if before is None else before
+        frames = round((step + 1) * frames_per_step) - round(step * frames_per_step)
+        for frame in range(1, frames + 1):
+            pose = drawer.between(start.pose, moment.pose, frame / frames)
+            views = [drawer.draw(pose, moment.markers, camera) for camera in cameras]
+            yield [_captioned(views[0], moment.caption), *views[1:]]
+        before = moment
+
+
+def _captioned(view: Picture, text: str) -> Picture:
+    """Return `view` with a bar of text over its upper edge."""
+    image = Image.fromarray(view)
+    draw = ImageDraw.Draw(image, "RGBA")
+    draw.rectangle([0, 0, image.width, _CAPTION_PIXELS], _BAR)
+    font_size = _CAPTION_PIXELS // 2
+    while font_size > _SMALLEST_FONT and draw.textlength(text, ImageFont.load_default(font_size)) > image.width - 16:
+        font_size -= 1
+    draw.text((8, _CAPTION_PIXELS // 2), text, _INK, ImageFont.load_default(font_size), anchor="lm")
+    return np.asarray(image)
+
+
+def _side_by_side(columns: Sequence[Iterator[Picture]]) -> Iterator[Picture]:
+    """Yield frames of all columns next to each other; a column that has ended stands still."""
+    shown: list[Picture] = []
+    for frames in zip_longest(*columns):
+        shown = [frame if frame is not None else shown[i] for i, frame in enumerate(frames)]
+        yield np.hstack(shown)
+
+
+def _held(frames: Iterator[Picture], count: int) -> Iterator[Picture]:
+    """Yield `frames`, and the last one `count` times more."""
+    last: Picture | None = None
+    for frame in frames:
+        last = frame
+        yield frame
+    if last is not None:
+        yield from [last] * count

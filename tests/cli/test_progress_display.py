@@ -1,0 +1,167 @@
+"""Live progress: everything that was promised, within the width of the terminal, or lines where there is none."""
+
+import io
+import re
+from pathlib import Path
+
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from shes.cli import progress_display as module
+from shes.cli.progress_display import ProgressDisplay, format_duration
+from shes.training.presets import make_config
+
+CONFIG = make_config("point-gather", "smoke", {"generations": 40})
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that stands still until it is told."""
+
+    class Clock:
+        now = 1000.0
+
+        def __call__(self):
+            return self.now
+
+    made = Clock()
+    monkeypatch.setattr(module, "monotonic", made)
+    return made
+
+
+def row(generation):
+    return {
+        "generation": generation,
+        "env_steps": 12_345 * generation,
+        "env_steps_per_s": 23_456.7,
+        "controller_return_mean": -1.234,
+        "controller_return_max": 3.0,
+        "primitive_return_mean": -12.34,
+        "primitive_return_max": 98.76,
+    }
+
+
+def evaluation(score):
+    return {"score_mean": score, "score_std": 0.5}
+
+
+def play(console, clock, config=CONFIG, generations=12):
+    """Show the beginning of a run, two seconds a generation; return what was printed."""
+    display = ProgressDisplay(console)
+    with display:
+        display.on_start(Path("runs/a"), config, 0, 2)
+        for generation in range(1, generations + 1):
+            clock.now += 2
+            if generation == 1 or generation % 5 == 0:
+                display.on_evaluation(evaluation(generation / 2))
+            if generation == 7:
+                display.on_event("worker 123 died (exit code -9); 4 tasks are done again")
+            display.on_generation(row(generation))
+    return display
+
+
+def terminal(width):
+    return Console(file=io.StringIO(), force_terminal=True, width=width, height=30)
+
+
+def plain(width=80):
+    return Console(file=io.StringIO(), force_terminal=False, width=width, record=True)
+
+
+def lines_of(console):
+    """Return every line that a terminal was made to show, without colours, the last block last."""
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", console.file.getvalue())
+    return [line for line in re.split(r"[\r\n]+", text) if line]
+
+
+@pytest.mark.parametrize("width", [40, 80, 120])
+def test_a_terminal_shows_everything_within_its_width(clock, width):
+    console = terminal(width)
+    play(console, clock)
+    first, *lines = lines_of(console)
+    # This line the terminal wraps by itself, so that the path can be copied whole.
+    assert first == "Training point-gather (smoke) on 2 workers. Run folder: runs/a"
+    assert max(cell_len(line) for line in lines) <= width
+    last = "\n".join(lines[-10:])
+    for fact in (
+        "generation         12 / 40",
+        "controller return  -1.23 (best 3.00)",
+        "primitive return   -12.34 (best 98.76)",
+        "evaluation score   5.00 ± 0.50",
+        "env steps/s        23,457 (0.1 M so far)",
+        "time left          56 s",
+        "score so far       ▁▄█",
+        "worker 123 died (exit code -9); 4 tasks",
+    ):
+        assert fact in last
+    assert cell_len(lines[-10 if width == 40 else -9]) == min(width, 100)  # the bar
+    assert set(lines[-10 if width == 40 else -9]) <= set("━╸╺")
+
+
+def test_lines_without_a_terminal_come_first_last_and_every_ten_seconds(clock):
+    console = plain(width=40)
+    play(console, clock, generations=40)
+    first, *lines = console.export_text().splitlines()
+    assert first.endswith("Run folder: runs/a")
+    shown = [int(line.split()[1]) for line in lines if line.startswith("generation")]
+    assert shown == [1, 6, 11, 16, 21, 26, 31, 36, 40]
+    assert lines[0] == (
+        "generation 1 / 40  controller return -1.23 (best 3.00)  primitive return -12.34 (best 98.76)  "
+        "evaluation score 0.50 ± 0.50  env steps/s 23,457 (0.0 M so far)  time left -"
+    )
+    assert lines[-1].endswith("time left 0 s")
+    assert "worker 123 died (exit code -9); 4 tasks are done again" in lines
+    assert "\x1b" not in console.file.getvalue()
+
+
+def test_time_left_is_the_pace_times_what_is_left_but_no_more_than_the_minutes(clock):
+    console = plain()
+    config = make_config("point-gather", "smoke", {"generations": 40, "minutes": 1.0})
+    play(console, clock, config, generations=11)
+    assert console.export_text().splitlines()[-1].endswith("time left 38 s")  # 60 - 22, not 2 * 29
+
+
+def test_time_left_is_judged_by_environment_steps_where_they_end_the_run(clock):
+    console = plain()
+    config = make_config("point-gather", "smoke", {"generations": 40, "env_steps": 15 * row(1)["env_steps"]})
+    play(console, clock, config, generations=11)
+    assert console.export_text().splitlines()[-1].endswith("time left 8 s")  # 2 * (15 - 11), not 2 * 29
+
+
+def test_a_run_in_this_process_and_after_a_resume_says_so(clock):
+    console = plain()
+    display = ProgressDisplay(console)
+    display.on_start(Path("runs/a"), make_config("point-gather", "smoke", {"backend": "serial"}), 17, 1)
+    display.on_start(Path("runs/a"), CONFIG, 0, 1)
+    first, second = console.export_text().splitlines()
+    assert first == "Training point-gather (smoke) on this process after generation 17. Run folder: runs/a"
+    assert "on 1 worker. Run" in second
+
+
+@pytest.mark.parametrize("name", ["policy", "primitive"])
+def test_a_run_of_one_level_shows_the_return_of_that_level_alone(clock, name):
+    console = plain()
+    display = ProgressDisplay(console)
+    display.on_start(Path("runs/a"), CONFIG, 0, 2)
+    one = {column: value for column, value in row(1).items() if not column.startswith(("controller", "primitive"))}
+    display.on_evaluation(evaluation(1.5))
+    display.on_generation({**one, f"{name}_return_mean": -0.5, f"{name}_return_max": 7.25})
+    assert console.export_text().splitlines()[1] == (
+        f"generation 1 / 40  {name} return -0.50 (best 7.25)  evaluation score 1.50 ± 0.50  "
+        "env steps/s 23,457 (0.0 M so far)  time left -"
+    )
+
+
+def test_a_folder_with_brackets_is_shown_as_it_is(clock):
+    console = plain()
+    ProgressDisplay(console).on_start(Path("runs/[b] [/b] x"), CONFIG, 0, 1)
+    assert console.export_text().endswith("Run folder: runs/[b] [/b] x\n")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0, "0 s"), (59.4, "59 s"), (59.6, "1 min 00 s"), (185, "3 min 05 s"), (3600, "1 h 00 min"), (7805, "2 h 10 min")],
+)
+def test_durations_are_said_as_people_say_them(seconds, text):
+    assert format_duration(seconds) == text

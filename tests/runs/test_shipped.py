@@ -1,0 +1,315 @@
+"""Shipped agents: named wherever a run folder may stand, made out of a run, never written into.
+
+The agents of most tests are tiny ones; those that are really shipped are held to the contract at the end.
+"""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import shes
+from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
+from shes.runs import shipped
+from shes.runs.checkpoint import load_checkpoint, save_checkpoint
+from shes.runs.folder import RunFolder
+from shes.runs.shipped import find_run, read_agent, shipped_name, shipped_names, shipped_path
+from shes.runs.tables import read_csv
+from shes.training.build import build_task
+from shes.training.evaluate import evaluate
+from shes.training.ship import main, ship
+from shes.viewing.plot import plot
+from shes.viewing.render import render
+from tests.e2e import runs
+
+TOLD = {"description": "A point that walks.", "commands": ["shes train point-flagrun"]}
+FILES = {"agent.json", "checkpoints", "config.json", "evaluation.csv", "progress.csv"}
+
+
+@pytest.fixture(scope="module")
+def walker_run(tmp_path_factory):
+    """A run that trained a primitive alone. Not to be changed."""
+    return runs.train_tiny(tmp_path_factory.mktemp("walker") / "run", "point-flagrun", hidden=(64,))
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory, tiny_run, walker_run):
+    """A folder with two shipped agents. Not to be changed."""
+    folder = tmp_path_factory.mktemp("shipped") / "agents"
+    ship(walker_run, "point-walker", **TOLD, episodes=3, num_workers=1, into=folder)
+    ship(tiny_run, "point-gather", **TOLD, episodes=3, seed=7, num_workers=1, into=folder)
+    return folder
+
+
+@pytest.fixture
+def agents(place, tmp_path, monkeypatch):
+    """The same as the package's own, from an empty working directory."""
+    monkeypatch.setattr(shipped, "AGENTS", place)
+    monkeypatch.chdir(tmp_path)
+    return place
+
+
+@pytest.fixture
+def none_shipped(tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped, "AGENTS", tmp_path / "nowhere")
+    monkeypatch.chdir(tmp_path)
+
+
+# Names.
+
+
+def test_a_name_is_found_and_a_path_wins_over_it(agents, run_copy):
+    assert shipped_names() == ("point-gather", "point-walker")
+    assert find_run("point-walker") == shipped_path("point-walker") == agents / "point-walker"
+    assert find_run("./point-walker") == Path("point-walker")
+    assert RunFolder.open("point-gather").path == agents / "point-gather"
+    run_copy.rename("point-gather")
+    assert RunFolder.open("point-gather").path == Path("point-gather")
+
+
+def test_what_is_no_name_is_refused_with_the_names(agents):
+    message = (
+        r"^point-wlker does not exist\. Give the folder .*\(its --out\)\. Or name a shipped agent: point-walker, poi"
+    )
+    with pytest.raises(RunFolderError, match=message + r".*\. Did you mean 'point-walker'\?$"):
+        shes.load("point-wlker")
+    with pytest.raises(RunFolderError, match=r"^point-walker does not exist\. .*\(its --out\)\.$"):
+        shes.load("./point-walker")
+    with pytest.raises(
+        UnknownNameError, match=r"unknown shipped agent 'x'\. Known: point-gather, point-walker\. `shes"
+    ):
+        shipped_path("x")
+
+
+def test_a_folder_that_hides_an_agent_is_refused_by_saying_so(agents):
+    Path("point-walker").mkdir()
+    with pytest.raises(RunFolderError, match=r"no config\.json\. .*It hides the shipped agent point-walker: rename it"):
+        shes.load("point-walker")
+
+
+def test_where_no_agent_is_shipped_nothing_is_said_of_them(none_shipped):
+    assert shipped_names() == ()
+    with pytest.raises(RunFolderError, match=r"^gone does not exist\. .*\(its --out\)\.$"):
+        shes.load("gone")
+
+
+# Use.
+
+
+def test_a_shipped_agent_is_evaluated_loaded_and_drawn_by_name(agents, tiny_run):
+    one, other = (evaluate(run, episodes=4, num_workers=1) for run in ("point-gather", tiny_run))
+    assert one.summary() == other.summary()
+    agent = shes.load("point-gather")
+    assert agent.act(np.zeros(agent.observation_size)).shape == (2,)
+    assert plot(["point-gather", "point-walker"]) == Path("curves.png")
+    assert [path.name for path in Path().iterdir()] == ["curves.png"]
+
+
+@pytest.mark.render
+def test_a_video_of_a_shipped_agent_is_in_the_working_directory(agents):
+    assert render("point-gather", steps=2, size=64) == Path("walk.mp4")
+    assert [path.name for path in Path().iterdir()] == ["walk.mp4"]
+
+
+def test_the_primitive_of_a_shipped_agent_is_brought_by_name(agents):
+    path = runs.train_tiny(Path("run"), primitive="point-walker", generations=1)
+    record = json.loads((path / "config.json").read_text())
+    assert record["config"]["primitive"] == record["primitive"]["run"] == "point-walker"
+    brought, own = (RunFolder.open(run).load("best").state.levels[-1] for run in ("point-walker", path))
+    assert own.theta.tobytes() == brought.theta.tobytes()
+
+
+def test_a_shipped_agent_has_its_best_checkpoint_alone(agents):
+    with pytest.raises(
+        CheckpointError, match=r"agent point-gather has the checkpoint best alone, got 'last'\. Leave --"
+    ):
+        evaluate("point-gather", checkpoint="last")
+    with pytest.raises(CheckpointError, match=r"no checkpoint 'last'; there are best\. Set --primitive-checkpoint"):
+        runs.train_tiny(Path("run"), primitive="point-walker", primitive_checkpoint="last")
+
+
+@pytest.mark.parametrize("by", ["name", "path"])
+def test_nothing_is_written_into_a_shipped_agent(agents, by):
+    run = "point-walker" if by == "name" else agents / "point-walker"
+    with pytest.raises(RunFolderError, match=r"^point-walker is a shipped agent.*--primitive point-walker\. Or copy /"):
+        shes.resume(run, generations=9)
+    assert {path.name for path in (agents / "point-walker").iterdir()} == FILES
+
+
+def test_a_copy_of_a_shipped_agent_can_be_trained_on(agents):
+    shutil.copytree(agents / "point-gather", "mine")
+    shutil.copy("mine/checkpoints/best.npz", "mine/checkpoints/last.npz")
+    best = read_agent("point-gather").generation
+    assert shes.resume("mine", generations=best + 1).generation == best + 1
+
+
+# What `ship` makes.
+
+
+def test_an_agent_is_a_small_run_folder(agents, walker_run):
+    folder = agents / "point-walker"
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert [path.name for path in (folder / "checkpoints").iterdir()] == ["best.npz"]
+    assert {path.name for path in agents.iterdir()} == {"point-gather", "point-walker"}  # nothing else is left
+    whole, small = walker_run / "checkpoints" / "best.npz", folder / "checkpoints" / "best.npz"
+    assert small.stat().st_size < whole.stat().st_size
+    one, other = load_checkpoint(whole), load_checkpoint(small)
+    assert (one.best, one.state.env_steps) == (other.best, other.state.env_steps)
+    for level, copy in zip(one.state.levels, other.state.levels, strict=True):
+        assert level.theta.tobytes() == copy.theta.tobytes()
+        assert level.statistics.total.tobytes() == copy.statistics.total.tobytes()
+        assert (copy.optimizer.steps, copy.optimizer.slots.keys()) == (0, level.optimizer.slots.keys())
+        assert not any(values.any() for values in copy.optimizer.slots.values())
+
+
+def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_run):
+    told, checkpoint = read_agent("point-gather"), RunFolder.open(tiny_run).load("best")
+    assert (told.description, told.commands) == (TOLD["description"], tuple(TOLD["commands"]))
+    assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 640)
+    assert told.generation == checkpoint.state.generation
+    assert 0 <= told.hours < 0.1
+    found = evaluate("point-gather", episodes=3, seed=7, num_workers=1).summary()
+    result = told.to_dict()["evaluation"]
+    assert (result.pop("seed"), result) == (7, {name: found[name] for name in result})
+    assert set(result) == {
+        "episodes",
+        "score_mean",
+        "score_std",
+        "return_mean",
+        "success_rate",
+        "episode_steps_mean",
+    }
+    assert read_agent("point-walker").evaluation.seed is None
+
+
+def test_no_path_of_this_machine_is_shipped(walker_run, tmp_path):
+    run = runs.train_tiny(tmp_path / "run", primitive=str(walker_run), generations=1)
+    record = json.loads((run / "config.json").read_text())
+    record["command"] = ["shes", "train", "point-gather", "--out", str(run), f"--primitive={walker_run}", "--sigma=1"]
+    (run / "config.json").write_text(json.dumps(record))
+    ship(run, "gatherer", **TOLD, episodes=1, num_workers=1, into=tmp_path / "agents")
+    folder = RunFolder.open(tmp_path / "agents" / "gatherer")
+    text = folder.config.read_text()
+    assert str(tmp_path) not in text
+    assert str(walker_run) not in text
+    record = json.loads(text)
+    assert record["command"] == ["shes", "train", "point-gather", "--out", "run", "--primitive=run", "--sigma=1"]
+    assert record["config"]["primitive"] == record["primitive"]["run"] == "run"
+    assert folder.load("best").numbers["primitive"] == "run"
+
+
+def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
+    generations = range(1, 1001)
+    rows = [f"{number},{number * 12345678},{number / 7!r},nan" for number in generations]
+    for table in ("progress.csv", "evaluation.csv"):
+        header = "generation,env_steps,wall_time_s,score_mean"
+        (run_copy / table).write_text("\n".join([header, *rows]) + "\n")
+    best = RunFolder.open(run_copy).load("best").state.generation
+    told = ship(run_copy, "long", **TOLD, episodes=1, num_workers=1, into=tmp_path / "agents")
+    assert told.env_steps == 12345678000
+    for table in ("progress.csv", "evaluation.csv"):
+        columns = read_csv(tmp_path / "agents" / "long" / table)
+        assert 290 <= len(columns["generation"]) <= 300
+        assert {1, best, 1000} <= set(columns["generation"])
+        assert columns["env_steps"] == [number * 12345678 for number in columns["generation"]]
+        assert columns["wall_time_s"][-1] == 142.857
+        assert np.isnan(columns["score_mean"]).all()
+
+
+def test_the_state_of_the_optimizer_stays_where_it_takes_little(tmp_path):
+    run = runs.train_tiny(tmp_path / "run", "point-flagrun", hidden=(1,), generations=1)
+    ship(run, "small", **TOLD, episodes=1, num_workers=1, into=tmp_path)
+    one, other = (RunFolder.open(path).load("best").state.levels[0].optimizer for path in (run, tmp_path / "small"))
+    assert one.steps == other.steps == 1
+    assert all(other.slots[slot].tobytes() == values.tobytes() for slot, values in one.slots.items())
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (
+            {"name": "Ant Walker"},
+            r"name must be small letters, digits and hyphens, e\.g\. ant-walker, got 'Ant Walker'",
+        ),
+        ({"name": "../x"}, r"name must be small letters, .*got '\.\./x'"),
+        ({"description": "two\nlines"}, r"description must be one line of text, got .*Set --description"),
+        ({"description": " "}, r"description must be one line of text, got ' '"),
+        ({"commands": []}, r"commands must name at least one, got \[\]\. Set --command"),
+        ({"episodes": 0}, r"episodes must be at least 1, got 0\. Set --episodes"),
+    ],
+)
+def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):
+    words = {"name": "good", **TOLD, "episodes": 1, "num_workers": 1, "into": tmp_path, **changed}
+    with pytest.raises(ConfigError, match=message):
+        ship(tiny_run, **words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_without_an_evaluation_and_a_name_that_is_taken_are_refused(agents, tiny_run, run_copy):
+    with pytest.raises(
+        RunFolderError, match=r"point-gather is there already\. Delete it first, or choose another name"
+    ):
+        ship(tiny_run, "point-gather", **TOLD)
+    start = RunFolder.open(run_copy).load("0")
+    save_checkpoint(run_copy / "checkpoints" / "best.npz", start)
+    with pytest.raises(RunFolderError, match=r"has no evaluation yet, .*Train it further first"):
+        ship(run_copy, "early", **TOLD)
+
+
+def test_the_command_ships_an_agent_and_prints_what_is_told_of_it(tiny_run, tmp_path, capsys):
+    words = [
+        str(tiny_run),
+        "mine",
+        "--description",
+        "A point.",
+        "--command",
+        "shes train a",
+        "--command",
+        "shes train b",
+    ]
+    assert main([*words, "--episodes", "2", "--workers", "1", "--into", str(tmp_path / "agents")]) == 0
+    out, err = capsys.readouterr()
+    told = json.loads(out)
+    assert (err, told["commands"], told["evaluation"]["episodes"]) == ("", ["shes train a", "shes train b"], 2)
+    assert json.loads((tmp_path / "agents" / "mine" / "agent.json").read_text()) == told
+    assert main([*words, "--into", str(tmp_path / "agents")]) == 2
+    assert capsys.readouterr().err.startswith("Error: ")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"commands": [], "evaluation": {}}'])
+def test_a_damaged_agent_file_is_an_error_that_names_it(agents, tmp_path, monkeypatch, text):
+    shutil.copytree(agents, "agents")
+    monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
+    (tmp_path / "agents" / "point-gather" / "agent.json").write_text(text)
+    with pytest.raises(RunFolderError, match=r"agent\.json is damaged: .*Install SHES again"):
+        read_agent("point-gather")
+
+
+# What is really shipped.
+
+
+def test_every_shipped_agent_is_small_complete_and_acts():
+    for name in shipped_names():
+        folder, told = RunFolder.open(shipped_path(name)), read_agent(name)
+        assert {path.name for path in folder.path.iterdir()} == FILES
+        assert [path.name for path in folder.checkpoints.iterdir()] == ["best.npz"]
+        assert folder.checkpoint_path("best").stat().st_size < 200_000
+        assert sum(path.stat().st_size for path in folder.path.rglob("*") if path.is_file()) < 500_000
+        assert shipped_name(folder.path) == name
+        assert folder.read_config().env == told.env
+        assert folder.load("best").state.generation == told.generation
+        assert told.description.strip()
+        assert told.commands
+        assert min(told.cores, told.hours, told.env_steps, told.generation, told.evaluation.episodes) > 0
+        for values in (read_csv(folder.progress), read_csv(folder.evaluation)):
+            assert 0 < len(values["generation"]) <= 300
+        assert "/home/" not in folder.config.read_text()
+        agent, task = shes.load(shipped_path(name)), build_task(folder.read_config(), 1, is_evaluation=True)
+        task.reset(np.array([0]), [1])
+        control = agent.control(task.observe(), task.position, task.heading, task.goal)
+        assert np.isfinite(control).all()
+        task.step(np.array([0]), control)
+        assert not task.diverged.any()
+        task.close()

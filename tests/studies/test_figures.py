@@ -1,0 +1,147 @@
+"""The figures of studies: they exist, have a sensible size and no text that lies over another."""
+
+import itertools
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from PIL import Image
+
+from shes.studies import figures
+from shes.studies.comparison import compare
+from shes.studies.figures import draw_figures
+from shes.studies.index import STUDIES
+from shes.studies.study import choose
+from shes.studies.tables import Summary
+
+pytestmark = pytest.mark.extras  # the fast tests have three minutes
+
+MADE = {name: make(seeds=3) for name, make in STUDIES.items()}
+STUDY = MADE["ablation"]
+COMPARED = [measure.column for study in MADE.values() for measure in study.design.metrics.values()]
+COURSE = [measure.column for study in MADE.values() for measure in study.design.curves.values()]
+DRAWN = [(name, figure.file.removesuffix(".png")) for name, study in MADE.items() for figure in study.design.figures]
+
+
+def summaries_of(cells):
+    """Return made-up results: good ones, on a course that rises."""
+    rng = np.random.default_rng(0)
+    found = {}
+    for cell in cells:
+        score = 3.0 + rng.normal()
+        curve = tuple(
+            {**cell.identity, "env_steps": 250_000 * (step + 1) + cell.seed, **dict.fromkeys(COURSE, score * step / 5)}
+            for step in range(6)
+        )
+        found[cell.name] = Summary(row={**cell.identity, **dict.fromkeys(COMPARED, score)}, curve=curve)
+    return found
+
+
+def draw(cells, out, study=STUDY):
+    summaries = summaries_of(cells)
+    return draw_figures(study, summaries, compare(study, summaries), out)
+
+
+@pytest.fixture(scope="module")
+def all_drawn(tmp_path_factory):
+    """The figures of every whole study, still open, and their files, by the study's name."""
+    found, close = {}, plt.close
+    for name, study in MADE.items():
+        open_figures = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(plt, "close", open_figures.append)
+            paths = draw(study.cells, tmp_path_factory.mktemp("figures"), study)
+        found[name] = dict(zip([path.stem for path in paths], open_figures, strict=True)), paths
+    yield found
+    for figures_of, _ in found.values():
+        for figure in figures_of.values():
+            close(figure)
+
+
+@pytest.fixture
+def drawn(all_drawn):
+    """The figures of a whole ablation."""
+    return all_drawn["ablation"]
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_figure_is_a_picture_as_wide_as_a_page(all_drawn, name):
+    _, paths = all_drawn[name]
+    assert [path.name for path in paths] == [figure.file for figure in MADE[name].design.figures]
+    for path in paths:
+        with Image.open(path) as picture:
+            width, height = picture.size
+            assert (picture.format, width) == ("PNG", 1500)
+            assert 0.3 * width < height < 1.5 * width
+            assert len(np.unique(np.asarray(picture.convert("L")))) > 20  # something is drawn
+
+
+@pytest.mark.parametrize(("study", "name"), DRAWN)
+def test_no_text_lies_over_another_or_leaves_the_picture(all_drawn, study, name):
+    figure = all_drawn[study][0][name]
+    boxes = {text: text.get_window_extent() for axes in figure.axes for text in texts_of(axes)}
+    # Slanted labels of neighbours lie side by side, though the boxes around them do not.
+    for one, other in itertools.combinations((text for text in boxes if text.get_rotation() != 45), 2):
+        assert not boxes[one].overlaps(boxes[other]), (one, other)
+    width, height = figure.canvas.get_width_height()
+    for text, box in boxes.items():
+        assert min(box.x0, box.y0, width - box.x1, height - box.y1) >= 0, text
+
+
+def texts_of(axes):
+    """Return the texts that are to be seen: matplotlib has labels of ticks beyond the limits, too."""
+    words = [axes.xaxis.label, axes.yaxis.label, axes.title, axes._left_title, *axes.texts]
+    words += axes.get_legend().get_texts() if axes.get_legend() else []
+    for axis, side in ((axes.xaxis, "labelbottom"), (axes.yaxis, "labelleft")):
+        low, high = sorted(axis.get_view_interval())
+        if axis.get_tick_params()[side]:
+            labels = zip(axis.get_majorticklocs(), axis.get_ticklabels(), strict=True)
+            words += [label for place, label in labels if low <= place <= high]
+    return [word for word in words if word.get_text() and word.get_visible()]
+
+
+def test_the_forest_shows_every_seed_and_the_corrected_p(drawn):
+    gather, maze = drawn[0]["choices"].axes
+    summaries = summaries_of(STUDY.cells)
+    found = {(c.env, c.variant): c for c in compare(STUDY, summaries) if c.group == "choices"}
+    for axis, env in ((gather, "point-gather"), (maze, "point-maze")):
+        labels = [tick.get_text() for tick in axis.get_yticklabels()]
+        assert labels[0] == "base"
+        assert len(labels) == len(axis.texts) == 10
+        dots = np.concatenate([dot.get_offsets()[:, 0] for dot in axis.collections])
+        scores = [
+            summaries[c.name].row[STUDY.design.metrics[env].column]
+            for c in STUDY.cells
+            if (c.env, c.group) == (env, "choices")
+        ]
+        assert sorted(dots) == pytest.approx(sorted(scores))
+        p = found[env, "mirrored-pair"].p_holm
+        assert axis.texts[1].get_text() == (f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}")
+
+
+def test_the_sweep_has_the_base_in_the_middle_and_values_as_labels(drawn):
+    axes = drawn[0]["sweep"].axes
+    assert len(axes) == 10
+    base = next(c.settings for c in STUDY.cells if (c.env, c.variant) == ("point-gather", "base"))
+    ticks = [tick.get_text() for tick in axes[0].get_xticklabels()]
+    assert ticks[2] == f"{base['sigma']:g}"
+    assert [float(tick) for tick in ticks] == pytest.approx([base["sigma"] * f for f in (0.25, 0.5, 1, 2, 4)])
+    assert axes[0].lines[0].get_xdata().tolist() == [0.25, 0.5, 1, 2, 4]
+
+
+def test_curves_are_means_over_seeds_of_transfer_and_horizon(drawn):
+    gather, maze, horizon = drawn[0]["transfer"].axes
+    words = ["no transfer, same view (3 seeds)", "transfer, frozen (3 seeds)", "transfer, learning on (3 seeds)"]
+    assert [line.get_label() for line in gather.lines] == [line.get_label() for line in maze.lines] == words
+    assert [line.get_label() for line in horizon.lines] == [f"{steps} steps (3 seeds)" for steps in (150, 500, 1000)]
+    assert len(horizon.collections) == 3
+
+
+def test_only_what_is_finished_is_drawn(tmp_path, monkeypatch):
+    before = plt.get_fignums()
+    monkeypatch.setattr(figures, "write_atomically", lambda *_: None)  # putting it on paper takes the time
+    assert draw([], tmp_path) == []
+    assert draw(choose(STUDY, ["horizon"]).cells, tmp_path) == [tmp_path / "transfer.png"]
+    one = [cell for cell in STUDY.cells if cell.seed == 1 and cell.variant in ("sigma-x2", "mirrored-none")]
+    assert [path.name for path in draw(one, tmp_path)] == ["choices.png", "sweep.png"]
+    assert plt.get_fignums() == before

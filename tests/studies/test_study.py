@@ -1,0 +1,585 @@
+"""Studies: order of the cells, resumption, cells that fail; what the studies consist of, and their statistics."""
+
+import csv
+import itertools
+import math
+import shutil
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shes.backends.serial import SerialBackend
+from shes.cli.commands import experiment
+from shes.errors import ConfigError, RunFolderError, UnknownNameError
+from shes.runs.checkpoint import load_checkpoint
+from shes.studies import ablation as ablations
+from shes.studies import learning as lessons
+from shes.studies import study as studies
+from shes.studies.ablation import ablation
+from shes.studies.comparison import compare, holm, permutation_test
+from shes.studies.design import sweep_name
+from shes.studies.index import STUDIES
+from shes.studies.learning import learning
+from shes.studies.study import (
+    Study,
+    cell_config,
+    cell_steps,
+    cells_left,
+    check_study,
+    choose,
+    generation_steps,
+    read_summaries,
+    run_cell,
+    run_study,
+)
+from shes.studies.tables import Cell, Summary, read_tables, write_tables
+from shes.training import train as training
+from shes.training.evaluate import evaluate
+from shes.training.presets import make_config
+from tests.e2e import runs
+
+TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}
+FAILING = {**TINY, "noise_table_size": 3}  # allowed, but no level fits: it shows when the run begins
+
+
+def cell(variant="base", seed=5, env="point-gather", group="choices", primitive=None, settings=TINY):
+    return Cell(
+        group=group, variant=variant, env=env, seed=seed, settings=settings, primitive=primitive, preset="smoke"
+    )
+
+
+def rows(path):
+    """Return a table's rows without the column of seconds."""
+    with path.open(newline="") as file:
+        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+
+
+def without_seconds(summary):
+    return replace(summary, row={**summary.row, "seconds": 0})
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Folder of a study with one finished cell, and its summary. Not to be changed."""
+    out = tmp_path_factory.mktemp("study")
+    return out, run_cell(cell(), out, 3)
+
+
+# A study.
+
+
+def test_seeds_come_first_and_a_primitive_before_what_begins_with_it():
+    alone = [cell("a", seed) for seed in (1, 2)] + [cell("b", seed) for seed in (1, 2)]
+    first = [cell("primitive", seed) for seed in (1, 2)]
+    after = [cell("after", seed, primitive=first[seed - 1].name) for seed in (1, 2)]
+    stages = Study(cells=(*alone, *after, *first)).stages()
+    assert [[(c.variant, c.seed) for c in stage] for stage in stages] == [
+        [("primitive", 1), ("primitive", 2)],
+        [("a", 1), ("b", 1), ("after", 1), ("a", 2), ("b", 2), ("after", 2)],
+    ]
+
+
+def test_a_chain_of_primitives_has_a_stage_for_every_link():
+    first = cell("first")
+    second = cell("second", primitive=first.name)
+    third = cell("third", primitive=second.name)
+    assert Study(cells=(third, second, first)).stages() == ((first,), (second,), (third,))
+
+
+def test_cells_of_one_name_and_primitives_of_no_cell_are_refused():
+    with pytest.raises(ConfigError, match="two cells of the study are called point-gather/choices/base/seed-5"):
+        Study(cells=(cell(), cell(settings={})))
+    with pytest.raises(ConfigError, match="begins with the primitive of nowhere, which is no cell"):
+        Study(cells=(cell(primitive="nowhere"),))
+
+
+def test_steps_of_a_cell_are_those_of_training_and_of_every_evaluation():
+    # 4 generations of 8 members; after generations 1, 2 and 4 three episodes; then 10 each, thrice.
+    assert cell_steps(cell(), 10) == 20 * (4 * 8 + 3 * 3 + 3 * 10)
+    unfrozen = cell(primitive="other", settings={**TINY, "freeze_primitive": False})
+    assert cell_steps(unfrozen, 10) == cell_steps(cell(), 10)  # no run is needed to know
+
+
+# A cell.
+
+
+def test_a_cell_is_an_ordinary_run_and_a_row(finished, tiny_run):
+    out, summary = finished
+    path = out / "point-gather" / "choices" / "base" / "seed-5"
+    assert runs.differences(tiny_run, path) == []
+    found = evaluate(path, episodes=3, checkpoint="last").summary()
+    row = summary.row
+    assert [row[name] for name in ("group", "variant", "env", "seed")] == ["choices", "base", "point-gather", 5]
+    assert (row["generations"], row["env_steps"]) == (4, 4 * 8 * 20)
+    assert (row["last_score"], row["last_return"]) == (found["score_mean"], found["return_mean"])
+    assert row["last_steps"] == found["episode_steps_mean"]
+    assert row["best_goals_reached"] >= 0
+    assert [point["env_steps"] for point in summary.curve] == [160, 320, 640]
+
+
+def test_a_finished_cell_is_not_run_again(finished, monkeypatch):
+    for name in ("start_run", "resume", "evaluate"):
+        monkeypatch.setattr(studies, name, None)
+    out, summary = finished
+    assert run_cell(cell(), out, 3) == summary
+
+
+def test_a_cell_that_was_stopped_goes_on_as_if_it_had_not(finished, tmp_path, monkeypatch):
+    evaluations = []
+
+    def evaluate(*arguments):
+        evaluations.append(arguments)
+        if len(evaluations) == 2:
+            signal.raise_signal(signal.SIGINT)
+        return original(*arguments)
+
+    original = training.evaluate_levels
+    monkeypatch.setattr(training, "evaluate_levels", evaluate)
+    with pytest.raises(KeyboardInterrupt):
+        run_cell(cell(), tmp_path, 3)
+    assert read_summaries(Study(cells=(cell(),)), tmp_path) == {}
+    monkeypatch.undo()
+    whole, summary = finished
+    assert without_seconds(run_cell(cell(), tmp_path, 3)) == without_seconds(summary)
+    assert runs.differences(whole / cell().name, tmp_path / cell().name) == []
+
+
+def test_a_cell_whose_evaluation_alone_is_missing_is_not_trained_again(finished, tmp_path, monkeypatch):
+    shutil.copytree(finished[0], tmp_path / "copy")
+    (tmp_path / "copy" / cell().name / "summary.json").unlink()
+    monkeypatch.setattr(studies, "resume", None)
+    assert run_cell(cell(), tmp_path / "copy", 3) == finished[1]
+
+
+@pytest.mark.parametrize(
+    ("other", "what"),
+    [({"sigma": 0.5}, r"sigma is 0\.07 there and 0\.5 in the study"), ({"generations": 9}, "generations is 4 there")],
+)
+def test_a_folder_with_a_run_of_other_settings_is_refused_and_named(finished, other, what):
+    changed = cell(settings={**TINY, **other})
+    match = f"seed-5 holds a run of other settings than cell point-gather/choices/base/seed-5: {what}"
+    with pytest.raises(RunFolderError, match=match):
+        check_study(Study(cells=(changed,)), finished[0])
+    with pytest.raises(RunFolderError, match="of other settings"):
+        next(run_study(Study(cells=(changed,)), finished[0], num_workers=1))
+
+
+def test_the_folder_of_a_run_is_no_place_for_a_study(finished):
+    with pytest.raises(RunFolderError, match="is a run folder: the runs of a study need one of their own"):
+        check_study(Study(cells=()), finished[0] / cell().name)
+
+
+def test_settings_that_are_not_allowed_show_before_anything_is_run(tmp_path):
+    study = Study(cells=(cell(), cell("b", settings={**TINY, "population_size": 7})))
+    with pytest.raises(ConfigError, match="population_size must be a positive multiple of 4"):
+        next(run_study(study, tmp_path, num_workers=1))
+    assert [path.name for path in tmp_path.iterdir()] == [".lock"]
+
+
+def test_a_damaged_summary_says_what_to_do(finished, tmp_path):
+    copy = shutil.copytree(finished[0], tmp_path / "copy")
+    (copy / cell().name / "summary.json").write_text("{")
+    with pytest.raises(RunFolderError, match=r"summary.json cannot be read: .*Remove it to have it made again"):
+        read_summaries(Study(cells=(cell(),)), copy)
+
+
+def test_tables_have_a_row_for_every_run_and_every_evaluation(finished, tmp_path):
+    write_tables([cell()], {cell().name: finished[1]}, tmp_path)
+    (row,) = rows(tmp_path / "runs.csv")
+    assert {name: row[name] for name in ("variant", "env", "seed", "generations")} == {
+        "variant": "base",
+        "env": "point-gather",
+        "seed": "5",
+        "generations": "4",
+    }
+    assert float(row["best_return"]) == finished[1].row["best_return"]
+    curve = rows(tmp_path / "curves.csv")
+    assert [float(point["env_steps"]) for point in curve] == [160, 320, 640]
+    assert float(curve[2]["return_mean"]) == finished[1].curve[2]["return_mean"]
+
+
+def test_tables_are_read_back_as_they_were_written(finished, tmp_path):
+    write_tables([cell()], {cell().name: finished[1]}, tmp_path)
+    assert read_tables([cell()], tmp_path) == {cell().name: finished[1]}
+    assert read_summaries(Study(cells=(cell(),)), tmp_path) == {cell().name: finished[1]}
+    for other in (cell(settings={**TINY, "sigma": 0.5}), cell(seed=6), cell(variant="other")):
+        assert read_tables([other], tmp_path) == {}
+    (tmp_path / "runs.csv").write_text("group\nchoices\n", encoding="utf-8")
+    with pytest.raises(RunFolderError, match=r"runs.csv cannot be read as a table of runs"):
+        read_tables([cell()], tmp_path)
+
+
+# All cells.
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Let a study work here: its processes have their tests in tests/e2e, and take their time to start."""
+    monkeypatch.setattr(studies, "ProcessesBackend", lambda factory, _: SerialBackend(factory))
+    monkeypatch.setattr(studies.signal, "pthread_sigmask", lambda *_: None)
+
+
+def test_a_cell_that_fails_is_named_and_stops_only_what_begins_with_it(tmp_path, finished, in_this_process):
+    bad, good = cell("bad", settings=FAILING), cell()
+    follower = cell("follower", primitive=bad.name)
+    study = Study(cells=(follower, good, bad), episodes=3)
+    outcomes = {outcome.cell.name: outcome for outcome in run_study(study, tmp_path, num_workers=2)}
+    assert list(outcomes) == [bad.name, follower.name, good.name]
+    assert "noise_table_size is 3" in outcomes[bad.name].error
+    assert outcomes[follower.name].error == f"not run: it begins with the primitive of {bad.name}, which failed."
+    assert without_seconds(outcomes[good.name].summary) == without_seconds(finished[1])
+    assert list(read_summaries(study, tmp_path)) == [good.name]
+
+
+def test_an_error_nobody_expected_is_an_outcome_with_its_traceback(monkeypatch, tmp_path, in_this_process):
+    def fail(*arguments):
+        raise ZeroDivisionError("nothing to divide by")
+
+    monkeypatch.setattr(studies, "run_cell", fail)
+    ((number, outcome),) = studies.StudyWorker(tmp_path, 3).run(iter([(4, cell())]), 1)
+    assert (number, outcome.summary) == (4, None)
+    assert outcome.error.endswith("ZeroDivisionError: nothing to divide by\n")
+
+
+def test_a_transferred_primitive_comes_from_its_cell_wherever_the_study_lies(tmp_path, monkeypatch, in_this_process):
+    source = cell("base", env="point-flagrun", group="transfer")
+    frozen = cell("frozen", primitive=source.name, settings={**TINY, "freeze_primitive": True})
+    study = Study(cells=(frozen, source), episodes=3)
+    assert [outcome.error for outcome in run_study(study, tmp_path / "a", num_workers=2)] == ["", ""]
+    one = load_checkpoint(tmp_path / "a" / source.name / "checkpoints" / "best.npz").state.levels[0]
+    other = load_checkpoint(tmp_path / "a" / frozen.name / "checkpoints" / "last.npz").state.levels[1]
+    assert (one.name, one.theta.tobytes()) == (other.name, other.theta.tobytes())
+    (tmp_path / "a").rename(tmp_path / "b")
+    monkeypatch.chdir(tmp_path)
+    assert list(run_study(study, tmp_path / "b", num_workers=2)) == []
+    (tmp_path / "b" / frozen.name / "summary.json").unlink()
+    assert [outcome.error for outcome in run_study(study, tmp_path / "b", num_workers=2)] == [""]
+
+
+# The ablation.
+
+
+def test_a_study_goes_on_from_its_tables_alone(tmp_path, in_this_process):
+    trained = cell(env="point-flagrun", group="transfer", settings={**TINY})
+    begun = cell(
+        group="transfer", variant="frozen", primitive=trained.name, settings={**TINY, "freeze_primitive": True}
+    )
+    study = Study(cells=(trained, cell(), begun), episodes=2)
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert all(outcome.summary for outcome in run_study(study, first, num_workers=1))
+    whole = read_summaries(study, first)
+    second.mkdir()
+    write_tables(study.ordered(), {name: found for name, found in whole.items() if name != begun.name}, second)
+    outcomes = list(run_study(study, second, num_workers=1))
+    # The primitive is trained again: what begins with it needs more than its row.
+    assert [outcome.cell.name for outcome in outcomes] == [trained.name, begun.name]
+    again = read_summaries(study, second)
+    assert {name: without_seconds(found) for name, found in again.items()} == {
+        name: without_seconds(found) for name, found in whole.items()
+    }
+    assert not list(run_study(study, second, num_workers=1))
+
+
+def test_a_row_does_not_stand_for_a_primitive_that_is_not_finished(tmp_path, in_this_process):
+    trained = cell(env="point-flagrun", group="transfer")
+    followers = [
+        cell(group="transfer", variant=name, primitive=trained.name, settings={**TINY, "freeze_primitive": frozen})
+        for name, frozen in (("frozen", True), ("unfrozen", False))
+    ]
+    study = Study(cells=(trained, *followers), episodes=2)
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert all(outcome.summary for outcome in run_study(study, first, num_workers=1))
+    whole = read_summaries(study, first)
+    second.mkdir()
+    write_tables(study.ordered(), {name: whole[name] for name in (trained.name, followers[0].name)}, second)
+    training.start_run(replace(cell_config(trained, second), minutes=1e-9), second / trained.name)  # stopped at once
+    left = cells_left(study, second)
+    assert [some.name for some in left] == [trained.name, followers[1].name]
+    progress = experiment._Progress(study, {some.name for some in left}, 1, is_silent=True)
+    for outcome in run_study(study, second, num_workers=1):
+        progress.show(outcome)
+    again = read_summaries(study, second)
+    assert {name: without_seconds(found) for name, found in again.items()} == {
+        name: without_seconds(found) for name, found in whole.items()
+    }
+
+
+def test_rows_of_other_cells_stay_in_the_tables(finished, tmp_path):
+    others = [cell(seed=9), cell(settings={**TINY, "sigma": 0.3})]
+    summaries = {
+        some.name: replace(finished[1], row={**finished[1].row, **some.identity}, curve=tuple(
+            {**point, **some.identity} for point in finished[1].curve))
+        for some in others
+    }  # fmt: skip
+    for some in others:
+        write_tables([some], summaries, tmp_path)
+    write_tables([cell()], {}, tmp_path)
+    for some in others:
+        assert read_tables([some], tmp_path) == {some.name: summaries[some.name]}
+    assert len(rows(tmp_path / "runs.csv")) == 2
+
+
+def test_a_table_that_does_not_say_of_which_settings_it_is_is_refused_and_kept(finished, tmp_path):
+    text = "group,variant,env,seed\nchoices,base,point-gather,5\n"
+    (tmp_path / "runs.csv").write_text(text, encoding="utf-8")
+    for use in (lambda: read_tables([cell()], tmp_path), lambda: write_tables([cell()], {}, tmp_path)):
+        with pytest.raises(RunFolderError, match=r"runs\.csv cannot be .*no column settings.*Move it elsewhere"):
+            use()
+    assert (tmp_path / "runs.csv").read_text(encoding="utf-8") == text
+
+
+def test_the_tables_of_the_ablation_in_results_are_whole():
+    assert cells_left(ablation(), Path(__file__).parents[2] / "results" / "ablation") == []
+
+
+@pytest.mark.parametrize(("first", "second"), [([1.0, 2.0, 4.0], [3.0, 7.0, 9.0, 9.5]), ([1.0, 1.0], [1.0, 1.0])])
+def test_the_permutation_test_of_few_values_is_exact(first, second):
+    values, least = [*first, *second], abs(np.mean(first) - np.mean(second)) - 1e-12
+    splits = list(itertools.combinations(range(len(values)), len(first)))
+    found = [
+        abs(np.mean([values[i] for i in split]) - np.mean([v for i, v in enumerate(values) if i not in split]))
+        for split in splits
+    ]
+    expected = sum(each >= least for each in found) / len(splits)
+    assert permutation_test(np.array(first), np.array(second)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("scale", experiment._SCALES)
+def test_every_cell_of_a_study_has_settings_that_are_allowed(name, scale, tmp_path):
+    check_study(STUDIES[name](scale), tmp_path)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("scale", experiment._SCALES)
+def test_the_design_of_a_study_names_what_there_is(name, scale):
+    study = STUDIES[name](scale)
+    design, places = study.design, {(found.env, found.group, found.variant) for found in study.cells}
+    variants = {place[1:] for place in places}
+    assert {group for group, _ in variants} == set(design.groups)
+    assert design.base in variants
+    assert set(design.metrics) == set(design.curves) <= {env for env, _, _ in places}
+    assert set(design.labels) <= {variant for _, variant in variants}
+    for group, pairs in design.paired.items():
+        assert {(group, variant) for pair in pairs for variant in pair} <= variants
+    for figure in design.figures:
+        assert set(figure.groups) <= set(design.groups)
+        for panel in getattr(figure, "panels", ()):
+            assert {(panel.env, curve.group, curve.variant) for curve in panel.curves} <= places
+        for setting in getattr(figure, "settings", ()):
+            assert {(figure.group, sweep_name(setting, factor)) for factor in figure.factors} <= variants
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_study_refuses_sizes_it_does_not_have(name):
+    with pytest.raises(UnknownNameError, match="unknown scale 'large'"):
+        STUDIES[name]("large")
+    with pytest.raises(ConfigError, match=r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."):
+        STUDIES[name](seeds=0)
+
+
+def test_the_ablation_has_the_seeds_that_were_asked_for():
+    counts = {}
+    for found in ablation().cells:
+        counts.setdefault((found.env, found.group, found.variant), set()).add(found.seed)
+    for (_, group, _), seeds in counts.items():
+        assert seeds == set(range(1, 6 if group == "sweep" else 11))
+    for env in ablations.ENVS:
+        groups = [group for where, group, _ in counts if where == env]
+        assert [groups.count(group) for group in ("choices", "sweep", "transfer")] == [10, 20, 3]
+    assert sorted(variant for _, group, variant in counts if group == "horizon") == ["horizon-1000", "horizon-500"]
+    assert {found.seed for found in ablation(seeds=3).cells} == {1, 2, 3}
+
+
+def test_every_variant_of_the_ablation_makes_as_many_environment_steps_as_the_base():
+    for scale, tolerance in (("laptop", 0.07), ("smoke", 0.3)):  # whole generations, and few of them
+        steps = {}
+        for found in ablation(scale).cells:
+            factors = (found.settings[name] for name in ("generations", "population_size", "horizon"))
+            steps[found.env, found.variant] = math.prod(factors)
+        for (env, variant), number in steps.items():
+            assert number == pytest.approx(steps[env, "base"], rel=tolerance), (scale, env, variant)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_laptop_scale_takes_at_most_four_hours_on_two_cores(name):
+    study = STUDIES[name]()
+    steps = sum(cell_steps(found, study.episodes) for found in study.cells)
+    assert steps / study.design.steps_per_s / 2 <= 4 * 3600
+
+
+def test_a_sweep_multiplies_the_base_and_rounds_whole_numbers():
+    cells = {(found.env, found.variant): found.settings for found in ablation(seeds=1).cells}
+    base = cells["point-maze", "base"]
+    for name in ablations.SWEPT:
+        for factor in ablations.FACTORS:
+            value = cells["point-maze", sweep_name(name, factor)][name]
+            assert type(value) is type(base[name])
+            assert value == pytest.approx(factor * base[name], abs=2 if isinstance(value, int) else 1e-9)
+    assert all(settings["population_size"] % 4 == 0 for settings in cells.values())
+
+
+def test_some_groups_alone_come_with_the_base_and_the_primitives():
+    study = choose(ablation("smoke"), ["horizon", "transfer"])
+    found = {(c.env, c.group, c.variant) for c in study.cells}
+    both = [(env, group, name) for env in ablations.ENVS for group, name in (("choices", "base"),)]
+    transfers = [(env, "transfer", name) for env in ablations.ENVS for name in ("scratch", "frozen", "unfrozen")]
+    longer = [("point-maze", "horizon", f"horizon-{steps}") for steps in ablations.SCALES["smoke"].horizons]
+    assert found == {*both, *transfers, *longer, ("point-flagrun", "transfer", "base")}
+    assert choose(ablation("smoke"), ()) == ablation("smoke")
+    with pytest.raises(UnknownNameError, match=r"unknown group 'choice'\. Did you mean 'choices'"):
+        choose(ablation("smoke"), ["choice"])
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_command_offers_the_groups_and_scales_there_are(name):
+    assert set(experiment._GROUPS) == set(STUDIES)
+    assert experiment._GROUPS[name] == tuple(STUDIES[name]("smoke").design.groups)
+    assert set(experiment._SCALES) == set(ablations.SCALES) == set(lessons.SCALES)
+
+
+# The learning study.
+
+
+def test_every_run_of_the_learning_study_ends_after_as_many_steps_and_evaluates_as_often():
+    for scale, size in lessons.SCALES.items():
+        for found in learning(scale, seeds=1).cells:
+            config = cell_config(found, Path("study"))
+            assert config.env_steps == size.env_steps
+            between = config.evaluation_interval * generation_steps(config)
+            assert size.evaluation_steps / 2 <= between <= 2 * size.evaluation_steps, found.name
+            # Episodes that end early make more generations of as many steps: they must not come to their end first.
+            assert config.generations * config.population_size > size.env_steps
+
+
+def test_the_learning_study_has_its_variants_with_reasons_and_five_seeds():
+    study, groups = learning(), lessons.variants()
+    assert {group: len(found) for group, found in groups.items()} == {
+        "pieces": 11,
+        "form": 5,
+        "alternatives": 6,
+        "sweep": 8,
+    }
+    assert all(variant.words and variant.reason for found in groups.values() for variant in found.values())
+    assert len(study.cells) == 5 * 30
+    assert {found.seed for found in study.cells} == {1, 2, 3, 4, 5}
+    assert {found.seed for found in learning(seeds=2).cells} == {1, 2}
+
+
+def test_a_piece_left_out_changes_that_piece_alone():
+    configs = {found.variant: cell_config(found, Path("study")).to_dict() for found in learning(seeds=1).cells}
+    base = configs["base"]
+    changed = {
+        variant: {name for name, value in config.items() if value != base[name]} - {"evaluation_interval"}
+        for variant, config in configs.items()
+    }
+    assert changed["base"] == set()
+    assert changed["no-view"] == {"primitive_view", "symmetry"}
+    assert changed["episodes"] == {"primitive_estimate", "population_size"}
+    assert changed["sigma-decay"] == {"sigma_schedule", "sigma_end", "schedule_generations"}
+    single = [name for name in changed if name not in ("base", "no-view", "sigma-decay")]
+    single = [name for name in single if not name.startswith(("episodes", "form"))]
+    assert {name: len(changed[name]) for name in single} == dict.fromkeys(single, 1)
+    parts = ("no-view", "glorot-output", "no-clock", "episodes", "goal-angle", "fall-price-0")
+    assert changed["form"] == set().union(*(changed[name] for name in parts))
+    assert changed["form-egocentric"] == changed["form"] - {"primitive_view"}
+    assert changed["form-dihedral"] == changed["form"] - {"primitive_view", "symmetry"}
+    assert changed["form-interval"] == changed["form"] - changed["episodes"]
+    assert changed["form-zero"] == changed["form"] - {"output_weights"}
+    assert configs["sigma-decay"]["sigma_end"] == pytest.approx(base["sigma"] / 5)
+    assert configs["sigma-decay"]["schedule_generations"] == 11
+
+
+def test_a_cell_ends_with_its_environment_steps_and_is_not_gone_on_with(tmp_path, monkeypatch):
+    (some,) = (found for found in learning("smoke", seeds=1).cells if found.variant == "base")
+    summary = run_cell(some, tmp_path, 2)
+    assert 2_000 <= summary.row["env_steps"] < 2_400
+    assert summary.curve[-1]["episode_steps_mean"] <= 50
+    (tmp_path / some.name / "summary.json").unlink()
+    monkeypatch.setattr(studies, "resume", None)
+    assert run_cell(some, tmp_path, 2) == summary
+
+
+def test_steps_of_a_generation_count_branches_and_whole_episodes():
+    def steps(env, **settings):
+        some = cell(env=env, settings={**TINY, "controller_interval": 10, **settings})
+        return generation_steps(cell_config(some, Path("study")))
+
+    interval = {"primitive_estimate": "interval", "intervals": 3, "primitive_view": "proprioception"}
+    assert steps("point-flagrun") == 8 * 20
+    assert steps("point-flagrun", **interval) == 8 * 3 * 10
+    assert steps("point-gather", **interval, primitive_population_size=6) == 8 * 20 + 6 * 3 * 10
+
+
+# Statistics.
+
+
+def test_the_permutation_test_agrees_with_the_exact_number():
+    low, high = np.arange(5.0), np.arange(5.0, 10.0)
+    assert permutation_test(low, high) == pytest.approx(2 / 252, abs=0.003)  # both ways to part all from all
+    mixed = permutation_test(np.array([1.0, 4.0, 6.0]), np.array([2.0, 3.0, 9.0]))
+    # Of the 20 ways to take 3 of the 6 values, 16 have sums at least 1.5 away from 12.5.
+    assert mixed == pytest.approx(16 / 20, abs=0.02)
+
+
+def test_the_permutation_test_is_symmetric_seeded_and_never_zero():
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=10), rng.normal(size=10) + 20
+    assert permutation_test(first, second) == permutation_test(first, second)
+    assert permutation_test(first, second) == pytest.approx(permutation_test(second, first), abs=1e-3)
+    assert permutation_test(first, second) > 0
+    assert permutation_test(np.full(5, 0.1), np.full(10, 0.1)) == 1
+
+
+def test_holm_corrects_as_the_textbook_does():
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
+    assert holm([0.02]) == [0.02]
+    assert holm([]) == []
+
+
+def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_their_group():
+    study = ablation()
+
+    def score(found):
+        is_worse = found.variant in ("mirrored-none", "frozen") and found.env == "point-maze"
+        return 0.1 * (found.seed % 5) - (2 if is_worse else 0)
+
+    summaries = {
+        found.name: Summary(row={**found.identity, study.design.metrics[found.env].column: score(found)}, curve=())
+        for found in study.cells
+        if found.env in ablations.ENVS
+    }
+    found = {(c.env, c.group, c.variant, c.against): c for c in compare(study, summaries)}
+    base = found["point-maze", "choices", "base", None]
+    assert (base.seeds, base.score_mean, base.p, base.p_holm) == (10, pytest.approx(0.2), None, None)
+    assert base.score_low < 0.2 < base.score_high
+    worse = found["point-maze", "choices", "mirrored-none", "base"]
+    assert worse.difference == pytest.approx(-2)
+    assert (worse.p, worse.p_holm) == (pytest.approx(1e-4, rel=2), pytest.approx(9 * worse.p))
+    assert found["point-gather", "choices", "mirrored-none", "base"].p_holm == 1
+    assert found["point-maze", "transfer", "unfrozen", "frozen"].difference == pytest.approx(2)
+    assert found["point-maze", "horizon", "horizon-1000", "horizon-500"].p == 1
+    assert all(c.env in ablations.ENVS for c in found.values())
+
+
+def test_what_is_not_finished_is_not_compared():
+    study = ablation("smoke")
+    some = next(found for found in study.cells if found.variant == "sigma-x2")
+    summaries = {some.name: Summary(row={**some.identity, study.design.metrics[some.env].column: 1.0}, curve=())}
+    (found,) = compare(study, summaries)  # there is no base yet
+    assert (found.variant, found.against, found.p) == ("sigma-x2", None, None)
+    assert compare(study, {}) == []
+
+
+def test_no_variant_of_the_learning_study_is_its_base_or_another_one():
+    """A preset must not bring back what a variant leaves out."""
+    cells = [cell for cell in learning().cells if cell.seed == 1]
+    runs = {cell.variant: make_config(cell.env, cell.preset, cell.settings).numbers() for cell in cells}
+    numbers = [{name: value for name, value in run.items() if name != "env_steps"} for run in runs.values()]
+    assert all(one != other for one, other in itertools.combinations(numbers, 2))
+    without_clock, without_view = runs["no-clock"], runs["no-view"]
+    assert (without_clock["clock_frequency"], without_view["symmetry"]) == (None, "none")

@@ -1,0 +1,90 @@
+"""Two samples of episodes are told apart where the physics differ, and only there."""
+
+import math
+from functools import partial
+
+import numpy as np
+import pytest
+
+from benchmarks.device_check import ALPHA, POWER, compare_with_cpu, detectable_shift, kolmogorov_smirnov
+from shes.envs.registry import ENVIRONMENTS
+from shes.errors import UnknownNameError
+from shes.sim.cpu import CpuSimulator
+from shes.sim.warp import WarpSimulator
+
+SHORT = ("point-maze", "point-push", "ant-gather", "ant-push")
+
+
+class Sluggish(CpuSimulator):
+    """MuJoCo with a tenth less gear on every motor."""
+
+    def __init__(self, model, num_sims):
+        model.actuator_gear[:] *= 0.9
+        super().__init__(model, num_sims)
+
+
+def smallest_p(comparisons):
+    return min(min(c.p_shift, c.p_distance) for c in comparisons)
+
+
+def corrected_alpha(comparisons):
+    return ALPHA / (2 * len(comparisons))
+
+
+def test_the_distance_of_two_samples_is_that_of_their_distribution_functions():
+    first, second = np.array([1.0, 2, 3, 4]), np.array([3.5, 4.5, 5, 6, 7])
+    distance, _ = kolmogorov_smirnov(first, second)
+    assert distance == pytest.approx(0.8)  # at 4: all of four against one of five
+    assert kolmogorov_smirnov(first, first) == (0.0, 1.0)
+
+
+def test_the_p_of_a_distance_is_kolmogorovs():
+    # Q(1) = 0.26999967, Q(1.5) = 0.02221796 (tables of the limiting distribution)
+    n = 100_000
+    for scaled, p in ((1.0, 0.26999967), (1.5, 0.02221796)):
+        shift = scaled / math.sqrt(n / 2)
+        grid = (np.arange(n) + 0.5) / n
+        assert kolmogorov_smirnov(grid, grid + shift)[1] == pytest.approx(p, rel=0.02)
+
+
+def test_the_power_is_as_stated():
+    rng, n, trials = np.random.default_rng(0), 100, 2000
+    shift = detectable_shift(n)
+    found = 0
+    for _ in range(trials):
+        a, b = rng.normal(size=n), rng.normal(shift, 1, n)
+        z = abs(a.mean() - b.mean()) / math.sqrt(a.var(ddof=1) / n + b.var(ddof=1) / n)
+        found += math.erfc(z / math.sqrt(2)) < ALPHA
+    assert found / trials == pytest.approx(POWER, abs=0.03)
+    assert detectable_shift(1000) < 0.21 < detectable_shift(1000, tests=8) < 0.26
+
+
+def test_other_seeds_on_the_same_simulator_are_not_told_apart():
+    found = compare_with_cpu("point-maze", CpuSimulator, episodes=300, horizon=40)
+    assert {c.measure for c in found} == {"environment return", "primitive return", "steps", "distance moved"}
+    assert smallest_p(found) > corrected_alpha(found)
+
+
+def test_motors_a_tenth_weaker_are_found():
+    found = compare_with_cpu("point-maze", Sluggish, episodes=2000, horizon=20)
+    assert smallest_p(found) < corrected_alpha(found)
+
+
+def test_an_unknown_environment_is_refused():
+    with pytest.raises(UnknownNameError, match="point-mazes"):
+        compare_with_cpu("point-mazes", CpuSimulator)
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize("env", SHORT)
+def test_warp_on_the_cpu_plays_the_same_game(env):
+    found = compare_with_cpu(env, partial(WarpSimulator, device="warp-cpu"), episodes=96, horizon=40)
+    assert smallest_p(found) > corrected_alpha(found)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("spec", ["shes", "hiro"])
+@pytest.mark.parametrize("env", ENVIRONMENTS)
+def test_a_card_plays_the_same_game(env, spec):
+    found = compare_with_cpu(env, partial(WarpSimulator, device="cuda"), spec=spec, episodes=1000)
+    assert smallest_p(found) > corrected_alpha(found)

@@ -1,0 +1,159 @@
+"""Presets: what they start from, by numbers written down by hand."""
+
+import pytest
+
+from shes.envs.registry import ENVIRONMENTS
+from shes.errors import ConfigError, UnknownNameError
+from shes.training.build import build_environment, build_options
+from shes.training.presets import PRESETS, make_config
+
+PAPER = {
+    # SHES paper, Table I.
+    "population_size": 1000,
+    "episodes_per_policy": 5,
+    "horizon": 500,
+    "controller_interval": 25,
+    "goal_distance": 4.0,
+    "learning_rate": 0.01,
+    "sigma": 0.02,
+    "generations": 3000,
+    # Where Table I is silent: the authors' code (algorithm specification, section 7).
+    "hidden": (256, 256, 256),
+    "biases": "glorot_normal",
+    "weight_decay": 0.005,
+    "mirrored": "quad",
+    "rank_ties": "index",
+    "common_random_numbers": "off",
+    "statistics_fraction": 0.01,
+    "minimum_goal_distance": True,
+    "goal_encoding": "angle",
+    "controller_output": "vector",
+    "perturbation": "many_to_many",
+    "fitness_shaping": "centred_rank",
+    "optimizer": "adam",
+    "novelty": "none",
+    "primitive_reward": "progress",
+    "freeze_primitive": True,
+    "reset_noise": 0.0,
+    "evaluation_reset_noise": 0.1,
+    "evaluation_episodes": 10,
+    "noise_table_size": 250_000_000,
+}
+
+
+@pytest.mark.parametrize("env", ENVIRONMENTS)
+@pytest.mark.parametrize("name", PAPER)
+def test_the_paper_preset_has_the_numbers_of_table_one(env, name):
+    is_pretraining = (name, env) in (("population_size", "ant-flagrun"), ("population_size", "point-flagrun"))
+    assert getattr(make_config(env, "paper"), name) == (256 if is_pretraining else PAPER[name])
+
+
+@pytest.mark.parametrize("env", ENVIRONMENTS)
+def test_the_paper_preset_steps_by_euler(env):
+    config = make_config(env, "paper")
+    assert build_options(config, build_environment(config), is_evaluation=False).integrator == "euler"
+
+
+def test_the_paper_preset_evaluates_over_the_horizon_of_table_one():
+    config = make_config("ant-gather", "paper")
+    assert (config.evaluation_horizon or config.horizon) == 500
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("env", ENVIRONMENTS)
+def test_every_preset_suits_every_environment(env, preset):
+    config = make_config(env, preset)
+    assert (config.env, config.preset) == (env, preset)
+
+
+def test_the_presets_are_those_of_the_design():
+    assert set(PRESETS) == {"paper", "laptop", "smoke"}
+
+
+def test_the_smoke_preset_is_small():
+    config = make_config("ant-gather", "smoke")
+    steps = config.generations * config.population_size * config.episodes_per_policy * config.horizon
+    assert steps <= 10_000
+    assert config.noise_table_size <= 1_000_000
+
+
+def test_overrides_win_over_the_preset():
+    config = make_config("point-gather", "paper", {"sigma": 0.5, "hidden": [8]})
+    assert (config.sigma, config.hidden, config.population_size) == (0.5, (8,), 1000)
+    assert make_config("point-gather", "smoke", {"hidden": 8}).hidden == (8,)
+
+
+def test_wrong_names_are_refused():
+    with pytest.raises(UnknownNameError, match=r"unknown preset 'papper'\. Did you mean 'paper'\?.*Set --preset"):
+        make_config("ant-gather", "papper")
+    with pytest.raises(ConfigError, match=r"unknown setting 'lerning_rate'\. Did you mean 'learning_rate'\?"):
+        make_config("ant-gather", "smoke", {"lerning_rate": 1})
+
+
+@pytest.mark.parametrize(
+    ("settings", "fix"),
+    [
+        ({"momentum": 0.5}, "momentum does nothing with optimizer 'adam'.*Set --optimizer to sgd or clipup"),
+        ({"top_fraction": 0.5}, "top_fraction does nothing with fitness_shaping 'centred_rank'.*--fitness-shaping"),
+        ({"rank_ties": "index", "fitness_shaping": "z_score"}, "rank_ties does nothing with fitness_shaping 'z_score'"),
+        ({"novelty_neighbours": 3}, "novelty_neighbours does nothing with novelty 'none'.*leave --novelty-neighbours"),
+        (
+            {"schedule_generations": 50},
+            "schedule_generations does nothing without a schedule, got 50.*--sigma-schedule.*leave",
+        ),
+        (
+            {"perturbation": "one_to_many", "algorithm": "es"},
+            "perturbation says how two levels.* the policy alone learns; got 'one_to_many'. Leave --perturbation away",
+        ),
+    ],
+)
+def test_a_setting_that_would_do_nothing_beside_another_is_refused(settings, fix):
+    with pytest.raises(ConfigError, match=fix):
+        make_config("point-gather", "laptop", settings)
+    helped = {
+        "momentum": {"optimizer": "sgd"},
+        "novelty_neighbours": {"novelty": "ns"},
+        "schedule_generations": {"sigma_schedule": "linear", "sigma_end": 0.01},
+        "perturbation": {"algorithm": "shes"},
+    }.get(next(iter(settings)))
+    if helped is not None:
+        make_config("point-gather", "laptop", {**settings, **helped})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("fitness_shaping", "z_score"),
+        ("mirrored", "none"),
+        ("episodes_per_policy", 5),
+        ("common_random_numbers", "off"),
+        ("statistics_fraction", 0.1),
+    ],
+)
+def test_what_concerns_whole_episodes_is_refused_where_there_are_none(name, value):
+    message = rf"{name} does nothing in a run of ant-flagrun whose primitive is judged by intervals.*--primitive-est"
+    with pytest.raises(ConfigError, match=message):
+        make_config("ant-flagrun", "laptop", {name: value})
+    chosen = make_config("ant-flagrun", "laptop", {name: value, "primitive_estimate": "episode"})
+    assert getattr(chosen, name) == value
+
+
+def test_two_levels_of_which_branches_judge_one_do_not_share_the_population():
+    with pytest.raises(ConfigError, match="the controller alone is judged by whole episodes; got 'one_to_many'"):
+        make_config("ant-gather", "laptop", {"perturbation": "one_to_many"})
+
+
+def test_options_of_a_shaping_may_concern_the_primitives():
+    own = {"primitive_fitness_shaping": "top_fraction", "top_fraction": 0.3}
+    assert make_config("ant-gather", "laptop", own).top_fraction == 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("intervals", 5), ("fall_price", 5.0), ("primitive_sigma", 0.3), ("primitive_population_size", 6)],
+)
+def test_what_concerns_branches_is_refused_where_the_primitive_stays_as_it_is(name, value):
+    with pytest.raises(ConfigError, match=rf"{name} does nothing where the primitive stays as it is; got {value}"):
+        make_config("ant-gather", "laptop", {"primitive": "ant-walker", name: value})
+    learns_on = make_config("ant-gather", "laptop", {"primitive": "ant-walker", "freeze_primitive": False, name: value})
+    assert getattr(learns_on, name) == value

@@ -1,0 +1,126 @@
+"""Training: which evaluation is the best one, and what is kept of it."""
+
+import numpy as np
+import pytest
+
+from shes.errors import ConfigError
+from shes.runs.folder import RunFolder
+from shes.training import train as training
+from shes.training.evaluate import Evaluation
+from shes.training.train import resume
+from tests.e2e import runs
+
+
+@pytest.fixture
+def find(monkeypatch):
+    """Return a function that makes the evaluations of generations 1, 2 and 4 find these (score, return)."""
+
+    def prepare(*found):
+        left = list(found)
+
+        def evaluate(*arguments):
+            score, mean_return = left.pop(0)
+            zeros = np.zeros(2)
+            return Evaluation(
+                scores=zeros + score,
+                returns=zeros + mean_return,
+                primitive_returns=zeros,
+                goals_reached=zeros,
+                successes=zeros,
+                steps=zeros,
+                diverged=zeros,
+            )
+
+        monkeypatch.setattr(training, "evaluate_levels", evaluate)
+
+    return prepare
+
+
+@pytest.mark.parametrize(
+    ("found", "best"),
+    [
+        ([(1, 0), (3, 0), (2, 0)], 2),
+        ([(3, 0), (2, 9), (1, 9)], 1),
+        ([(1, 0), (2, 0), (3, 0)], 4),
+        ([(3, 5), (3, 4), (0, 0)], 1),  # a tie goes to the higher return
+        ([(3, 5), (3, 5), (0, 0)], 2),  # then to the later one
+        ([(-3, 0), (-2, 0), (-9, 0)], 2),
+    ],
+)
+def test_the_best_evaluation_is_kept(tmp_path, find, found, best):
+    find(*found)
+    path = runs.train_tiny(tmp_path / "run")
+    folder = RunFolder.open(path)
+    assert folder.load("last").best.generation == best
+    kept = folder.load("best")
+    assert kept.state.generation == best
+    assert kept.best.generation == best
+    if best != 1:  # every second generation is kept
+        assert kept.state.levels[0].theta.tobytes() == folder.load(best).state.levels[0].theta.tobytes()
+
+
+def test_the_best_evaluation_is_remembered_over_a_resume(tmp_path, find):
+    find((3, 0), (1, 0))
+    path = runs.train_tiny(tmp_path / "run", generations=2)
+    find((2, 0))
+    assert resume(path, generations=4).best.generation == 1
+    assert RunFolder.open(path).load("best").state.generation == 1
+
+
+def test_before_the_first_evaluation_the_best_is_the_start(tmp_path):
+    path = runs.train_tiny(tmp_path / "run", minutes=1e-9)
+    folder = RunFolder.open(path)
+    assert folder.load("best").state.generation == 0
+    assert folder.load("last").best.generation == -1
+
+
+def test_a_run_ends_with_the_generation_that_reaches_its_environment_steps(tmp_path):
+    whole = runs.train_tiny(tmp_path / "whole")  # 4 generations of 160 steps
+    path = runs.train_tiny(tmp_path / "run", env_steps=161)
+    state = RunFolder.open(path).load("last").state
+    assert (state.generation, state.env_steps) == (2, 320)
+    with pytest.raises(ConfigError, match=r"made 320 environment steps, and is to end after 161\. .*--env-steps 640"):
+        resume(path)
+    assert resume(path, env_steps=10_000).generation == 4
+    assert runs.differences(whole, path) == []
+
+
+class _Heard:
+    """A listener that remembers what was unusual."""
+
+    def __init__(self):
+        self.events = []
+
+    def on_event(self, event):
+        self.events.append(event)
+
+    def on_start(self, *told):
+        pass
+
+    on_generation = on_evaluation = on_start
+
+
+FALLING = {"sigma_schedule": "linear", "sigma_end": 0.01}
+
+
+@pytest.mark.parametrize(("settings", "is_short"), [({}, False), (FALLING, True)])
+def test_a_run_that_ends_before_its_schedule_says_so_when_it_begins(tmp_path, settings, is_short):
+    heard = _Heard()
+    path = runs.train_tiny(tmp_path / "run", generations=1, listener=heard, **settings)
+    told = (
+        "the schedules take 1000 generations, but the run ends after 1, short of their end: see --schedule-generations"
+    )
+    assert heard.events == [told] * is_short
+    assert (told in (path / "log.txt").read_text()) == is_short
+    on = _Heard()
+    resume(path, generations=2, listener=on)
+    assert len(on.events) == is_short
+
+
+def test_a_run_as_long_as_its_schedule_says_nothing_of_it(tmp_path):
+    heard = _Heard()
+    settings = {"learning_rate_schedule": "cosine", "learning_rate_end": 0, "schedule_generations": 2}
+    path = runs.train_tiny(tmp_path / "run", generations=3, listener=heard, **settings)
+    assert heard.events == []
+    before, after = (RunFolder.open(path).load(name).state.levels[0].theta for name in ("2", "last"))
+    assert before.tobytes() == after.tobytes()  # nothing is learnt at a rate of zero

@@ -1,0 +1,202 @@
+"""Learning curves: what is drawn for runs alone and for repetitions."""
+
+import shutil
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from shes.errors import ConfigError, RunFolderError, StorageError, UnknownNameError
+from shes.runs.folder import RunFolder
+from shes.runs.tables import read_csv
+from shes.viewing.plot import interval, plot
+from tests.e2e import runs
+
+pytestmark = pytest.mark.extras  # the fast tests have three minutes
+
+
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory):
+    """Three runs that differ in the seed alone."""
+    folder = tmp_path_factory.mktemp("seeds")
+    return [runs.train_tiny(folder / str(seed), seed=seed) for seed in (5, 6, 7)]
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Figures that were drawn, still to be looked at."""
+    figures, close = [], plt.close
+    monkeypatch.setattr(plt, "close", figures.append)
+    yield figures
+    for figure in figures:
+        close(figure)
+
+
+def test_a_picture_is_written(seeds, tmp_path):
+    path = plot(seeds[:1], tmp_path / "curves.png")
+    assert path == tmp_path / "curves.png"
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert plt.get_fignums() == []
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".pdf", b"%PDF"), (".svg", b"<?xml"), (".PNG", b"\x89PNG")])
+def test_the_suffix_says_the_format(seeds, tmp_path, suffix, start):
+    assert plot(seeds[:1], tmp_path / f"curves{suffix}").read_bytes().startswith(start)
+
+
+def test_a_run_alone_is_drawn_as_its_tables_say(seeds, tmp_path, drawn):
+    plot(seeds[:1], tmp_path / "a.png", x="generation")
+    evaluation, progress = read_csv(seeds[0] / "evaluation.csv"), read_csv(seeds[0] / "progress.csv")
+    score, controller, primitive = drawn[0].axes
+    assert score.lines[0].get_xydata().T.tolist() == [evaluation["generation"], evaluation["score_mean"]]
+    assert controller.lines[0].get_ydata().tolist() == progress["controller_return_mean"]
+    assert primitive.lines[0].get_ydata().tolist() == progress["primitive_return_mean"]
+    error = 2 * np.array(evaluation["score_std"]) / np.sqrt(3)
+    (spread,) = score.collections
+    heights = spread.get_paths()[0].vertices[:, 1]
+    assert heights.max() == pytest.approx((evaluation["score_mean"] + error).max())
+    assert len(controller.collections) == len(primitive.collections) == 0
+
+
+def test_repetitions_become_a_mean_with_an_interval(seeds, tmp_path, drawn):
+    plot(seeds, tmp_path / "a.png")
+    controller = drawn[0].axes[1]
+    (line,) = controller.lines
+    values = np.array([read_csv(path / "progress.csv")["controller_return_mean"] for path in seeds])
+    np.testing.assert_allclose(line.get_ydata(), values.mean(axis=0))
+    assert line.get_label() == "point-gather smoke (3 runs)"
+    (band,) = controller.collections
+    low, high = interval(values)
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert (heights.min(), heights.max()) == (pytest.approx(low.min()), pytest.approx(high.max()))
+
+
+def test_runs_of_other_settings_are_other_curves_with_their_own_names(seeds, tmp_path, drawn):
+    other = runs.train_tiny(tmp_path / "other", sigma=0.5)
+    plot([seeds[0], other], tmp_path / "a.png")
+    labels = [line.get_label() for line in drawn[0].axes[0].lines]
+    assert labels == ["point-gather smoke: 5", "point-gather smoke: other"]
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    """A run of flat S-ES."""
+    return runs.train_tiny(tmp_path_factory.mktemp("flat") / "run", algorithm="es")
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """A run that trained a primitive alone."""
+    return runs.train_tiny(tmp_path_factory.mktemp("alone") / "run", "point-flagrun")
+
+
+def panels(figure):
+    """Return the title of each panel with the columns y of its curves."""
+    return {axis.get_title(): [line.get_ydata().tolist() for line in axis.lines] for axis in figure.axes}
+
+
+@pytest.mark.parametrize(("kind", "level"), [("flat", "policy"), ("alone", "primitive")])
+def test_a_run_of_one_level_has_two_panels(request, tmp_path, drawn, kind, level):
+    path = request.getfixturevalue(kind)
+    plot([path], tmp_path / "a.png")
+    assert panels(drawn[0]) == {
+        "evaluation score": [read_csv(path / "evaluation.csv")["score_mean"]],
+        f"{level} return (training)": [read_csv(path / "progress.csv")[f"{level}_return_mean"]],
+    }
+
+
+def test_runs_of_other_levels_share_a_picture_and_each_is_drawn_where_it_has_something(
+    seeds, flat, alone, tmp_path, drawn
+):
+    plot([flat, seeds[0], alone], tmp_path / "a.png")
+    tables = {path: read_csv(path / "progress.csv") for path in (flat, seeds[0], alone)}
+    found = panels(drawn[0])
+    assert len(found.pop("evaluation score")) == 3
+    assert found == {
+        "policy return (training)": [tables[flat]["policy_return_mean"]],
+        "controller return (training)": [tables[seeds[0]]["controller_return_mean"]],
+        "primitive return (training)": [tables[path]["primitive_return_mean"] for path in (seeds[0], alone)],
+    }
+    legend = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
+    assert len(set(legend)) == 3
+
+
+@pytest.mark.slow
+def test_a_curve_has_the_same_colour_in_every_panel(seeds, flat, alone, tmp_path, drawn):
+    """The legend is in the first panel alone, and speaks for all."""
+    plot([flat, seeds[0], alone], tmp_path / "a.png")
+    score, _, controller, primitive = drawn[0].axes
+    colours = {line.get_label(): line.get_color() for line in score.lines}
+    for axis in (controller, primitive):
+        for line in axis.lines:
+            assert line.get_color() == colours[line.get_label()]
+
+
+def test_execution_does_not_part_repetitions(seeds, tmp_path, drawn):
+    other = runs.train_tiny(tmp_path / "other", seed=9, keep_checkpoints=3)
+    plot([seeds[0], other], tmp_path / "a.png")
+    assert [line.get_label() for line in drawn[0].axes[0].lines] == ["point-gather smoke (2 runs)"]
+
+
+def test_curves_of_different_lengths_end_where_the_shorter_one_does(seeds, tmp_path, drawn):
+    short = runs.train_tiny(tmp_path / "short", seed=9, generations=2)
+    plot([seeds[0], short], tmp_path / "a.png", x="generation")
+    assert drawn[0].axes[1].lines[0].get_xdata().tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("x", "label"),
+    [("generation", "generation"), ("env_steps", "environment steps"), ("wall_time_s", "minutes")],
+)
+def test_curves_are_drawn_over_what_is_asked_for(seeds, tmp_path, drawn, x, label):
+    plot(seeds[:1], tmp_path / "a.png", x=x)
+    scale = 60 if x == "wall_time_s" else 1
+    for axis in drawn[0].axes:
+        assert axis.get_xlabel() == label
+    np.testing.assert_allclose(
+        drawn[0].axes[1].lines[0].get_xdata() * scale, read_csv(seeds[0] / "progress.csv")[x], rtol=1e-12
+    )
+
+
+def test_an_interval_holds_the_mean_and_stays_between_the_runs():
+    values = np.random.default_rng(0).normal(size=(10, 4))
+    low, high = interval(values)
+    mean = values.mean(axis=0)
+    assert ((values.min(axis=0) <= low) & (low < mean) & (mean < high) & (high <= values.max(axis=0))).all()
+    assert np.array_equal(interval(values), (low, high))  # the same every time
+
+
+def test_runs_that_agree_have_no_width():
+    low, high = interval(np.full((3, 2), 1.5))
+    assert low.tolist() == high.tolist() == [1.5, 1.5]
+
+
+def test_an_interval_is_about_two_standard_errors_wide():
+    values = np.random.default_rng(1).normal(size=(50, 1))
+    low, high = interval(values)
+    assert (high - low)[0] == pytest.approx(2 * 1.96 * values.std() / np.sqrt(50), rel=0.15)
+
+
+def test_wrong_arguments_are_refused(seeds, tmp_path):
+    with pytest.raises(ConfigError, match="plot needs at least one run folder: shes plot RUN"):
+        plot([])
+    with pytest.raises(UnknownNameError, match=r"unknown x axis 'generatio'\. Did you mean 'generation'\?.*Set --x"):
+        plot(seeds, x="generatio")
+    with pytest.raises(ConfigError, match=r"out must end in \.png, \.pdf or \.svg, got '.*a\.foo'\. Set --out"):
+        plot(seeds, tmp_path / "a.foo")
+    with pytest.raises(StorageError, match="there is no such folder: create it first"):
+        plot(seeds, tmp_path / "none" / "a.png")
+    with pytest.raises(RunFolderError, match="is not a run folder"):
+        plot([tmp_path], tmp_path / "a.png")
+    assert plt.get_fignums() == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_without_a_generation_cannot_be_drawn(seeds, tmp_path):
+    path = shutil.copytree(seeds[0], tmp_path / "run")
+    (path / "progress.csv").write_text("")
+    with pytest.raises(RunFolderError, match=r"progress\.csv has no column 'controller_return_mean', or no row"):
+        plot([path], tmp_path / "a.png")
+    RunFolder(path).evaluation.unlink()
+    with pytest.raises(RunFolderError, match=r"has no generation yet: evaluation\.csv is missing\. Train it first"):
+        plot([path], tmp_path / "a.png")

@@ -1,0 +1,215 @@
+"""Videos: what they show, how long they are, and that nothing half-written is left."""
+
+import io
+import subprocess
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from shes.drawing import opengl
+from shes.errors import CheckpointError, ConfigError, RunFolderError, StorageError, UnknownNameError
+from shes.training.evaluate import evaluate
+from shes.viewing.playback import Playback
+from shes.viewing.render import render
+from shes.viewing.video import FRAMES_PER_SECOND, write_video
+from tests.e2e import runs
+
+HELD_FRAMES = 14
+
+
+@pytest.fixture(autouse=True)
+def flat(request, monkeypatch):
+    """Draw without OpenGL, which is quick and there on every machine."""
+    if "render" not in request.keywords:
+        monkeypatch.setenv("MUJOCO_GL", "off")
+    opengl.find_opengl.cache_clear()
+    yield
+    opengl.find_opengl.cache_clear()
+
+
+def read(path):
+    """Return the frames [K, H, W, 3] of a video."""
+    if path.suffix == ".gif":
+        with Image.open(path) as image:
+            return np.array([np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(image)])
+    # Not imageio_ffmpeg.read_frames, which leaves its pipes open.
+    decode = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", path, "-f", "image2pipe", "-c:v", "ppm", "-"]
+    stream = io.BytesIO(subprocess.run(decode, capture_output=True, check=True).stdout)
+    frames = []
+    while stream.read(2) == b"P6":
+        stream.readline()
+        width, height = (int(word) for word in stream.readline().split())
+        stream.readline()
+        frames.append(np.frombuffer(stream.read(3 * width * height), np.uint8).reshape(height, width, 3))
+    return np.array(frames)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_a_video_has_two_frames_for_each_control_step(tiny_run, tmp_path, suffix):
+    out = render(tiny_run, tmp_path / f"walk{suffix}", steps=5, size=96)
+    frames = read(out)
+    assert frames.shape == (2 * (5 + 1) + HELD_FRAMES, 96, 192, 3)
+    assert (frames[0] != frames[11]).any()
+    assert FRAMES_PER_SECOND == 20
+
+
+def test_several_checkpoints_are_side_by_side_in_the_same_episode(tiny_run, tmp_path):
+    frames = read(render(tiny_run, tmp_path / "walk.mp4", checkpoints=["0", "best", "last"], steps=2, size=96))
+    assert frames.shape[1:] == (192, 288, 3)
+    start = frames[0][96:].astype(int)  # from above: the same food, poison and robot for all
+    assert np.abs(start[:, :96] - start[:, 96:192]).mean() < 12
+
+
+@pytest.mark.parametrize("camera", ["follow", "top"])
+def test_one_camera_is_one_view(tiny_run, tmp_path, camera):
+    assert read(render(tiny_run, tmp_path / "walk.mp4", camera=camera, steps=1, size=64)).shape[1:] == (64, 64, 3)
+
+
+def test_a_video_shows_the_episode_that_evaluate_runs(tiny_run):
+    scores = evaluate(tiny_run, episodes=3, num_workers=1).scores
+    for episode, score in enumerate(scores):
+        playback = Playback(tiny_run, "best")
+        *_, last = playback.play(playback.seed_of(episode))
+        assert f"score {score:.1f} · time is up" in last.caption
+
+
+def test_the_same_arguments_give_the_same_video(tiny_run, tmp_path):
+    first = render(tiny_run, tmp_path / "a.mp4", steps=2, size=64).read_bytes()
+    assert render(tiny_run, tmp_path / "b.mp4", steps=2, size=64).read_bytes() == first
+    assert render(tiny_run, tmp_path / "c.mp4", steps=2, size=64, episode=1).read_bytes() != first
+    assert render(tiny_run, tmp_path / "d.mp4", steps=2, size=64, seed=8).read_bytes() != first
+
+
+def test_a_listener_hears_of_every_control_step(tiny_run, tmp_path):
+    heard = []
+    render(tiny_run, tmp_path / "a.gif", steps=3, size=64, on_step=lambda *step: heard.append(step))
+    assert heard == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_the_goal_and_the_trail_are_shown(tiny_run):
+    playback = Playback(tiny_run, "best", steps=20)
+    moments = list(playback.play(playback.seed_of(0)))
+    objects = 16
+    assert [len(moment.markers) for moment in moments[:3]] == [objects + 3, objects + 4, objects + 5]
+    for moment in moments:
+        *_, goal = moment.markers
+        assert goal.shape == "disc"
+    assert moments[0].markers[-1].position == moments[1].markers[-1].position  # held
+    assert moments[0].caption.startswith("best (generation ")
+
+
+def test_of_a_flat_agent_there_is_a_trail_but_no_goal(tmp_path):
+    """The spot under the robot comes last: no line leads from it, and no disc lies where nobody goes."""
+    playback = Playback(runs.train_tiny(tmp_path / "run", algorithm="es", generations=1), "best", steps=5)
+    moments = list(playback.play(playback.seed_of(0)))
+    assert [len(moment.markers) for moment in moments] == [16 + 1 + trail for trail in range(6)]
+    for moment in moments:
+        assert moment.markers[-1].position[:2] == pytest.approx(moment.pose[:2])
+    assert playback._agent.goal is None
+
+
+def test_of_a_primitive_alone_the_goal_is_where_its_flag_is(tmp_path):
+    playback = Playback(runs.train_tiny(tmp_path / "run", "point-flagrun", generations=1), "best", steps=5)
+    for moment in playback.play(playback.seed_of(0)):
+        flag, *_, goal = moment.markers
+        assert goal.position[:2] == pytest.approx(flag.position[:2])
+
+
+def test_the_caption_says_how_the_episode_ended(tiny_run, monkeypatch):
+    playback = Playback(tiny_run, "0", steps=20)
+    task = playback._task
+    shown = []
+    for moment in playback.play(3):
+        shown.append(moment.caption)
+        if len(shown) == 3:
+            task.sim.qvel[0, 0] = 1e12
+    assert shown[-1].endswith("diverged")
+    assert len(shown) == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"out": "walk.avi"}, ConfigError, "must end in .mp4 or .gif, got 'walk.avi'. Set --out"),
+        ({"out": "nowhere/walk.mp4"}, ConfigError, "no folder nowhere"),
+        ({"camera": "side"}, UnknownNameError, "unknown camera 'side'.* Set --camera"),
+        ({"checkpoints": ()}, ConfigError, "at least one checkpoint"),
+        ({"checkpoints": ("77",)}, CheckpointError, "there is no checkpoint .* There are: .*best"),
+        ({"size": 63}, ConfigError, "even number of pixels from 64 to 1080, got 63. Set --size"),
+        ({"steps": 0}, ConfigError, "steps must be .* at least 1, got 0. Set --steps"),
+        ({"episode": -1}, ConfigError, "episode must be .* at least 0, got -1. Set --episode"),
+        ({"seed": -1}, ConfigError, "seed must be .* at least 0, got -1. Set --seed"),
+    ],
+)
+def test_a_wrong_argument_is_refused_before_any_work(tiny_run, tmp_path, monkeypatch, arguments, error, message):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error, match=message):
+        render(tiny_run, **{"out": "walk.mp4", **arguments})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_run_is_refused(tmp_path):
+    with pytest.raises(RunFolderError, match="not a run folder"):
+        render(tmp_path, tmp_path / "walk.mp4")
+
+
+def test_a_folder_is_not_written_over(tiny_run, tmp_path):
+    (tmp_path / "walk.mp4").mkdir()
+    with pytest.raises(ConfigError, match="is a folder"):
+        render(tiny_run, tmp_path / "walk.mp4")
+
+
+def test_a_video_that_fails_leaves_what_was_there(tmp_path):
+    out = tmp_path / "walk.mp4"
+    out.write_bytes(b"the last one")
+
+    def frames():
+        yield np.zeros((64, 64, 3), np.uint8)
+        raise StorageError("no more")
+
+    with pytest.raises(StorageError, match="no more"):
+        write_video(out, frames())
+    assert out.read_bytes() == b"the last one"
+    assert [path.name for path in tmp_path.iterdir()] == ["walk.mp4"]
+
+
+def test_an_encoder_that_fails_is_an_error_of_storage(tmp_path, monkeypatch):
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", lambda: "/bin/false")
+    out = tmp_path / "walk.mp4"
+    out.write_bytes(b"the last one")
+    with pytest.raises(StorageError, match=r"could not encode .*untouched\. It said: .*temporary folder .* TMPDIR"):
+        write_video(out, iter([np.zeros((64, 64, 3), np.uint8)] * 3))
+    assert out.read_bytes() == b"the last one"
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_a_file_that_the_encoder_did_not_finish_takes_no_place(tmp_path, monkeypatch, suffix):
+    """As on a full disk: ffmpeg writes a part of the file, then fails."""
+    ffmpeg = tmp_path / "ffmpeg"
+    ffmpeg.write_text('#!/bin/sh\nfor last; do :; done\necho part > "$last"\ncat > /dev/null\necho full >&2\nexit 1\n')
+    ffmpeg.chmod(0o755)
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", lambda: str(ffmpeg))
+    out = tmp_path / f"walk{suffix}"
+    out.write_bytes(b"the last one")
+    with pytest.raises(StorageError, match=r"It said: full\."):
+        write_video(out, iter([np.zeros((64, 64, 3), np.uint8)] * 3))
+    assert out.read_bytes() == b"the last one"
+
+
+def test_a_missing_encoder_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", lambda: "/nowhere/ffmpeg")
+    with pytest.raises(ConfigError, match=r"no ffmpeg: /nowhere/ffmpeg is not there.*IMAGEIO_FFMPEG_EXE"):
+        write_video(tmp_path / "walk.mp4", iter([]))
+
+
+@pytest.mark.render
+def test_a_video_by_opengl(tiny_run, tmp_path):
+    if opengl.find_opengl() is None:
+        pytest.skip("there is no OpenGL here (EGL or OSMesa)")
+    frames = read(render(tiny_run, tmp_path / "walk.mp4", steps=4, size=128))
+    assert frames.shape == (2 * 5 + HELD_FRAMES, 128, 256, 3)
+    assert frames[0].std() > 10
+    assert (frames[0] != frames[9]).any()
