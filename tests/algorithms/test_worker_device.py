@@ -6,7 +6,6 @@ The physics is that of the CPU here; a stand-in says what memory there is.
 from types import SimpleNamespace
 
 import pytest
-from tests.algorithms.test_worker import _generation, _plan, _run, _work
 
 import shes.algorithms.evolution.worker
 from shes.algorithms.evolution.worker import RolloutWorker, lanes_in_memory, simulator_factory
@@ -14,6 +13,7 @@ from shes.errors import ConfigError
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
+from tests.algorithms.test_worker import _generation, _plan, _run, _work
 
 MEMBERS = 7
 
