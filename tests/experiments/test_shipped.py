@@ -63,7 +63,7 @@ def none_shipped(tmp_path, monkeypatch):
 def test_a_name_is_found_and_a_path_wins_over_it(agents, run_copy):
     assert shipped_names() == ("point-gather", "point-walker")
     assert find_run("point-walker") == shipped_path("point-walker") == agents / "point-walker"
-    assert find_run("./point-walker") == Path("point-walker")
+    assert find_run("./point-walker") == find_run(Path("./point-walker")) == Path("point-walker")
     assert RunFolder.open("point-gather").path == agents / "point-gather"
     run_copy.rename("point-gather")
     assert RunFolder.open("point-gather").path == Path("point-gather")
@@ -77,6 +77,11 @@ def test_what_is_no_name_is_refused_with_the_names(agents):
         shes.load("point-wlker")
     with pytest.raises(RunFolderError, match=r"^point-walker does not exist\. .*\(its --out\)\.$"):
         shes.load("./point-walker")
+    message = r"^point-walker does not exist\. .*A pathlib\.Path is always a path: .*give the string 'point-walker'\.$"
+    with pytest.raises(RunFolderError, match=message):
+        shes.load(Path("./point-walker"))
+    with pytest.raises(RunFolderError, match=r"^point-walker does not exist\. .*\(its --out\)\.$"):
+        runs.train_tiny(Path("run"), primitive=Path("./point-walker"))
     with pytest.raises(
         UnknownNameError, match=r"unknown shipped agent 'x'\. Known: point-gather, point-walker\. `shes"
     ):

@@ -13,6 +13,7 @@ from shes.es.novelty import NOVELTY_RULES
 from shes.experiments.config import TrainConfig, check_fields
 from shes.experiments.device import check_asked_device
 from shes.experiments.settings import SCHEDULED, flag
+from shes.experiments.shipped import run_text
 from shes.experiments.transfer import brought_settings
 
 __all__ = ["PRESETS", "make_config"]
@@ -136,7 +137,7 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
         if isinstance(overrides.get(name), int):
             overrides[name] = (overrides[name],)
     if isinstance(overrides.get("primitive"), Path):
-        overrides["primitive"] = str(overrides["primitive"])
+        overrides["primitive"] = run_text(overrides["primitive"])
     has_walker = preset == "laptop" and overrides.get("algorithm", "shes") == "shes"
     own = _WALKERS.get(env, {}) if has_walker else {}
     values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **own, **overrides}

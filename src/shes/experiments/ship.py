@@ -86,7 +86,7 @@ def ship(
         _copy(source, checkpoint, folder)
         found = evaluate(folder.path, episodes=episodes, seed=seed, num_workers=num_workers)
         agent = _describe(source, checkpoint, found, seed, description, commands)
-        agent = _with_cost_of(agent, [RunFolder.open(Path(each)) for each in earlier])
+        agent = _with_cost_of(agent, [RunFolder.open(each) for each in earlier])
         text = json.dumps(agent.to_dict(), indent=2, ensure_ascii=False) + "\n"
         write_atomically(folder.path / AGENT_FILE, lambda file: file.write(text.encode()))
         with storage_errors(place / name):
