@@ -313,12 +313,14 @@ class TrainConfig:
                 f"fitness_shaping 'pair_rank' ranks mirrored pairs, but with mirrored {self.mirrored!r} a group has "
                 f"{members} member(s) here. Set --mirrored pair, or another --fitness-shaping."
             )
+        if "primitive" not in self.level_names:
+            return
         if self.symmetry != "none" and self.primitive_view != "egocentric":
             raise ConfigError(
                 f"symmetry is {self.symmetry!r}, but the primitive's view is {self.primitive_view!r}: only what is "
                 "seen from the robot's own frame can be turned. Set --primitive-view egocentric, or --symmetry none."
             )
-        if self.primitive_estimate != "interval" or "primitive" not in self.level_names:
+        if self.primitive_estimate != "interval":
             return
         if self.external is not None:
             raise ConfigError(

@@ -179,6 +179,8 @@ _OF_PRIMITIVES = frozenset(
     | _OF_CONTROLLERS
 )
 """Settings that concern goals."""
+_OF_TRANSFER = frozenset({"freeze_primitive", "primitive_checkpoint"})
+"""Settings of a transferred primitive."""
 _OF_RANDOM_CONTROLLERS = frozenset({"controller_interval", "goal_distance"})
 """Settings of goals that an environment heeds which sets them itself."""
 
@@ -219,8 +221,9 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
     Raises:
         ConfigError: There is one.
     """
-    for name in ("freeze_primitive", "primitive_checkpoint"):
-        if config.primitive is None and name in overrides:
+    _refuse_unheeded_levels(config, overrides)
+    for name in sorted(_OF_TRANSFER & set(overrides)):
+        if config.primitive is None:
             raise ConfigError(
                 f"{name} is {overrides[name]!r}, but no run is named whose primitive it would be. "
                 f"Set --primitive RUN, or leave {flag(name)} away."
@@ -248,12 +251,22 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
             f"perturbation says how two levels share the population, but in this run the {learning} alone {told}; got "
             f"{overrides['perturbation']!r}. Leave --perturbation away."
         )
+
+
+def _refuse_unheeded_levels(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
+    """Refuse settings that somebody asked for, and that concern a level that this run does not have.
+
+    This comes before the other checks: their advice is for runs that have the level.
+
+    Raises:
+        ConfigError: There is one.
+    """
     unheeded = frozenset[str]()
     if config.level_names == ("primitive",):
         unheeded = _OF_CONTROLLERS
     elif config.level_names == ("policy",):
         sets_goals = config.external is None and find_environment(config.env).sets_goals
-        unheeded = _OF_PRIMITIVES - (_OF_RANDOM_CONTROLLERS if sets_goals else frozenset())
+        unheeded = (_OF_PRIMITIVES | _OF_TRANSFER) - (_OF_RANDOM_CONTROLLERS if sets_goals else frozenset())
     for name in sorted(unheeded & set(overrides)):
         raise ConfigError(
             f"{name} does nothing in a run of {config.env} with algorithm {config.algorithm!r}, whose one level is the "
