@@ -131,7 +131,7 @@ def test_a_shipped_agent_has_its_best_checkpoint_alone(agents):
         CheckpointError, match=r"agent point-gather has the checkpoint best alone, got 'last'\. Leave --"
     ):
         evaluate("point-gather", checkpoint="last")
-    with pytest.raises(CheckpointError, match=r"no checkpoint 'last'; there are best\. Set --primitive-checkpoint"):
+    with pytest.raises(CheckpointError, match=r"no checkpoint 'last'; it has best\. Leave --primitive-checkpoint away"):
         runs.train_tiny(Path("run"), primitive="point-walker", primitive_checkpoint="last")
 
 

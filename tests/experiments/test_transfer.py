@@ -321,7 +321,7 @@ def test_a_source_that_is_not_there_or_damaged_is_refused(plain, tmp_path, comma
     refused(RunFolderError, "is not a run folder: it has no config.json", primitive=str(tmp_path))
     refused(
         CheckpointError,
-        r"source has no checkpoint '77'; there are best, generation_000000, .*Set --primitive-checkpoint to best, last",
+        r"source has no checkpoint '77'; it has best, 0, 1, 2, 3, last\. Set --primitive-checkpoint to one of these\.",
         primitive=str(source),
         primitive_checkpoint="77",
     )

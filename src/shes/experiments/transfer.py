@@ -47,11 +47,11 @@ def _read(path: str, checkpoint: str) -> tuple[TrainConfig, LevelState, Transfer
     folder = RunFolder.open(path)
     config = folder.read_config()
     if not folder.checkpoint_path(checkpoint).is_file():
-        there = sorted(file.stem for file in folder.checkpoints.glob("*.npz"))
-        raise CheckpointError(
-            f"{path} has no checkpoint {checkpoint!r}; there are {', '.join(there) or 'none'}. Set "
-            "--primitive-checkpoint to best, last or the number of a generation."
+        there = _checkpoint_names(folder)
+        fix = (
+            "Leave --primitive-checkpoint away." if there == ["best"] else "Set --primitive-checkpoint to one of these."
         )
+        raise CheckpointError(f"{path} has no checkpoint {checkpoint!r}; it has {', '.join(there) or 'none'}. {fix}")
     state = folder.load(checkpoint).state
     levels = {level.name: level for level in state.levels}
     if "primitive" not in levels:
@@ -61,6 +61,13 @@ def _read(path: str, checkpoint: str) -> tuple[TrainConfig, LevelState, Transfer
         )
     told = Transferred(run=path, env=config.env, checkpoint=checkpoint, generation=state.generation)
     return config, levels["primitive"], told
+
+
+def _checkpoint_names(folder: RunFolder) -> list[str]:
+    """Return what --primitive-checkpoint may name in `folder`."""
+    stems = sorted(file.stem for file in folder.checkpoints.glob("*.npz"))
+    prefix = "generation_"
+    return [f"{int(stem.removeprefix(prefix))}" if stem.startswith(prefix) else stem for stem in stems]
 
 
 def brought_settings(path: str, checkpoint: str, asked: Mapping[str, Any]) -> dict[str, Any]:
