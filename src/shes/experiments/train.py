@@ -33,7 +33,7 @@ from shes.experiments.records import Records, Row, progress_row, read_csv
 from shes.experiments.run_folder import RunFolder, new_folder
 from shes.experiments.run_log import logger, run_log
 from shes.experiments.settings import flag
-from shes.experiments.transfer import transfer_primitive
+from shes.experiments.transfer import check_robot, transfer_primitive
 
 __all__ = ["Listener", "Run", "resume", "start_run", "train"]
 
@@ -98,6 +98,7 @@ def train(
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: Listener | None = None) -> Run:
     """Begin a run with the settings of `config`; see `train`."""
     check_device(config)
+    check_robot(config)
     design = build_design(config)
     open_noise_table(config, design)  # what can be wrong with it, or with the primitive, shows before there is a folder
     state, transferred = transfer_primitive(config, build_state(config, design))

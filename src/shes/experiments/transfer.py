@@ -17,7 +17,7 @@ from shes.experiments.config import TrainConfig
 from shes.experiments.run_folder import RunFolder
 from shes.experiments.settings import flag
 
-__all__ = ["Transferred", "brought_settings", "transfer_primitive"]
+__all__ = ["Transferred", "brought_settings", "check_robot", "transfer_primitive"]
 
 _BROUGHT = ("goal_encoding", "clock_frequency", "hide_position", "symmetry")
 
@@ -99,6 +99,37 @@ def brought_settings(path: str, checkpoint: str, asked: Mapping[str, Any]) -> di
                 f"Leave {flag(name)} away: it comes with the primitive."
             )
     return brought
+
+
+def check_robot(config: TrainConfig) -> None:
+    """Refuse a primitive of another robot: before the parts of the run are built by the settings that it brings.
+
+    Raises:
+        RunFolderError: There is no such run folder.
+        CheckpointError: The checkpoint is missing or damaged.
+        ConfigError: The primitive that `config` names was trained with another robot.
+    """
+    if config.primitive is None:
+        return
+    source, _, _ = _read(config.primitive, config.primitive_checkpoint)
+    (their_robot, theirs), (our_robot, ours) = _robot(source), _robot(config)
+    # What an external robot is like, only the layouts can tell; but it has no egocentric view.
+    is_known = None not in (their_robot, our_robot) or source.primitive_view == "egocentric"
+    if is_known and their_robot != our_robot:
+        raise ConfigError(
+            f"the primitive of {config.primitive} does not fit {config.env}: it was trained on {source.env} for "
+            f"{theirs}, but {config.env} has {ours}. Name a primitive of the same robot with --primitive, or leave it "
+            "away."
+        )
+
+
+def _robot(config: TrainConfig) -> tuple[str | None, str]:
+    """Return the name of the robot of `config`, None for an external one, and what it is in words."""
+    task = build_task(config, 1, is_evaluation=False)
+    task.close()
+    name = None if task.robot is None else task.robot.name
+    who = "an external robot" if name is None else f"the {name}"
+    return name, f"{who} with {task.action_size} controls of up to {task.control_limit:g}"
 
 
 def transfer_primitive(config: TrainConfig, state: TrainState) -> tuple[TrainState, Transferred | None]:
