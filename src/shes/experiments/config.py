@@ -193,7 +193,7 @@ class TrainConfig:
     intervals: int = 2
     """Intervals of a goal that a branch plays."""
     fall_price: float = 0.0
-    """What a fall takes off a primitive's shaped fitness; the best pair's is worth 1."""
+    """What a fall that ends the episode takes off a primitive's shaped fitness; the best pair's is worth 1."""
     primitive_population_size: int | None = None
     """Policies in the branches of a generation beside a controller; the same as population_size if none."""
     primitive_sigma: float | None = None
