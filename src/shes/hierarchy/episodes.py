@@ -137,6 +137,8 @@ class EpisodeResults:
     """Environment steps [K]."""
     has_terminated: BoolArray
     """Whether the task's own rule ended the episode [K]."""
+    has_fallen: BoolArray
+    """Whether the robot's fall ended the episode [K]."""
     has_diverged: BoolArray
     """Whether the physics blew up [K]."""
     goals_reached: IntArray

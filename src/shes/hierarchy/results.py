@@ -40,6 +40,8 @@ class PopulationResults:
     """Environment steps [n, E]; 0 for an episode that was not asked for."""
     has_terminated: BoolArray
     """Whether the task's own rule ended the episode [n, E]."""
+    has_fallen: BoolArray
+    """Whether the robot's fall ended the episode [n, E]."""
     has_diverged: BoolArray
     """Whether the physics blew up [n, E]."""
     goals_reached: IntArray
@@ -67,6 +69,7 @@ class PopulationResults:
             success=np.zeros(shape, np.bool_),
             steps=np.zeros(shape, np.int64),
             has_terminated=np.zeros(shape, np.bool_),
+            has_fallen=np.zeros(shape, np.bool_),
             has_diverged=np.zeros(shape, np.bool_),
             goals_reached=np.zeros(shape, np.int64),
             final_position=np.zeros((*shape, 2)),
@@ -88,6 +91,7 @@ class PopulationResults:
             success=self.success[which],
             steps=self.steps[which],
             has_terminated=self.has_terminated[which],
+            has_fallen=self.has_fallen[which],
             has_diverged=self.has_diverged[which],
             goals_reached=self.goals_reached[which],
             final_position=self.final_position[which],
@@ -111,6 +115,7 @@ class PopulationResults:
         self.score[place], self.success[place] = result.score, result.success
         self.steps[place] = result.steps
         self.has_terminated[place], self.has_diverged[place] = result.has_terminated, result.has_diverged
+        self.has_fallen[place] = result.has_fallen
         self.goals_reached[place], self.final_position[place] = result.goals_reached, result.final_position
         self.environment_returns[place] = result.environment_returns
         self.seconds[:] += result.seconds

@@ -242,7 +242,8 @@ class Rollout:
             results.steps[k] = self._steps[row]
             results.goals_reached[k], results.has_diverged[k] = outcome[4], outcome[5]
             results.has_terminated[k] = outcome[6] and not outcome[5]
-            results.final_position[k] = outcome[7:]
+            results.has_fallen[k] = outcome[7] and not outcome[5]
+            results.final_position[k] = outcome[8:]
             for mine, summed in zip(results.moments or (), moments, strict=False):
                 for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
                     taken[k] = of_all[i]
@@ -268,11 +269,11 @@ class Rollout:
         """Return what came of the episodes in `rows`, and what each level has observed in them, in one transfer each.
 
         An outcome is the environment's return, the internal return, score, success, goals reached, whether it diverged,
-        whether it ended by itself, and the place of the robot, x and y.
+        whether it ended by itself, whether by a fall, and the place of the robot, x and y.
         """
         task, agent, ids = self.task, self.agent, self.xp.asarray(rows)
         values = (task.running_return, self._internal_return, task.score, task.success, agent.goals_reached)
-        ended = (task.diverged, task.terminated, *task.position.T)
+        ended = (task.diverged, task.terminated, task.fallen, *task.position.T)
         # float64 holds every count that there is exactly.
         found = np.stack([value[ids].astype(np.float64) for value in (*values, *ended)], axis=1)
         moments = [
@@ -327,6 +328,7 @@ def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
         success=np.zeros(k, np.bool_),
         steps=np.zeros(k, np.int64),
         has_terminated=np.zeros(k, np.bool_),
+        has_fallen=np.zeros(k, np.bool_),
         has_diverged=np.zeros(k, np.bool_),
         goals_reached=np.zeros(k, np.int64),
         final_position=np.zeros((k, 2)),
