@@ -18,7 +18,7 @@ class Arguments:
     """What `shes bench` takes beside the settings."""
 
     bench: Annotated[str, Shown(choices=_NAMES, noun="the name of a bench")]
-    """rollout: steps per second of whole generations against a bare mj_step loop on the same episodes.
+    """rollout: steps per second of whole generations against a bare mj_step loop on the same episodes and branches.
     update: milliseconds of the parent's work between generations, by part."""
     seconds: float = 0.0
     """Measure for so long at least: on a machine shared with others the median of many turns is steadier."""
