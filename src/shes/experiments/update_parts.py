@@ -19,7 +19,7 @@ from shes.types import F64Array, IntArray
 
 __all__ = ["LearningLevel", "learning_levels", "time_parts", "timed"]
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +87,7 @@ def time_parts(
     )
 
 
-def timed(times: list[float], work: Callable[[], T]) -> T:
+def timed(times: list[float], work: Callable[[], _T]) -> _T:
     """Return what `work` does, and add to `times` how many milliseconds it took."""
     start = perf_counter()
     result = work()
