@@ -12,15 +12,15 @@ from statistics import NormalDist
 
 import numpy as np
 
+from shes.algorithms.evolution.learners import EvolutionStrategy
 from shes.envs.registry import find_environment
 from shes.envs.tasks.task import SimulatorFactory
-from shes.es.level import LevelParameters
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.hierarchy.rollout import Rollout
 from shes.runs.tables import Row
 from shes.sim.cpu import CpuSimulator
-from shes.training.build import build_design, build_plan, build_state, open_noise_table
+from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 from shes.types import F64Array
 
@@ -114,10 +114,10 @@ def sample(
     config = make_config(
         env, "laptop", {"spec": spec, "hidden": (16,), "horizon": horizon, "noise_table_size": 1_000_000}
     )
-    design = build_design(config)
-    table = open_noise_table(config, design)
-    plan = build_plan(config, design, table)
-    levels = LevelParameters.of_all(build_state(config, design).levels)
+    learner = build_algorithm(config)
+    assert isinstance(learner, EvolutionStrategy)
+    design, plan = learner.design, learner.plan()
+    levels = learner.parameters(learner.start(config.seed))
     generation = Generation(levels=levels, sigma=_SPREAD, episodes_per_policy=1, is_evaluation=False)
     seeds = stream(seed, Purpose.FRESH_EPISODES).integers(2**62, size=episodes).tolist()
     tasks = [
@@ -135,7 +135,7 @@ def sample(
     rollout = Rollout(
         design, lambda n: environment.make(n, plan.training, simulator), min(episodes, _LANES), 1, horizon
     )
-    found = dict(rollout.run(iter(enumerate(tasks)), generation, table.on(rollout.task.xp)))
+    found = dict(rollout.run(iter(enumerate(tasks)), generation, learner.table.on(rollout.task.xp)))
     rollout.task.check_buffers()
     return {name: np.array([measure(found[i]) for i in range(episodes)]) for name, measure in _MEASURES.items()}
 

@@ -27,6 +27,7 @@ import numpy as np
 from device_check import ALPHA, compare_samples, detectable_shift, sample
 
 from shes.algorithms.evolution.algorithm import evolve
+from shes.algorithms.evolution.learners import EvolutionStrategy
 from shes.envs.registry import ENVIRONMENTS, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import FRAME_SKIP
@@ -34,14 +35,7 @@ from shes.runs.config import TrainConfig
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
-from shes.training.build import (
-    build_backend,
-    build_design,
-    build_plan,
-    build_settings,
-    build_state,
-    open_noise_table,
-)
+from shes.training.build import build_algorithm, build_backend
 from shes.training.presets import make_config
 
 INTEGRATORS = ("euler", "rk4")
@@ -197,13 +191,11 @@ def generations(device: str, size: Size, out: Path) -> None:
 
 def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
     """Yield seconds of every generation, by part."""
-    design = build_design(config)
-    table = open_noise_table(config, design)
-    plan = build_plan(config, design, table)
+    learner = build_algorithm(config)
+    assert isinstance(learner, EvolutionStrategy)
     opened = WarpDevice(config.device)
-    with build_backend(config, plan) as backend:
-        state, settings = build_state(config, design), build_settings(config)
-        for report in evolve(state, settings, table.on(opened.xp), backend):
+    with build_backend(config, learner.plan()) as backend:
+        for report in evolve(learner.start(config.seed), learner.settings, learner.table.on(opened.xp), backend):
             physics_s, policy_s, task_s = report.results.seconds.tolist()
             steps = int(report.results.steps.sum())
             yield {
@@ -216,7 +208,7 @@ def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
                 "update_s": report.update_s,
                 "env_steps_per_s": steps / (report.rollout_s + report.update_s),
                 "policy_and_task_share": (policy_s + task_s) / (report.rollout_s + report.update_s),
-                "weights_mb": 4e-6 * sum(design.dims) * config.population_size,
+                "weights_mb": 4e-6 * sum(learner.design.dims) * config.population_size,
                 "free_bytes": opened.free_bytes(),
             }
 

@@ -11,7 +11,9 @@ import pytest
 
 import shes
 from shes.errors import ConfigError, RunFolderError, ShesError, UnknownNameError
+from shes.es.streams import Purpose
 from shes.training.build import build_task
+from shes.training.evaluate import evaluation_seeds
 from tests.e2e import runs
 
 
@@ -37,7 +39,7 @@ def test_importing_shes_loads_what_gymnasium_needs_and_a_worker_no_face():
         "tyro",
     }
     assert loaded_by("import shes") & heavy <= {"gymnasium", "mujoco", "numpy"}
-    worker = "import sys; sys.orig_argv.append('shes.backends.process_worker'); import shes.algorithms.evolution.worker"
+    worker = "import sys; sys.orig_argv.append('shes.backends.process_worker'); import shes.algorithms.worker"
     assert loaded_by(worker) & heavy <= {"mujoco", "numpy"}
     assert not loaded_by("import shes; shes.train; shes.load") & {"PIL", "imageio_ffmpeg", "matplotlib", "tyro"}
 
@@ -78,11 +80,7 @@ def check_that_a_loaded_agent_plays_as_evaluation_does(run):
     evaluation = shes.evaluate(run.path, episodes=2, num_workers=1, seed=11)
     agent = shes.load(run.path)
     task = build_task(run.config, 1, is_evaluation=True)
-    seeds = shes.training.evaluate.evaluation_seeds(
-        shes.training.evaluate.TrainState(seed=11, generation=0, env_steps=0, levels=()),
-        2,
-        shes.training.evaluate.Purpose.FRESH_EPISODES,
-    )
+    seeds = evaluation_seeds(11, 0, 2, Purpose.FRESH_EPISODES)
     for number, seed in enumerate(seeds):
         task.reset(np.array([0]), [seed])
         agent.reset()

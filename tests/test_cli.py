@@ -242,7 +242,7 @@ def test_ctrl_c_before_there_is_a_run_promises_nothing(capsys, tmp_path, monkeyp
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.training.train.build_design", interrupted)
+    monkeypatch.setattr("shes.training.train.build_algorithm", interrupted)
     assert main(["train", "point-gather", *TINY, "--out", str(tmp_path / "run")]) == 130
     assert capsys.readouterr() == ("", "Interrupted.\n")
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from shes import es
+    from shes.algorithms.registry import register_algorithm
     from shes.envs.registry import register_environment, register_external_environment
     from shes.hierarchy.goals import register_goal_encoding
     from shes.hierarchy.outputs import register_controller_output
@@ -31,6 +32,7 @@ __all__ = [
     "es",
     "evaluate",
     "load",
+    "register_algorithm",
     "register_controller_output",
     "register_environment",
     "register_external_environment",
@@ -47,6 +49,7 @@ _HOMES = {
     "Run": "shes.training.train",
     "evaluate": "shes.training.evaluate",
     "load": "shes.training.play",
+    "register_algorithm": "shes.algorithms.registry",
     "register_controller_output": "shes.hierarchy.outputs",
     "register_environment": "shes.envs.registry",
     "register_external_environment": "shes.envs.registry",

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.worker import RolloutWorker, WorkerPlan, lanes_that_fit
+from shes.algorithms.worker import RolloutWorker, WorkerPlan, lanes_that_fit
 from shes.envs.registry import find_environment, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import StorageError

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-import shes.algorithms.evolution.worker
-from shes.algorithms.evolution.worker import RolloutWorker, lanes_in_memory, simulator_factory
+import shes.algorithms.worker
+from shes.algorithms.worker import RolloutWorker, lanes_in_memory, simulator_factory
 from shes.errors import ConfigError
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator
@@ -47,9 +47,9 @@ def device(monkeypatch, expected):
         found.checked += 1
 
     memory = SimpleNamespace(free_bytes=lambda: found.free, release_memory=lambda: None)
-    monkeypatch.setattr(shes.algorithms.evolution.worker, "Rollout", Limited)
-    monkeypatch.setattr(shes.algorithms.evolution.worker, "WarpDevice", lambda _: memory)
-    monkeypatch.setattr(shes.algorithms.evolution.worker, "simulator_factory", lambda *_: CpuSimulator)
+    monkeypatch.setattr(shes.algorithms.worker, "Rollout", Limited)
+    monkeypatch.setattr(shes.algorithms.worker, "WarpDevice", lambda _: memory)
+    monkeypatch.setattr(shes.algorithms.worker, "simulator_factory", lambda *_: CpuSimulator)
     return found
 
 
@@ -160,7 +160,7 @@ def test_on_a_card_the_memory_that_is_free_says_how_many_there_are_at_a_time(dev
         measured.append((model.nq, *arguments))
         return 10_000
 
-    monkeypatch.setattr(shes.algorithms.evolution.worker, "bytes_per_sim", measure)
+    monkeypatch.setattr(shes.algorithms.worker, "bytes_per_sim", measure)
     device.free = 120_000
     worker = RolloutWorker(plan)
     room = lanes_in_memory(device.free, 10_000, plan.design, 2, plan.horizon)

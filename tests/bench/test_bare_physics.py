@@ -5,14 +5,7 @@ import pytest
 
 from shes.algorithms.evolution.algorithm import evolve
 from shes.bench.bare_physics import record_generation
-from shes.training.build import (
-    build_backend,
-    build_design,
-    build_plan,
-    build_settings,
-    build_state,
-    open_noise_table,
-)
+from shes.training.build import build_algorithm, build_backend
 from shes.training.presets import make_config
 
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "backend": "serial"}
@@ -23,9 +16,8 @@ BRANCHES = {**ALONE, "primitive_view": "proprioception", "primitive_population_s
 def _parts(env, settings):
     """Return the plan, the state, the settings and the noise table of a tiny run."""
     config = make_config(env, "smoke", {**TINY, **settings})
-    design = build_design(config)
-    table = open_noise_table(config, design)
-    return config, build_plan(config, design, table), build_state(config, design), build_settings(config), table
+    learner = build_algorithm(config)
+    return config, learner.plan(), learner.start(config.seed), learner.settings, learner.table
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from shes.bench.measure import bench_rollout, bench_update
-from shes.training.build import build_design
+from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 
 BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 3}
@@ -79,7 +79,7 @@ def test_the_update_bench_tells_the_parts(env, settings, noise_vectors):
         "checkpoint_ms",
     ]
     assert (found["noise_vectors"], found["branch_noise_vectors"]) == noise_vectors
-    assert found["parameters"] == sum(build_design(config).dims)
+    assert found["parameters"] == sum(build_algorithm(config).design.dims)
     assert all(math.isfinite(value) and value > 0 for value in list(found.values())[3:])
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from shes.training.build import open_run
 from shes.training.train import train
 
 TINY = {
@@ -49,6 +50,11 @@ def flags(**settings):
         words.append("--" + name.replace("_", "-"))
         words += [str(item) for item in value] if isinstance(value, tuple) else [str(value)]
     return words
+
+
+def state(path, checkpoint="last"):
+    """Return the learner's state that a checkpoint holds."""
+    return open_run(str(path), str(checkpoint)).state
 
 
 # What the numbers of a run are.

@@ -407,7 +407,7 @@ def test_evaluate_refuses_wrong_values_by_its_own_flags(refused, run_copy, words
     assert re.search(message, refused("evaluate", run_copy, *words))
 
 
-# Policies that return NaN.
+# Policies that are NaN, or return it.
 
 
 def spoil(path, level):
@@ -416,6 +416,25 @@ def spoil(path, level):
         arrays = dict(file)
     arrays[f"{level}/theta"][-1] = np.nan
     np.savez(path, **arrays)
+
+
+@pytest.fixture
+def unchecked(monkeypatch):
+    """Let a checkpoint be read whatever it holds, as if the NaN came from elsewhere."""
+    monkeypatch.setattr("shes.algorithms.evolution.learners.check_arrays", lambda arrays, start: None)
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "more"), [("resume", "last", ["--generations", 6]), ("evaluate", "best", [])]
+)
+def test_a_checkpoint_with_a_policy_that_is_nan_is_refused_and_the_folder_is_as_it_was(
+    refused, run_copy, command, name, more
+):
+    spoil(run_copy / "checkpoints" / f"{name}.npz", "primitive")
+    before = {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()}
+    message = refused(command, run_copy, *more)
+    assert re.search(rf"{name}\.npz holds NaN or infinity in primitive/theta\. Take an earlier checkpoint\.", message)
+    assert {path: path.read_bytes() for path in run_copy.rglob("*") if path.is_file()} == before
 
 
 @pytest.mark.parametrize(
@@ -427,6 +446,7 @@ def spoil(path, level):
         pytest.param("primitive", "serial", marks=pytest.mark.extras),
     ],
 )
+@pytest.mark.usefixtures("unchecked")
 def test_a_policy_that_returns_nan_ends_the_run_and_leaves_the_folder_intact(refused, run_copy, level, backend):
     spoil(run_copy / "checkpoints" / "last.npz", level)
     before = runs.numbers(run_copy)
@@ -441,6 +461,7 @@ def test_a_policy_that_returns_nan_ends_the_run_and_leaves_the_folder_intact(ref
     assert not list(run_copy.rglob("*.part"))
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_evaluating_a_policy_that_returns_nan_fails(refused, run_copy):
     spoil(run_copy / "checkpoints" / "best.npz", "primitive")
     assert re.search(r"returned NaN or infinity", refused("evaluate", run_copy, "--workers", "1", code=FAILED))
@@ -502,7 +523,7 @@ def intact(path):
     assert not list(path.rglob("*.part"))
     for file in (path / "checkpoints").iterdir():
         load_checkpoint(file)
-    return load_checkpoint(path / "checkpoints" / "last.npz").state.generation
+    return load_checkpoint(path / "checkpoints" / "last.npz").generation
 
 
 @pytest.mark.parametrize(

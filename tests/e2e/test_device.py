@@ -64,7 +64,7 @@ def test_a_run_goes_from_the_cpu_to_a_device_and_back_and_its_record_says_so(tmp
     rows = read_csv(path / "progress.csv")
     assert rows["generation"] == [1, 2, 3, 4, 5]
     assert all(np.isfinite(rows["controller_return_mean"]))
-    assert RunFolder.open(path).load("last").state.generation == 5
+    assert RunFolder.open(path).load("last").generation == 5
 
 
 def test_a_policy_is_worth_the_same_on_both(walked):
@@ -87,7 +87,7 @@ def test_a_buffer_that_overflows_ends_the_run_which_goes_on_with_the_size_that_t
     assert name == "--nconmax"
     code, out, err = runs.run("resume", path, name, size.rstrip("."))
     assert (code, err) == (0, ""), out
-    assert RunFolder.open(path).load("last").state.generation == 3
+    assert RunFolder.open(path).load("last").generation == 3
 
 
 def test_the_rollout_bench_compares_a_device_with_bare_physics_on_a_core(monkeypatch):

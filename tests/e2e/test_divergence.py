@@ -113,7 +113,7 @@ def test_an_evaluation_in_which_everything_broke_is_never_the_best(tmp_path, alg
     run = runs.train_tiny(tmp_path / "dust", "dust", **TINY, algorithm=algorithm)
     assert set(read_csv(run / "evaluation.csv")["diverged_episodes"]) == {3}
     assert RunFolder.open(run).load("last").best.generation == -1
-    assert RunFolder.open(run).load("best").state.generation == 0
+    assert RunFolder.open(run).load("best").generation == 0
     whole = runs.train_tiny(tmp_path / "steel", "steel", **TINY, algorithm=algorithm)
     assert RunFolder.open(whole).load("last").best.generation >= 1
 

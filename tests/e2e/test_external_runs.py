@@ -16,7 +16,8 @@ from shes.cli import main
 from shes.envs.external.description import ExternalDescription
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
-from shes.runs.folder import RunFolder
+from shes.es.streams import Purpose
+from shes.training.evaluate import evaluation_seeds
 from shes.training.presets import make_config
 from shes.viewing.render import render
 from shes.viewing.watch import watch
@@ -88,11 +89,7 @@ def test_evaluation_loading_and_pictures_need_no_other_word(run, tmp_path, stran
 
 def test_a_loaded_agent_plays_as_evaluation_does(run):
     evaluation = shes.evaluate(run.path, episodes=1, num_workers=1, seed=11)
-    seed = shes.training.evaluate.evaluation_seeds(
-        shes.training.evaluate.TrainState(seed=11, generation=0, env_steps=0, levels=()),
-        1,
-        shes.training.evaluate.Purpose.FRESH_EPISODES,
-    )[0]
+    (seed,) = evaluation_seeds(11, 0, 1, Purpose.FRESH_EPISODES)
     agent = shes.load(run.path)
     env = gymnasium.make("tests/Car-v0", terminates_after=9, max_episode_steps=-1)
     observation, _ = env.reset(seed=seed % 2**31)
@@ -209,15 +206,13 @@ def test_a_position_that_the_primitive_does_not_see_cannot_be_hidden(tmp_path):
 def test_the_levels_of_a_run_see_what_they_are_told_to(tmp_path, settings, sizes):
     tiny = {name: value for name, value in TINY.items() if name != "controller_interval"}
     path = shes.train("car", out=tmp_path / "run", **tiny, **settings).path
-    levels = RunFolder.open(path).load("last").state.levels
+    levels = runs.state(path, "last").levels
     assert [len(level.statistics.total) for level in levels] == sizes
 
 
 def test_a_primitive_that_learned_there_serves_there_again(run, tmp_path):
     path = shes.train("car", out=tmp_path / "run", primitive=run.path, **TINY).path
-    before, after = (
-        RunFolder.open(each).load(name).state.levels[1] for each, name in ((run.path, "best"), (path, "last"))
-    )
+    before, after = (runs.state(each, name).levels[1] for each, name in ((run.path, "best"), (path, "last")))
     assert before.theta.tobytes() == after.theta.tobytes()
     with pytest.raises(
         ConfigError, match=r"It was trained on car: 9 inputs .*tests/Car-v0\[0\], .*\nHere there is: 28 "

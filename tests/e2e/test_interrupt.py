@@ -26,7 +26,7 @@ def assert_interrupted(process, path, workers):
     assert "Interrupted." in err
     assert "Traceback" not in out + err
     runs.assert_gone(process.pid, workers)
-    return load_checkpoint(path / "checkpoints" / "last.npz").state.generation
+    return load_checkpoint(path / "checkpoints" / "last.npz").generation
 
 
 def go_on(path, undisturbed):
@@ -141,10 +141,10 @@ def test_ctrl_c_in_an_evaluation_does_the_generation_again(tmp_path, tiny_run, m
             raise AssertionError("the evaluation went on")
         return original(*arguments)
 
-    original = training.evaluate_levels
-    monkeypatch.setattr(training, "evaluate_levels", evaluate)
+    original = training.evaluate_state
+    monkeypatch.setattr(training, "evaluate_state", evaluate)
     interrupted(tmp_path / "run")
-    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").state.generation == 1
+    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
     monkeypatch.undo()
     resume(tmp_path / "run")
     assert runs.differences(tiny_run, tmp_path / "run") == []
@@ -169,14 +169,14 @@ class Interrupter:
 
 def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run):
     interrupted(tmp_path / "run", listener=Interrupter())
-    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").state.generation == 2
+    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 2
     resume(tmp_path / "run")
     assert runs.differences(tiny_run, tmp_path / "run") == []
 
 
 def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, tiny_run, monkeypatch):
     def save(path, checkpoint):
-        if checkpoint.state.generation == 1:
+        if checkpoint.generation == 1:
             os.kill(os.getpid(), signal.SIGINT)  # this is another thread: the main one gets the signal
             time.sleep(0.3)
         return original(path, checkpoint)
@@ -184,7 +184,7 @@ def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, tiny_run, monke
     original = training.save_checkpoint
     monkeypatch.setattr("shes.runs.checkpoint.save_checkpoint", save)
     interrupted(tmp_path / "run")
-    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").state.generation == 1
+    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
     monkeypatch.undo()
     resume(tmp_path / "run")
     assert runs.differences(tiny_run, tmp_path / "run") == []

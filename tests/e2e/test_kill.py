@@ -124,14 +124,14 @@ def test_rows_after_the_last_checkpoint_are_dropped(tmp_path, tiny_run):
 
 @pytest.mark.extras
 def test_a_worker_killed_in_the_last_evaluation_is_told_and_changes_no_number(tmp_path, tiny_run, monkeypatch):
-    def evaluate(levels, seeds, backend, episodes_per_policy):
+    def evaluate(algorithm, state, seeds, backend):
         if evaluate.calls == 2:  # of generation 4, the last
             kill(backend.pids()[0])
         evaluate.calls += 1
-        return original(levels, seeds, backend, episodes_per_policy)
+        return original(algorithm, state, seeds, backend)
 
-    evaluate.calls, original = 0, training.evaluate_levels
-    monkeypatch.setattr(training, "evaluate_levels", evaluate)
+    evaluate.calls, original = 0, training.evaluate_state
+    monkeypatch.setattr(training, "evaluate_state", evaluate)
     path = runs.train_tiny(tmp_path / "run", backend="processes", num_workers=2)
     ((_, generation, _),) = losses(path)
     assert generation == 4

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from shes.algorithms.evolution.algorithm import Settings, evolve
-from shes.algorithms.evolution.worker import RolloutWorker, WorkerPlan
+from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task
 from shes.envs.tasks.options import TaskOptions

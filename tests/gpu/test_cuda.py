@@ -20,6 +20,7 @@ from shes.runs.folder import RunFolder
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
+from tests.e2e import runs
 from tests.hierarchy import test_device_arrays as stand_in
 
 pytestmark = [pytest.mark.gpu, pytest.mark.timeout(600)]
@@ -98,7 +99,7 @@ def test_a_run_goes_from_the_cpu_to_the_card_and_back(env, tmp_path):
     shes.resume(run, generations=5, device="cpu")
     record = json.loads((run / "config.json").read_text())
     assert [part["device"]["name"] for part in (record, *record["resumed"])] == ["cpu", DEVICE, "cpu"]
-    assert RunFolder.open(run).load("last").state.generation == 5
+    assert RunFolder.open(run).load("last").generation == 5
 
 
 def test_a_population_in_parts_is_the_same_population(tmp_path):
@@ -106,5 +107,5 @@ def test_a_population_in_parts_is_the_same_population(tmp_path):
     for chunk_size in (0, 4):
         run = tmp_path / str(chunk_size)
         shes.train("point-gather", out=run, generations=1, device=DEVICE, chunk_size=chunk_size, **TINY)
-        thetas.append(RunFolder.open(run).load("last").state.levels[0].theta)
+        thetas.append(runs.state(run, "last").levels[0].theta)
     np.testing.assert_allclose(*thetas, atol=1e-3)

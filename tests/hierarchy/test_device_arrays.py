@@ -15,7 +15,7 @@ from shes.es.gradient import weighted_noise_sum
 from shes.es.noise import NoiseTable
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator
-from shes.training.build import build_design, build_plan, build_settings, build_state, open_noise_table
+from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 from tests.strict_arrays import strict_xp
 from tests.strict_simulator import DeviceSimulator
@@ -63,20 +63,18 @@ CHOICES = {
 
 
 def make(name, **more):
-    """Return what a roll-out of these settings needs."""
+    """Return the learner of these settings."""
     env, settings = CHOICES[name]
     goals = {} if "algorithm" in settings else {"controller_interval": 4}
     config = make_config(env, "laptop", {**SETTINGS, **goals, **settings, **more})
-    design = build_design(config)
-    table = open_noise_table(config, design)
-    return config, design, table, build_plan(config, design, table)
+    return build_algorithm(config)
 
 
 def run(name, simulator, num_lanes, xp=np, episodes=3):
     """Return the results of a generation, by number, and the waits for the device of every step."""
-    config, design, table, plan = make(name, episodes_per_policy=episodes)
-    state, settings = build_state(config, design), build_settings(config)
-    work = generation_work(state, settings, table.size)
+    learner = make(name, episodes_per_policy=episodes)
+    design, table, plan = learner.design, learner.table, learner.plan()
+    work = generation_work(learner.start(1), learner.settings, table.size)
     tasks, generation = work.tasks, work.generation
     rollout = Rollout(
         design,
@@ -173,8 +171,9 @@ class Worker:
 def test_a_generation_on_a_device_updates_as_on_the_cpu():
     states = []
     for simulator, xp in ((CpuSimulator, np), (DeviceSimulator, strict_xp)):
-        config, design, table, plan = make("gather")
-        settings, state = build_settings(config), build_state(config, design)
+        learner = make("gather")
+        design, table, plan = learner.design, learner.table, learner.plan()
+        settings, state = learner.settings, learner.start(1)
         backend = SerialBackend(partial(Worker, design, plan, table.on(xp), simulator))
         states.append(next(evolve(state, settings, table.on(xp), backend)).state)
     for mine, theirs in zip(states[1].levels, states[0].levels, strict=True):
@@ -219,13 +218,12 @@ def test_branches_on_a_device_begin_and_end_as_on_the_cpu(name):
     more = {"primitive_estimate": "interval", "controller_interval": 3}
     alike = {name: value for name, value in SETTINGS.items() if name != "episodes_per_policy"}
     config = make_config(env, "laptop", {**alike, **settings, **more})
-    design = build_design(config)
-    table, runs = open_noise_table(config, design), []
-    plan = build_plan(config, design, table)
+    learner, runs = build_algorithm(config), []
+    table, plan = learner.table, learner.plan()
     for simulator, xp in ((CpuSimulator, np), (DeviceSimulator, strict_xp)):
-        state = build_state(config, design)
+        state = learner.start(config.seed)
         backend = SerialBackend(partial(BranchingWorker, plan, table.on(xp), simulator))
-        reports = evolve(state, build_settings(config), table.on(xp), backend)
+        reports = evolve(state, learner.settings, table.on(xp), backend)
         runs.append([next(reports) for _ in range(2)])
     for mine, theirs in zip(*runs, strict=True):
         pairs, others = (report.branches or report.population for report in (mine, theirs))

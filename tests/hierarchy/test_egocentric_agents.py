@@ -10,7 +10,7 @@ import pytest
 
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
-from shes.training.build import build_design, build_task
+from shes.training.build import build_algorithm, build_task
 from shes.training.presets import make_config
 
 INTERVAL = 4
@@ -67,7 +67,7 @@ def shown(request):
         seen.append((task.observe().copy(), task.position.copy(), task.heading.copy(), goal))
         task.step(ids, rng.uniform(-30, 30, (len(ids), task.action_size)))
     arrays = [np.array(each).reshape(STEPS, MEMBERS, EPISODES, *each[0].shape[1:]) for each in zip(*seen, strict=True)]
-    return Shown(build_design(config), task.robot, task.observation_names, task.proprioception, *arrays)
+    return Shown(build_algorithm(config).design, task.robot, task.observation_names, task.proprioception, *arrays)
 
 
 def _thetas(design, member, scale=1.0):

@@ -8,7 +8,7 @@ import pytest
 
 from shes.algorithms.evolution.algorithm import evolve
 from shes.algorithms.evolution.populations import generation_work, roll_out, roll_out_branches
-from shes.algorithms.evolution.worker import RolloutWorker
+from shes.algorithms.worker import RolloutWorker
 from shes.backends.serial import SerialBackend
 from shes.es.level import RunningEpisodes, UpdateRule, draw_noise_index
 from shes.es.novelty import NSR
@@ -17,7 +17,7 @@ from shes.hierarchy.episodes import EpisodeTask, Snapshot, spread
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, next_running, noted_steps
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.results import PopulationResults
-from shes.training.build import build_design, build_plan, build_settings, build_state, open_noise_table
+from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 from tests.hierarchy import designs
 from tests.hierarchy.formula import SETTINGS, changing, constant, formula_state, start_state
@@ -302,9 +302,9 @@ class Case:
 
     def __init__(self, env, settings):
         config = make_config(env, "smoke", settings)
-        self.design, self.settings = build_design(config), build_settings(config)
-        self.table, self.state = open_noise_table(config, self.design), build_state(config, self.design)
-        self.plan = build_plan(config, self.design, self.table)
+        learner = build_algorithm(config)
+        self.design, self.settings = learner.design, learner.settings
+        self.table, self.state, self.plan = learner.table, learner.start(config.seed), learner.plan()
         self.backend = SerialBackend(partial(RolloutWorker, self.plan))
 
     def play(self, task, generation):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.evolution.worker import RolloutWorker, WorkerPlan
+from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task

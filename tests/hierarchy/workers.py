@@ -1,6 +1,6 @@
 """A worker for several designs at once: a few processes serve many runs. Worker processes import this module."""
 
-from shes.algorithms.evolution.worker import RolloutWorker, WorkerPlan
+from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.envs.tasks.options import TaskOptions
 from tests.hierarchy.fake_task import FakeEnvironment
 

@@ -15,7 +15,7 @@ from shes.hierarchy.rewards import PRIMITIVE_REWARDS
 from shes.runs.config import EXECUTION_FIELDS, TrainConfig, check_fields
 from shes.runs.settings import NAMES as WORDS
 from shes.runs.settings import SCHEDULED, choices, flag
-from shes.training.build import build_design, build_settings
+from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 from tests.e2e import own_classes
 
@@ -197,7 +197,7 @@ def test_a_place_is_finite_coordinates_or_none(name):
 def test_a_name_must_be_known(name):
     right = {"algorithm": "shes", "novelty": "nsra_reset"}.get(name, getattr(make(), name))
     wrong = right[:-1]
-    message = rf"unknown {name.replace('_', ' ')} '{wrong}'\. Did you mean '{right}'\? Known: .*Set {flag(name)}\."
+    message = rf"unknown {name.replace('_', ' ')} '{wrong}'\. Did you mean '{right}'\? Known: .*Set {flag(name)}[.;]"
     with pytest.raises(UnknownNameError, match=message):
         make(**{name: wrong})
 
@@ -372,7 +372,7 @@ def test_a_learning_rate_may_fall_to_zero_where_a_schedule_reaches_it(how):
 
 def test_what_the_episodes_schedule_is_set_by_is_a_flag_that_there_is():
     config = make(episodes_schedule="linear", episodes_end=5)
-    assert flag(f"{build_settings(config).episodes_per_policy.quantity}_schedule") == "--episodes-schedule"
+    assert flag(f"{build_algorithm(config).settings.episodes_per_policy.quantity}_schedule") == "--episodes-schedule"
 
 
 # Levels, and what concerns one that is not there.
@@ -556,7 +556,7 @@ def test_an_external_environment_cannot_be_branched():
 )
 def test_a_robot_that_cannot_be_seen_so_is_refused(env, settings, message):
     with pytest.raises(ConfigError, match=message):
-        build_design(make_config(env, "smoke", settings))
+        build_algorithm(make_config(env, "smoke", settings))
 
 
 # What version 0.1 wrote.

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import shes
+import shes.algorithms.problem
+import shes.algorithms.worker
 import shes.runs.device
 import shes.training.build
 from shes.backends.serial import SerialBackend
@@ -19,7 +21,7 @@ from shes.runs.device import check_asked_device, device_changes, device_facts
 from shes.runs.settings import choices
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp_device import DEVICES
-from shes.training.build import build_backend, build_design, build_plan, open_noise_table
+from shes.training.build import build_algorithm, build_backend
 from shes.training.evaluate import evaluate
 from shes.training.presets import make_config
 from tests.e2e import runs
@@ -31,11 +33,11 @@ NO_CARD = ConfigError("device cuda needs an NVIDIA card. Use --device cpu.")
 def stand_in(monkeypatch):
     """Let devices be there whose physics is that of the CPU."""
     monkeypatch.setattr(shes.training.build, "simulator_factory", lambda *_: CpuSimulator)
-    monkeypatch.setattr(shes.algorithms.evolution.worker, "simulator_factory", lambda *_: CpuSimulator)
-    monkeypatch.setattr(shes.algorithms.evolution.worker.RolloutWorker, "_chunk", lambda *_: 8)
-    monkeypatch.setattr(shes.algorithms.evolution.worker.WarpDevice, "__init__", lambda *_: None)
-    monkeypatch.setattr(shes.algorithms.evolution.worker.WarpDevice, "release_memory", lambda _: None)
-    monkeypatch.setattr("shes.training.train.array_module", lambda _: np)
+    monkeypatch.setattr(shes.algorithms.worker, "simulator_factory", lambda *_: CpuSimulator)
+    monkeypatch.setattr(shes.algorithms.worker.RolloutWorker, "_chunk", lambda *_: 8)
+    monkeypatch.setattr(shes.algorithms.worker.WarpDevice, "__init__", lambda *_: None)
+    monkeypatch.setattr(shes.algorithms.worker.WarpDevice, "release_memory", lambda _: None)
+    monkeypatch.setattr(shes.algorithms.problem.Problem, "xp", np)
     facts = {"cuda": {"name": "cuda", "card": "Card 1"}, "warp-cpu": {"name": "warp-cpu", "warp-lang": "1.19"}}
     monkeypatch.setattr("shes.runs.provenance.device_facts", lambda name: facts.get(name, {"name": name}))
     return facts
@@ -66,8 +68,7 @@ def test_the_device_and_its_buffers_are_no_part_of_what_a_run_is():
 @pytest.mark.parametrize("device", DEVICES)
 def test_a_device_has_one_worker_in_this_process_whatever_the_default(device):
     config = make_config("point-gather", "smoke", {"device": device, "nconmax": 9, "njmax": 7, "chunk_size": 3})
-    design = build_design(config)
-    plan = build_plan(config, design, open_noise_table(config, design))
+    plan = build_algorithm(config).plan()
     assert (plan.device, plan.nconmax, plan.njmax, plan.chunk_size) == (device, 9, 7, 3)
     with build_backend(config, plan) as backend:
         assert isinstance(backend, SerialBackend)
@@ -190,11 +191,11 @@ def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy, monkeypatch
     shes.resume(run_copy, device="cuda", nconmax=9, generations=5)
     plans = []
 
-    def noted(config, *arguments):
-        plans.append(build_plan(config, *arguments))
-        return plans[-1]
+    def noted(config, plan):
+        plans.append(plan)
+        return build_backend(config, plan)
 
-    monkeypatch.setattr("shes.training.evaluate.build_plan", noted)
+    monkeypatch.setattr("shes.training.evaluate.build_backend", noted)
     on_cpu = evaluate(run_copy, episodes=2, num_workers=1)
     on_device = evaluate(run_copy, episodes=2, device="warp-cpu")
     evaluate(run_copy, episodes=2, device="warp-cpu", nconmax=5, njmax=4)

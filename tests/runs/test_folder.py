@@ -112,7 +112,7 @@ def test_a_folder_is_a_run_only_with_its_record(tmp_path):
 def test_a_checkpoint_is_found_by_name_or_generation(tiny_run, name):
     checkpoint = RunFolder.open(tiny_run).load(name)
     if name.isdecimal():
-        assert checkpoint.state.generation == int(name)
+        assert checkpoint.generation == int(name)
 
 
 def test_a_checkpoint_of_other_settings_is_refused_by_naming_them(run_copy):

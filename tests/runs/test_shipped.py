@@ -124,7 +124,7 @@ def test_the_primitive_of_a_shipped_agent_is_brought_by_name(agents):
     path = runs.train_tiny(Path("run"), primitive="point-walker", generations=1)
     record = json.loads((path / "config.json").read_text())
     assert record["config"]["primitive"] == record["primitive"]["run"] == "point-walker"
-    brought, own = (RunFolder.open(run).load("best").state.levels[-1] for run in ("point-walker", path))
+    brought, own = (runs.state(run, "best").levels[-1] for run in ("point-walker", path))
     assert own.theta.tobytes() == brought.theta.tobytes()
 
 
@@ -163,8 +163,9 @@ def test_an_agent_is_a_small_run_folder(agents, walker_run):
     whole, small = walker_run / "checkpoints" / "best.npz", folder / "checkpoints" / "best.npz"
     assert small.stat().st_size < whole.stat().st_size
     one, other = load_checkpoint(whole), load_checkpoint(small)
-    assert (one.best, one.state.env_steps) == (other.best, other.state.env_steps)
-    for level, copy in zip(one.state.levels, other.state.levels, strict=True):
+    assert (one.best, one.generation, one.env_steps) == (other.best, other.generation, other.env_steps)
+    states = (runs.state(path, "best") for path in (walker_run, folder))
+    for level, copy in zip(*(state.levels for state in states), strict=True):
         assert level.theta.tobytes() == copy.theta.tobytes()
         assert level.statistics.total.tobytes() == copy.statistics.total.tobytes()
         assert (copy.optimizer.steps, copy.optimizer.slots.keys()) == (0, level.optimizer.slots.keys())
@@ -175,7 +176,7 @@ def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_ru
     told, checkpoint = read_agent("point-gather"), RunFolder.open(tiny_run).load("best")
     assert (told.description, told.commands) == (TOLD["description"], tuple(TOLD["commands"]))
     assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 640)
-    assert told.generation == checkpoint.state.generation
+    assert told.generation == checkpoint.generation
     assert 0 <= told.hours < 0.1
     found = evaluate("point-gather", episodes=3, seed=7, num_workers=1).summary()
     result = told.to_dict()["evaluation"]
@@ -229,7 +230,7 @@ def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
     for table in ("progress.csv", "evaluation.csv"):
         header = "generation,env_steps,wall_time_s,score_mean"
         (run_copy / table).write_text("\n".join([header, *rows]) + "\n")
-    best = RunFolder.open(run_copy).load("best").state.generation
+    best = RunFolder.open(run_copy).load("best").generation
     told = ship(run_copy, "long", **TOLD, episodes=1, num_workers=1, into=tmp_path / "agents")
     assert told.env_steps == 12345678000
     for table in ("progress.csv", "evaluation.csv"):
@@ -241,12 +242,23 @@ def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
         assert np.isnan(columns["score_mean"]).all()
 
 
-def test_the_state_of_the_optimizer_stays_where_it_takes_little(tmp_path):
+def test_the_optimizer_of_an_agent_begins_anew_however_little_its_state_takes(tmp_path):
     run = runs.train_tiny(tmp_path / "run", "point-flagrun", hidden=(1,), generations=1)
     ship(run, "small", **TOLD, episodes=1, num_workers=1, into=tmp_path)
-    one, other = (RunFolder.open(path).load("best").state.levels[0].optimizer for path in (run, tmp_path / "small"))
-    assert one.steps == other.steps == 1
-    assert all(other.slots[slot].tobytes() == values.tobytes() for slot, values in one.slots.items())
+    one, other = (runs.state(path, "best").levels[0].optimizer for path in (run, tmp_path / "small"))
+    assert (one.steps, other.steps) == (1, 0)
+    for slot, values in one.slots.items():
+        assert (other.slots[slot].dtype, other.slots[slot].shape) == (values.dtype, values.shape)
+        assert values.any()
+        assert not other.slots[slot].any()
+
+
+def test_an_agent_keeps_no_episodes_that_go_on(tmp_path):
+    branches = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 5}
+    run = runs.train_tiny(tmp_path / "run", "point-flagrun", generations=1, horizon=40, **branches)
+    ship(run, "small", **TOLD, episodes=1, num_workers=1, into=tmp_path)
+    assert runs.state(run, "best").running is not None
+    assert runs.state(tmp_path / "small", "best").running is None
 
 
 @pytest.mark.parametrize(
@@ -323,7 +335,7 @@ def test_every_shipped_agent_is_small_complete_and_acts():
         assert sum(path.stat().st_size for path in folder.path.rglob("*") if path.is_file()) < 500_000
         assert shipped_name(folder.path) == name
         assert folder.read_config().env == told.env
-        assert folder.load("best").state.generation == told.generation
+        assert folder.load("best").generation == told.generation
         assert told.description.strip()
         assert told.commands
         assert min(told.cores, told.hours, told.env_steps, told.generation, told.evaluation.episodes) > 0

@@ -14,7 +14,6 @@ import pytest
 from shes.backends.serial import SerialBackend
 from shes.cli.commands import experiment
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
-from shes.runs.checkpoint import load_checkpoint
 from shes.studies import ablation as ablations
 from shes.studies import learning as lessons
 from shes.studies import study as studies
@@ -136,8 +135,8 @@ def test_a_cell_that_was_stopped_goes_on_as_if_it_had_not(finished, tmp_path, mo
             signal.raise_signal(signal.SIGINT)
         return original(*arguments)
 
-    original = training.evaluate_levels
-    monkeypatch.setattr(training, "evaluate_levels", evaluate)
+    original = training.evaluate_state
+    monkeypatch.setattr(training, "evaluate_state", evaluate)
     with pytest.raises(KeyboardInterrupt):
         run_cell(cell(), tmp_path, 3)
     assert read_summaries(Study(cells=(cell(),)), tmp_path) == {}
@@ -249,8 +248,8 @@ def test_a_transferred_primitive_comes_from_its_cell_wherever_the_study_lies(tmp
     frozen = cell("frozen", primitive=source.name, settings={**TINY, "freeze_primitive": True})
     study = Study(cells=(frozen, source), episodes=3)
     assert [outcome.error for outcome in run_study(study, tmp_path / "a", num_workers=2)] == ["", ""]
-    one = load_checkpoint(tmp_path / "a" / source.name / "checkpoints" / "best.npz").state.levels[0]
-    other = load_checkpoint(tmp_path / "a" / frozen.name / "checkpoints" / "last.npz").state.levels[1]
+    one = runs.state(tmp_path / "a" / source.name, "best").levels[0]
+    other = runs.state(tmp_path / "a" / frozen.name, "last").levels[1]
     assert (one.name, one.theta.tobytes()) == (other.name, other.theta.tobytes())
     (tmp_path / "a").rename(tmp_path / "b")
     monkeypatch.chdir(tmp_path)

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from shes.algorithms.evolution.populations import Settings
-from shes.algorithms.evolution.worker import WorkerPlan
+from shes.algorithms.worker import WorkerPlan
 from shes.envs.bodies.point import Point
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.errors import ShapeError
 from shes.es.level import TrainState
-from shes.es.noise import NoiseTable
 from shes.es.shaping import CentredRanks, PairRanks, ZScore
 from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.outputs import HeadingVectorOutput, VectorOutput
@@ -24,7 +23,7 @@ from shes.hierarchy.primitive import PrimitiveDesign
 from shes.hierarchy.rewards import MetresReward, ProgressReward
 from shes.hierarchy.views import ColumnsView, EgocentricView
 from shes.runs.config import TrainConfig
-from shes.training.build import build_design, build_plan, build_settings, build_state
+from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 from tests.e2e.own_classes import Corner
 
@@ -32,8 +31,7 @@ from tests.e2e.own_classes import Corner
 def test_the_plan_carries_the_environment_and_not_its_name(monkeypatch):
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Corner))
     config = make_config("point-corner", "smoke")
-    design = build_design(config)
-    plan = build_plan(config, design, NoiseTable.open(config.noise_table_size))
+    plan = build_algorithm(config).plan()
     monkeypatch.delitem(ENVIRONMENTS, "point-corner")  # as in a worker process
     assert type(plan.env.make(1)) is Corner
     assert isinstance(plan.noise_table, Path)
@@ -50,7 +48,7 @@ def test_an_environment_that_observes_other_values_than_its_layout_names_is_refu
         r"'point-corner' must observe \[N, 6\], .*for 1 episode it observed \(1, 5\)\. Change its layout or its obs"
     )
     with pytest.raises(ShapeError, match=message):
-        build_design(make_config("point-corner", "smoke"))
+        build_algorithm(make_config("point-corner", "smoke"))
 
 
 # Where settings arrive ----------------------------------------------------------------------------------------------
@@ -69,9 +67,8 @@ class Built:
     @classmethod
     def of(cls, env, **settings):
         config = make_config(env, "smoke", settings)
-        design = build_design(config)
-        plan = build_plan(config, design, NoiseTable.open(config.noise_table_size))
-        return cls(config, design, build_settings(config), plan, build_state(config, design))
+        learner = build_algorithm(config)
+        return cls(config, learner.design, learner.settings, learner.plan(), learner.start(config.seed))
 
     @property
     def intervals(self) -> Any:

@@ -1,13 +1,16 @@
 """Evaluation: fresh episodes of the mean policies, the same on any number of workers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from shes.algorithms.evolution.learners import EvolutionStrategy
 from shes.errors import CheckpointError, ConfigError, PolicyError, RunFolderError, UnknownNameError
 from shes.es.streams import Purpose
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training.evaluate import Evaluation, evaluate, evaluation_seeds
+from shes.training.evaluate import Evaluation, evaluate, evaluation_seeds, fresh_seeds
 from tests.e2e import runs
 
 ARRAYS = ("scores", "returns", "primitive_returns", "goals_reached", "successes", "steps", "diverged")
@@ -59,16 +62,22 @@ def test_checkpoints_are_evaluated_apart(tiny_run):
 
 
 def test_fresh_episodes_are_none_of_those_that_chose_the_checkpoint(tiny_run):
-    state = RunFolder.open(tiny_run).load("last").state
-    chosen = evaluation_seeds(state, 50)
-    fresh = evaluation_seeds(state, 50, Purpose.FRESH_EPISODES)
+    state = runs.state(tiny_run, "last")
+    chosen = evaluation_seeds(state.seed, state.generation, 50)
+    fresh = fresh_seeds(state, 50)
     assert len({*chosen, *fresh}) == 100
-    assert evaluation_seeds(state, 50) == chosen
+    assert evaluation_seeds(state.seed, state.generation, 50) == chosen
+    assert fresh == evaluation_seeds(state.seed, state.generation, 50, Purpose.FRESH_EPISODES)
+
+
+def test_a_seed_of_ones_own_gives_the_same_episodes_whatever_the_checkpoint(tiny_run):
+    one, other = (fresh_seeds(runs.state(tiny_run, name), 50, seed=3) for name in ("0", "last"))
+    assert one == other
+    assert not {*one} & {*fresh_seeds(runs.state(tiny_run, "last"), 50)}
 
 
 def test_every_generation_is_evaluated_on_other_episodes(tiny_run):
-    folder = RunFolder.open(tiny_run)
-    seeds = [evaluation_seeds(folder.load(name).state, 50) for name in ("0", "2", "4")]
+    seeds = [evaluation_seeds(5, generation, 50) for generation in (0, 2, 4)]
     assert len({seed for row in seeds for seed in row}) == 150
 
 
@@ -82,7 +91,7 @@ def test_training_evaluates_the_policies_that_it_stores(tiny_run):
     ranked = sorted(zip(table["score_mean"], table["return_mean"], table["generation"], strict=True))
     assert ranked[-1] == (best.score, best.mean_return, best.generation)
     assert (table["score_mean"][row], table["return_mean"][row]) == (best.score, best.mean_return)
-    assert folder.load("best").state.generation == best.generation
+    assert folder.load("best").generation == best.generation
 
 
 def test_a_summary_holds_means_and_deviations():
@@ -155,11 +164,24 @@ def test_wrong_arguments_are_refused(tiny_run, tmp_path):
         evaluate(tiny_run, checkpoint="first")
 
 
-def test_a_policy_that_returns_nan_is_an_error(run_copy):
+def test_a_policy_that_is_nan_is_refused_before_it_acts(run_copy):
     path = run_copy / "checkpoints" / "best.npz"
     with np.load(path) as file:
         arrays = dict(file)
-    arrays["primitive/theta"][:] = np.nan
+    arrays["primitive/theta"][3] = np.nan
     np.savez(path, **arrays)
+    with pytest.raises(CheckpointError, match=r"best\.npz holds NaN or infinity in primitive/theta\. Take an earlier"):
+        evaluate(run_copy, episodes=2)
+
+
+def test_a_policy_that_returns_nan_is_an_error(run_copy, monkeypatch):
+    """Where it comes from nobody knows: the checkpoint itself holds none."""
+
+    def parameters(learner, state):
+        controller, primitive = original(learner, state)
+        return controller, replace(primitive, theta=np.full_like(primitive.theta, np.nan))
+
+    original = EvolutionStrategy.parameters
+    monkeypatch.setattr(EvolutionStrategy, "parameters", parameters)
     with pytest.raises(PolicyError, match=r"returned NaN or infinity at step 0 \(parameters of its primitive"):
         evaluate(run_copy, episodes=2)

@@ -8,7 +8,6 @@ import pytest
 
 from shes.envs.gymnasium.registration import gymnasium_id
 from shes.errors import CheckpointError, ConfigError, RunFolderError, ShapeError
-from shes.es.level import TrainState
 from shes.es.streams import Purpose
 from shes.runs.folder import RunFolder
 from shes.training.build import build_task
@@ -28,6 +27,12 @@ def observations(tiny_run):
         seen.append(task.observe().copy())
         task.step(np.arange(3), np.full((3, task.action_size), 0.3))
     return np.array(seen)
+
+
+def test_an_agent_needs_no_noise_table(tiny_run, monkeypatch, tmp_path):
+    monkeypatch.setenv("SHES_CACHE_DIR", str(tmp_path / "cache"))
+    assert load(tiny_run).observation_size > 0
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_observation_becomes_an_action_in_the_unit_box(tiny_run, observations):
@@ -213,10 +218,9 @@ def gymnasium_env(config):
 def test_an_agent_earns_in_gymnasium_what_its_evaluation_says(played, kind):
     path = played(kind)
     expected = evaluate(path, episodes=3, num_workers=1, seed=11)
-    draws = TrainState(seed=11, generation=0, env_steps=0, levels=())
     agent = load(path)
     env = gymnasium_env(agent.config)
-    for seed, earned in zip(evaluation_seeds(draws, 3, Purpose.FRESH_EPISODES), expected.returns, strict=True):
+    for seed, earned in zip(evaluation_seeds(11, 0, 3, Purpose.FRESH_EPISODES), expected.returns, strict=True):
         agent.reset()
         observation, _ = env.reset(seed=seed)
         total, is_over = 0.0, False

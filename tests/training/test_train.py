@@ -5,6 +5,7 @@ import pytest
 
 from shes.errors import ConfigError
 from shes.runs.folder import RunFolder
+from shes.runs.tables import read_csv
 from shes.training import train as training
 from shes.training.evaluate import Evaluation
 from shes.training.train import resume
@@ -31,7 +32,7 @@ def find(monkeypatch):
                 diverged=zeros,
             )
 
-        monkeypatch.setattr(training, "evaluate_levels", evaluate)
+        monkeypatch.setattr(training, "evaluate_state", evaluate)
 
     return prepare
 
@@ -53,10 +54,11 @@ def test_the_best_evaluation_is_kept(tmp_path, find, found, best):
     folder = RunFolder.open(path)
     assert folder.load("last").best.generation == best
     kept = folder.load("best")
-    assert kept.state.generation == best
+    assert kept.generation == best
     assert kept.best.generation == best
     if best != 1:  # every second generation is kept
-        assert kept.state.levels[0].theta.tobytes() == folder.load(best).state.levels[0].theta.tobytes()
+        one, other = (runs.state(path, name).levels[0].theta for name in ("best", best))
+        assert one.tobytes() == other.tobytes()
 
 
 def test_the_best_evaluation_is_remembered_over_a_resume(tmp_path, find):
@@ -64,25 +66,46 @@ def test_the_best_evaluation_is_remembered_over_a_resume(tmp_path, find):
     path = runs.train_tiny(tmp_path / "run", generations=2)
     find((2, 0))
     assert resume(path, generations=4).best.generation == 1
-    assert RunFolder.open(path).load("best").state.generation == 1
+    assert RunFolder.open(path).load("best").generation == 1
 
 
 def test_before_the_first_evaluation_the_best_is_the_start(tmp_path):
     path = runs.train_tiny(tmp_path / "run", minutes=1e-9)
     folder = RunFolder.open(path)
-    assert folder.load("best").state.generation == 0
+    assert folder.load("best").generation == 0
     assert folder.load("last").best.generation == -1
 
 
 def test_a_run_ends_with_the_generation_that_reaches_its_environment_steps(tmp_path):
     whole = runs.train_tiny(tmp_path / "whole")  # 4 generations of 160 steps
     path = runs.train_tiny(tmp_path / "run", env_steps=161)
-    state = RunFolder.open(path).load("last").state
+    state = runs.state(path, "last")
     assert (state.generation, state.env_steps) == (2, 320)
     with pytest.raises(ConfigError, match=r"made 320 environment steps, and is to end after 161\. .*--env-steps 640"):
         resume(path)
     assert resume(path, env_steps=10_000).generation == 4
     assert runs.differences(whole, path) == []
+
+
+BRANCHES = {
+    "primitive_estimate": "interval",
+    "primitive_view": "proprioception",
+    "controller_interval": 5,
+    "primitive_population_size": 8,
+}
+
+
+@pytest.mark.parametrize("settings", [{}, BRANCHES], ids=["episodes", "branches"])
+def test_a_row_begins_with_the_steps_that_the_generation_made_and_the_time_that_it_took(tmp_path, settings):
+    path = runs.train_tiny(tmp_path / "run", evaluation_interval=100, **settings)
+    table = {name: np.array(values) for name, values in read_csv(path / "progress.csv").items()}
+    assert list(table)[:4] == ["generation", "env_steps", "wall_time_s", "env_steps_per_s"]
+    assert table["generation"].tolist() == [1, 2, 3, 4]
+    assert table["env_steps"][-1] == runs.state(path, "last").env_steps
+    seconds = np.diff(table["env_steps"], prepend=0) / table["env_steps_per_s"]
+    assert (seconds >= 0.999 * (table["rollout_s"] + table["update_s"]) - 1e-3).all()
+    apart = np.diff(table["wall_time_s"], prepend=0)[1:] - table["evaluation_s"][:-1]
+    np.testing.assert_allclose(seconds[1:], apart, atol=0.01, rtol=0.01)
 
 
 class _Heard:
@@ -122,5 +145,5 @@ def test_a_run_as_long_as_its_schedule_says_nothing_of_it(tmp_path):
     settings = {"learning_rate_schedule": "cosine", "learning_rate_end": 0, "schedule_generations": 2}
     path = runs.train_tiny(tmp_path / "run", generations=3, listener=heard, **settings)
     assert heard.events == []
-    before, after = (RunFolder.open(path).load(name).state.levels[0].theta for name in ("2", "last"))
+    before, after = (runs.state(path, name).levels[0].theta for name in ("2", "last"))
     assert before.tobytes() == after.tobytes()  # nothing is learnt at a rate of zero

@@ -12,7 +12,7 @@ from shes.cli import main
 from shes.errors import CheckpointError, ConfigError, RunFolderError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training.build import build_design
+from shes.training.build import build_algorithm
 from tests.e2e import runs
 
 ANT = {
@@ -61,7 +61,7 @@ def plain(tmp_path_factory):
 
 def primitive(path, checkpoint):
     """Return the primitive of a checkpoint."""
-    (found,) = [level for level in RunFolder.open(path).load(checkpoint).state.levels if level.name == "primitive"]
+    (found,) = [level for level in runs.state(path, checkpoint).levels if level.name == "primitive"]
     return found
 
 
@@ -97,7 +97,7 @@ def test_one_primitive_serves_every_task_of_its_robot_and_stays_as_it_was(ant_of
     for checkpoint in ("0", "2", "last"):
         assert same(primitive(path, checkpoint), brought)
         assert primitive(path, checkpoint).optimizer.steps == 0
-    controllers = [RunFolder.open(path).load(name).state.levels[0] for name in ("0", "last")]
+    controllers = [runs.state(path, name).levels[0] for name in ("0", "last")]
     assert not np.array_equal(controllers[0].theta, controllers[1].theta) or task == "gather"  # which pays nothing yet
     assert [level.statistics.count > 0 for level in controllers] == [False, True]
     assert np.isnan(read_csv(path / "progress.csv")["primitive_gradient_norm"]).all()
@@ -123,7 +123,7 @@ def test_an_unfrozen_primitive_needs_whole_groups_of_both_levels(point, tmp_path
 def test_the_controller_begins_as_it_would_without(plain, tmp_path):
     alone = runs.train_tiny(tmp_path / "alone", generations=1)
     path = runs.train_tiny(tmp_path / "run", primitive=str(plain), generations=1)
-    one, other = (RunFolder.open(run).load("0").state.levels[0] for run in (alone, path))
+    one, other = (runs.state(run, "0").levels[0] for run in (alone, path))
     assert one.theta.tobytes() == other.theta.tobytes()
 
 
@@ -138,7 +138,7 @@ def test_a_primitive_brings_what_it_was_trained_with(point, tmp_path):
         True,
     )
     origin = json.loads((path / "config.json").read_text())["primitive"]
-    best = RunFolder.open(point).load("best").state.generation
+    best = RunFolder.open(point).load("best").generation
     assert origin == {"run": str(point), "env": "point-flagrun", "checkpoint": "best", "generation": best}
     assert best > 0
     # Goal 3, clock 2, robot 4 without x and y.
@@ -214,7 +214,7 @@ def test_a_walker_brings_its_view_and_its_symmetry(walker, tmp_path, task):
     assert brought.statistics.count > 0
     assert len(brought.statistics.total) == 3 + 2 + 25
     assert same(primitive(path, "last"), brought)
-    assert build_design(config).symmetry.num_elements == 8
+    assert build_algorithm(config).design.symmetry.num_elements == 8
 
 
 @pytest.mark.parametrize(("asked", "given"), [("rotation", "dihedral"), ("none", "dihedral")])
@@ -347,8 +347,10 @@ def test_a_source_that_is_not_there_or_damaged_is_refused(plain, tmp_path, comma
         primitive_checkpoint="77",
     )
     best = source / "checkpoints" / "best.npz"
-    best.write_bytes(best.read_bytes()[:500])
+    whole = best.read_bytes()
+    best.write_bytes(whole[:500])
     refused(CheckpointError, r"best\.npz is not a whole SHES checkpoint", primitive=str(source))
+    best.write_bytes(whole)
     (source / "config.json").write_text("{")
     refused(RunFolderError, r"config\.json cannot be read", primitive=str(source))
 
@@ -367,7 +369,7 @@ def steered(tmp_path_factory):
 
 
 def controller(path, checkpoint):
-    return RunFolder.open(path).load(checkpoint).state.levels[0]
+    return runs.state(path, checkpoint).levels[0]
 
 
 def test_a_controller_brings_its_parameters_statistics_and_settings(steered, plain, tmp_path):

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from shes.algorithms.evolution.populations import Settings, generation_work
-from shes.algorithms.evolution.worker import RolloutWorker, WorkerPlan
+from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.backend import Backend
 from shes.backends.serial import SerialBackend
 from shes.envs.episode_batch import EpisodeBatch

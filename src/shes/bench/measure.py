@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from shes.algorithms.evolution.algorithm import GenerationReport, evolve
+from shes.algorithms.evolution.learners import EvolutionStrategy
 from shes.algorithms.evolution.populations import Settings
 from shes.backends.serial import SerialBackend
 from shes.bench.bare_physics import record_generation
@@ -27,16 +28,7 @@ from shes.errors import ConfigError
 from shes.es.perturbation import ManyToMany
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
-from shes.runs.device import array_module
-from shes.training.build import (
-    build_backend,
-    build_design,
-    build_plan,
-    build_settings,
-    build_state,
-    build_task,
-    open_noise_table,
-)
+from shes.training.build import build_algorithm, build_backend, build_task
 
 __all__ = ["bench_rollout", "bench_update"]
 
@@ -65,10 +57,9 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
             f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.env}, which Gymnasium "
             "makes. Name one of `shes envs` with a world of our own, e.g. ant-gather."
         )
-    design = build_design(config)
-    table = open_noise_table(config, design).on(array_module(config.device))
-    plan = build_plan(config, design, table)
-    settings, state = build_settings(config), build_state(config, design)
+    algorithm = _evolution_strategy(config)
+    plan, settings, state = algorithm.plan(), algorithm.settings, algorithm.start(config.seed)
+    table = algorithm.table.on(algorithm.problem.xp)
     physics = record_generation(plan, state, settings, table.size)
     bare: list[float] = []
     whole: list[float] = []
@@ -117,6 +108,18 @@ def _on_one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
+def _evolution_strategy(config: TrainConfig) -> EvolutionStrategy:
+    """Return the learner of `config`.
+
+    Raises:
+        ConfigError: It is no evolution strategy.
+    """
+    algorithm = build_algorithm(config)
+    if not isinstance(algorithm, EvolutionStrategy):
+        raise ConfigError(f"bench measures evolution strategies, got {config.algorithm}. Set --algorithm shes or es.")
+    return algorithm
+
+
 def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -> dict[str, Any]:
     """Measure, in milliseconds, what the parent does between generations, whole and by part (medians).
 
@@ -133,9 +136,9 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
         ConfigError: A device is asked for.
     """
     _refuse_device(config)
-    design = build_design(config)
-    table, state = open_noise_table(config, design), build_state(config, design)
-    settings = replace(build_settings(config), perturbation=ManyToMany())  # all that learns, in one generation
+    algorithm = _evolution_strategy(config)
+    table, state = algorithm.table, algorithm.start(config.seed)
+    settings = replace(algorithm.settings, perturbation=ManyToMany())  # all that learns, in one generation
     backend = SerialBackend(partial(RandomResults, _state_size(config, settings)))
     times: dict[str, list[float]] = defaultdict(list)
     with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers, 8)) as pool:
@@ -145,7 +148,7 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
             times["total_ms"].append(1000 * report.update_s)
             levels = learning_levels(state, report, table.size)
             time_parts(levels, table, pool, times)
-            checkpoint = Checkpoint(state=report.state, best=Best(), numbers=config.numbers())
+            checkpoint = Checkpoint(arrays=algorithm.to_arrays(report.state), best=Best(), numbers=config.numbers())
             timed(times["checkpoint_ms"], partial(save_checkpoint, Path(folder) / "last.npz", checkpoint))
             state = report.state
             if len(times["total_ms"]) >= repeats and perf_counter() - start >= seconds:

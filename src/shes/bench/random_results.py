@@ -39,6 +39,7 @@ class RandomResults:
             success=np.zeros(k, np.bool_),
             steps=np.ones(k, np.int64),
             has_terminated=rng.random(k) < 0.5,
+            has_fallen=rng.random(k) < 0.5,
             has_diverged=np.zeros(k, np.bool_),
             goals_reached=np.zeros(k, np.int64),
             final_position=rng.standard_normal((k, 2)),

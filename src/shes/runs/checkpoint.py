@@ -5,21 +5,20 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import numpy as np
 
 from shes.errors import CheckpointError
-from shes.es.level import LevelState, RunningEpisodes, TrainState
-from shes.es.novelty import NoveltyState
-from shes.es.optimizers import OptimizerState
-from shes.es.statistics import ObservationStatistics
 from shes.storage import write_atomically
 
-__all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "save_checkpoint"]
+__all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "restore", "save_checkpoint"]
+
+StateT = TypeVar("StateT")
 
 FORMAT = 2
 # What NumPy and zipfile raise for a file that is cut short, damaged, or of another kind.
@@ -50,49 +49,44 @@ class Best:
         return (score, mean_return) >= (self.score, self.mean_return)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Checkpoint:
     """A run at the end of a generation."""
 
-    state: TrainState
+    arrays: Mapping[str, np.ndarray]
+    """The state of the learner, as its `to_arrays` gives it."""
     best: Best
     numbers: dict[str, Any]
     """The settings that change numbers: a checkpoint continues only the run that it is of."""
 
+    @property
+    def generation(self) -> int:
+        """Generations made."""
+        return int(self.arrays["generation"])
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps of training."""
+        return int(self.arrays["env_steps"])
+
+
+_OWN = ("format", "best_generation", "best_score", "best_return", "settings")
+"""Arrays that are the run's, not the learner's."""
+
 
 def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
-    """Return the checkpoint as named arrays."""
-    state, best = checkpoint.state, checkpoint.best
-    arrays = {
+    """Return all arrays of the file."""
+    best = checkpoint.best
+    own = {
         "format": np.int64(FORMAT),
-        "seed": np.int64(state.seed),
-        "generation": np.int64(state.generation),
-        "env_steps": np.int64(state.env_steps),
         "best_generation": np.int64(best.generation),
         "best_score": np.float64(best.score),
         "best_return": np.float64(best.mean_return),
         "settings": np.array(json.dumps(checkpoint.numbers, sort_keys=True)),
     }
-    arrays["levels"] = np.array([level.name for level in state.levels])
-    for level in state.levels:
-        arrays |= {
-            f"{level.name}/theta": level.theta,
-            f"{level.name}/optimizer_steps": np.int64(level.optimizer.steps),
-            **{f"{level.name}/optimizer_{slot}": values for slot, values in level.optimizer.slots.items()},
-            f"{level.name}/observation_count": np.int64(level.statistics.count),
-            f"{level.name}/observation_total": level.statistics.total,
-            f"{level.name}/observation_total_squares": level.statistics.total_squares,
-        }
-    if state.novelty is not None:
-        arrays |= {
-            "novelty/archive": state.novelty.archive,
-            "novelty/weight": np.float64(state.novelty.weight),
-            "novelty/best_return": np.float64(state.novelty.best_return),
-            "novelty/stalled": np.int64(state.novelty.stalled),
-        }
-    if state.running is not None:
-        arrays |= {"running/states": state.running.states, "running/steps": state.running.steps}
-    return {name: np.asarray(value) for name, value in arrays.items()}
+    taken = sorted(own.keys() & checkpoint.arrays.keys())
+    assert not taken, f"arrays of the state must not be named {', '.join(taken)}"
+    return {name: np.asarray(value) for name, value in {**own, **checkpoint.arrays}.items()}
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool = False) -> None:
@@ -127,32 +121,30 @@ def load_checkpoint(path: Path) -> Checkpoint:
             arrays = {name: archive[name] for name in archive.files}
         return _from_arrays(arrays, path)
     except _DAMAGES as error:
-        raise CheckpointError(
-            f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {error}). It may be truncated or another "
-            "program's file. Take another one with --checkpoint last, best or a generation; "
-            "to resume from another one, copy it over last.npz."
-        ) from error
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> CheckpointError:
+    return CheckpointError(
+        f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {error}). It may be truncated or another "
+        "program's file. Take another one with --checkpoint last, best or a generation; "
+        "to resume from another one, copy it over last.npz."
+    )
 
 
 def _from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Checkpoint:
     """Return the checkpoint that `_arrays` took apart."""
     version = int(arrays["format"])
-    if version == 1:
-        arrays = _from_first_format(arrays)
-    elif version != FORMAT:
+    if version != FORMAT:
         raise CheckpointError(
-            f"{path} has checkpoint format {version}; this version of SHES reads 1 and {FORMAT}. "
+            f"{path} has checkpoint format {version}; this version of SHES reads {FORMAT}. "
             "Use the version that wrote it (config.json of the run names it)."
         )
+    missing = [name for name in ("seed", "generation", "env_steps", *_OWN) if name not in arrays]
+    if missing:
+        raise KeyError(", ".join(missing))
     return Checkpoint(
-        state=TrainState(
-            seed=int(arrays["seed"]),
-            generation=int(arrays["generation"]),
-            env_steps=int(arrays["env_steps"]),
-            levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
-            novelty=_novelty(arrays),
-            running=_running(arrays),
-        ),
+        arrays={name: array for name, array in arrays.items() if name not in _OWN},
         best=Best(
             generation=int(arrays["best_generation"]),
             score=float(arrays["best_score"]),
@@ -162,46 +154,18 @@ def _from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Checkpoint:
     )
 
 
-def _level(arrays: dict[str, np.ndarray], name: str) -> LevelState:
-    """Return the level of this name."""
-    start = f"{name}/optimizer_"
-    slots = {key.removeprefix(start): values for key, values in arrays.items() if key.startswith(start)}
-    steps = int(slots.pop("steps"))
-    return LevelState(
-        name=name,
-        theta=arrays[f"{name}/theta"],
-        optimizer=OptimizerState(steps=steps, slots=slots),
-        statistics=ObservationStatistics(
-            count=int(arrays[f"{name}/observation_count"]),
-            total=arrays[f"{name}/observation_total"],
-            total_squares=arrays[f"{name}/observation_total_squares"],
-        ),
-    )
+def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarray]], StateT], path: Path) -> StateT:
+    """Return the state of a learner that `checkpoint`, read from `path`, holds.
 
-
-def _novelty(arrays: dict[str, np.ndarray]) -> NoveltyState | None:
-    """Return the search for novelty, if there is one."""
-    if "novelty/archive" not in arrays:
-        return None
-    return NoveltyState(
-        archive=arrays["novelty/archive"],
-        weight=float(arrays["novelty/weight"]),
-        best_return=float(arrays["novelty/best_return"]),
-        stalled=int(arrays["novelty/stalled"]),
-    )
-
-
-def _running(arrays: dict[str, np.ndarray]) -> RunningEpisodes | None:
-    """Return the episodes that go on, if there are any."""
-    if "running/states" not in arrays:
-        return None
-    return RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
-
-
-def _from_first_format(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return what the first format held, two levels with Adam, as this one holds it."""
-    renamed = {name.replace("/adam_", "/optimizer_"): values for name, values in arrays.items()}
-    return {**renamed, "levels": np.array(["controller", "primitive"])}
+    Raises:
+        CheckpointError: The arrays are not those of its state.
+    """
+    try:
+        return from_arrays(checkpoint.arrays)
+    except CheckpointError as error:
+        raise CheckpointError(f"{path} {error}") from error
+    except _DAMAGES as error:
+        raise _damaged(path, error) from error
 
 
 class CheckpointWriter:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from shes.algorithms.registry import find_algorithm
 from shes.envs.external.description import ExternalDescription
 from shes.envs.registry import check_external_name, find_description, find_environment
 from shes.errors import ConfigError
@@ -365,10 +366,8 @@ class TrainConfig:
     @property
     def level_names(self) -> tuple[str, ...]:
         """What the levels of the run are called."""
-        if self.algorithm == "es":
-            return ("policy",)
         sets_goals = self.external is None and find_environment(self.env).sets_goals
-        return ("primitive",) if sets_goals else ("controller", "primitive")
+        return find_algorithm(self.algorithm, sets_goals=sets_goals).level_names
 
     @property
     def learns(self) -> tuple[bool, ...]:

@@ -197,12 +197,6 @@ class RunFolder:
             other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]
             shown = ", ".join(f"{key} is {checkpoint.numbers.get(key)!r}, not {mine.get(key)!r}" for key in other[:3])
             raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
-        levels = tuple(level.name for level in checkpoint.state.levels)
-        if levels != config.level_names:  # version 0.1 trained a controller on flagrun, too
-            raise CheckpointError(
-                f"{path} has the levels {', '.join(levels)}, but a run of {config.env} has "
-                f"{', '.join(config.level_names)} now. Use the version that wrote it (config.json of the run names it)."
-            )
         return checkpoint
 
     def read_record(self) -> dict[str, Any]:

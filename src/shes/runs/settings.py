@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from shes.algorithms.evolution.settings import SCHEDULED
+from shes.algorithms.registry import ALGORITHMS, check_algorithm
 from shes.envs.bodies.symmetry import SYMMETRIES
 from shes.envs.tasks.options import SPECS, TARGET_SAMPLINGS
 from shes.envs.worlds import INTEGRATORS
@@ -26,7 +28,6 @@ from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.sim.warp_device import DEVICES
 
 __all__ = [
-    "ALGORITHMS",
     "BACKENDS",
     "NAMES",
     "PRIMITIVE_VIEWS",
@@ -37,8 +38,6 @@ __all__ = [
     "out_of_range",
 ]
 
-ALGORITHMS = ("shes", "es")
-"""`shes`: controller and primitive, or the primitive alone where the environment sets goals; `es`: one policy, S-ES."""
 BACKENDS = ("processes", "serial")
 PRIMITIVE_VIEWS = ("observation", "proprioception", "egocentric")
 """What a primitive sees: what its environment shows it, the robot's own coordinates alone, or these in the robot's
@@ -51,7 +50,6 @@ WEIGHT_DECAY_FORMS = ("gradient", "decoupled")
 """Where the weight decay enters: in the gradient, before the optimizer, or beside the optimizer's step."""
 
 _CHOICES: dict[str, tuple[str, ...]] = {
-    "algorithm": ALGORITHMS,
     "backend": BACKENDS,
     "biases": BIAS_INITIALISATIONS,
     "common_random_numbers": COMMON_RANDOM_NUMBERS,
@@ -77,12 +75,14 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "weight_decay_form": WEIGHT_DECAY_FORMS,
 }
 _REGISTERED: dict[str, Callable[[str], None]] = {
+    "algorithm": check_algorithm,
     "controller_output": check_controller_output,
     "goal_encoding": check_goal_encoding,
     "primitive_reward": check_primitive_reward,
 }
 """Names that users may add to, and what refuses an unknown one."""
 _REGISTRIES: dict[str, Mapping[str, Any]] = {
+    "algorithm": ALGORITHMS,
     "controller_output": CONTROLLER_OUTPUTS,
     "goal_encoding": GOAL_ENCODINGS,
     "primitive_reward": PRIMITIVE_REWARDS,
@@ -136,12 +136,6 @@ _BETWEEN: dict[str, tuple[str, Callable[[float], bool]]] = {
 _SWITCHES = ("fall_penalty", "freeze_primitive", "hide_position", "hold_tied", "minimum_goal_distance", "observe_block")
 _PLACES = ("evaluation_target", "target")
 _HIDDEN = ("hidden", "primitive_hidden")
-SCHEDULED = {
-    "learning_rate": ("learning_rate_schedule", "learning_rate_end"),
-    "sigma": ("sigma_schedule", "sigma_end"),
-    "episodes_per_policy": ("episodes_schedule", "episodes_end"),
-}
-"""What may change over generations: the settings that say how, and to what."""
 _OPTIONAL = (
     "clock_frequency",
     "controller_weight_decay",

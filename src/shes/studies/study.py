@@ -182,8 +182,8 @@ def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
         start_run(config, path)
     else:
         _check_settings(cell, folder, config)
-        state = folder.load("last").state
-        if not config.is_over(state.generation, state.env_steps):
+        last = folder.load("last")
+        if not config.is_over(last.generation, last.env_steps):
             resume(path)
     summary = _summarise(cell, folder, episodes)
     write_atomically(_summary_path(path), partial(_dump, summary))
@@ -192,11 +192,11 @@ def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
 
 def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
     """Evaluate a finished run and gather what its tables say."""
-    state = folder.load("last").state
+    last = folder.load("last")
     row: Row = {
         **cell.identity,
-        "generations": state.generation,
-        "env_steps": state.env_steps,
+        "generations": last.generation,
+        "env_steps": last.env_steps,
         "seconds": read_csv(folder.progress)["wall_time_s"][-1],
     }
     for checkpoint in CHECKPOINTS:

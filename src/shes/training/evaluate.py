@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from shes.algorithms.contract import Algorithm, AnyState
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, UnknownNameError
-from shes.es.level import LevelParameters, LevelState, TrainState
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
-from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
-from shes.runs.folder import RunFolder
-from shes.training.build import build_backend, build_design, build_plan, open_noise_table
+from shes.training.build import build_backend, open_run
 from shes.types import F64Array
 
-__all__ = ["TARGETS", "Evaluation", "evaluate", "evaluate_levels", "evaluation_seeds"]
+__all__ = ["TARGETS", "Evaluation", "evaluate", "evaluate_state", "evaluation_seeds", "fresh_seeds"]
+
+StateT = TypeVar("StateT", bound=AnyState)
 
 TARGETS = ("evaluation", "training")
 """Whose targets and reset noise an evaluation may have."""
@@ -67,21 +67,26 @@ class Evaluation:
         }
 
 
-def evaluation_seeds(state: TrainState, episodes: int, purpose: Purpose = Purpose.EVALUATION_EPISODES) -> list[int]:
-    """Return the episodes' seeds for an evaluation of `state`: other ones at every generation."""
-    return stream(state.seed, purpose, state.generation).integers(0, 2**63, episodes).tolist()
+def evaluation_seeds(
+    seed: int, generation: int, episodes: int, purpose: Purpose = Purpose.EVALUATION_EPISODES
+) -> list[int]:
+    """Return the episodes' seeds for an evaluation after `generation`: other ones at every generation."""
+    return stream(seed, purpose, generation).integers(0, 2**63, episodes).tolist()
 
 
-def evaluate_levels(
-    levels: Sequence[LevelState], seeds: Sequence[int], backend: Backend, episodes_per_policy: int
-) -> Evaluation:
-    """Run one episode of the mean policies for every seed; one that diverges counts as the worst of the others.
+def fresh_seeds(state: AnyState, episodes: int, seed: int | None = None) -> list[int]:
+    """Return the seeds of episodes that no training uses: by `seed`, or by the run's own in a stream apart if none."""
+    first, generation = (state.seed, state.generation) if seed is None else (seed, 0)
+    return evaluation_seeds(first, generation, episodes, Purpose.FRESH_EPISODES)
 
-    The episodes go out in blocks of `episodes_per_policy`, the rows that a policy's matmul has in training: one number
+
+def evaluate_state(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int], backend: Backend) -> Evaluation:
+    """Run one episode of the agent of `state` for every seed; one that diverges counts as the worst of the others.
+
+    The episodes go out in blocks of `episodes_in_lockstep`, the rows that a policy's matmul has in training: one number
     of rows serves both, and no result depends on how the blocks are spread.
     """
-    parameters = LevelParameters.of_all(levels)
-    rows = episodes_per_policy
+    parameters, rows = algorithm.parameters(state), algorithm.episodes_in_lockstep
     zeros = (0,) * len(parameters)
     blocks = [seeds[first : first + rows] for first in range(0, len(seeds), rows)]
     tasks = [
@@ -105,7 +110,8 @@ def evaluate_levels(
         return values.ravel()[:count].astype(np.float64)
 
     has_diverged = results.has_diverged.ravel()[:count]
-    primitive = next((i for i, level in enumerate(levels) if level.name == "primitive"), None)
+    names = algorithm.design.level_names
+    primitive = names.index("primitive") if "primitive" in names else None
     return Evaluation(
         scores=lower_diverged(column(results.score), has_diverged),
         returns=lower_diverged(column(results.environment_returns), has_diverged),
@@ -155,18 +161,12 @@ def evaluate(
         raise ConfigError(f"episodes must be at least 1, got {episodes}. Set --episodes.")
     if seed is not None and seed < 0:
         raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
-    folder = RunFolder.open(run)
-    stored = folder.read_config()
     buffers = {name: size for name, size in (("nconmax", nconmax), ("njmax", njmax)) if size is not None}
     execution = {"num_workers": num_workers, "device": device, **buffers}
-    config = TrainConfig.from_dict({**stored.to_dict(), **execution, "evaluation_episodes": episodes})
-    check_asked_device(config, execution)
-    state = folder.load(checkpoint).state
-    draws = state if seed is None else TrainState(seed=seed, generation=0, env_steps=0, levels=state.levels)
-    seeds = evaluation_seeds(draws, episodes, Purpose.FRESH_EPISODES)
-    design = build_design(config)
-    plan = build_plan(config, design, open_noise_table(config, design))
+    opened = open_run(run, checkpoint, **execution, evaluation_episodes=episodes)
+    check_asked_device(opened.config, execution)
+    plan = opened.algorithm.plan()
     if targets == "training":
         plan = replace(plan, evaluation=plan.training)
-    with build_backend(config, plan) as backend:
-        return evaluate_levels(state.levels, seeds, backend, config.episodes_per_policy)
+    with build_backend(opened.config, plan) as backend:
+        return evaluate_state(opened.algorithm, opened.state, fresh_seeds(opened.state, episodes, seed), backend)

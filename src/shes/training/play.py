@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 
 from shes.errors import ConfigError, PolicyError, ShapeError
-from shes.es.level import LevelParameters, LevelState
-from shes.runs.config import TrainConfig
-from shes.runs.folder import RunFolder
-from shes.training.build import build_design, build_task
+from shes.training.build import OpenedRun, open_run
 from shes.types import F64Array, FloatArray
 
 __all__ = ["Agent", "load"]
@@ -24,19 +21,19 @@ class Agent:
     It holds its goal between calls: call `reset` when an episode begins.
     """
 
-    def __init__(self, config: TrainConfig, levels: tuple[LevelState, ...], num_envs: int = 1) -> None:
-        """Take the policies of `levels`; see `load`."""
+    def __init__(self, run: OpenedRun, num_envs: int = 1) -> None:
+        """Take the policies of a run; see `load`."""
         if num_envs < 1:
             raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs}.")
-        self.config = config
+        self.config = run.config
         self.num_envs = num_envs
-        task = build_task(config, 1, is_evaluation=True)
+        task = run.algorithm.problem.make_task(is_evaluation=True)
         self._reader = task.reader
         self.observation_size = task.observation_size
         task.close()
         # One policy per environment, so that each has its own clock and can be reset alone.
-        self._agent = build_design(config).make(num_envs, 1)
-        parameters = LevelParameters.of_all(levels)
+        self._agent = run.algorithm.design.make(num_envs, 1)
+        parameters = run.algorithm.parameters(run.state)
         self._agent.normalise_by(parameters)
         for theta, level in zip(self._agent.theta, parameters, strict=True):
             theta[:] = level.theta
@@ -110,5 +107,4 @@ def load(run: Path | str, *, checkpoint: str = "best", num_envs: int = 1) -> Age
         RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
     """
-    folder = RunFolder.open(run)
-    return Agent(folder.read_config(), folder.load(checkpoint).state.levels, num_envs)
+    return Agent(open_run(run, checkpoint), num_envs)

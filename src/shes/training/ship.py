@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from shes.errors import ConfigError, RunFolderError, ShesError
-from shes.es.optimizers import OptimizerState
 from shes.runs import shipped
 from shes.runs.checkpoint import Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
@@ -30,6 +29,7 @@ from shes.runs.folder import RunFolder
 from shes.runs.shipped import AGENT_FILE, FreshEvaluation, ShippedAgent
 from shes.runs.tables import read_csv
 from shes.storage import storage_errors, write_atomically
+from shes.training.build import open_run
 from shes.training.evaluate import Evaluation, evaluate
 
 __all__ = ["main", "ship"]
@@ -40,8 +40,6 @@ _RUN_OPTIONS = ("--out", "--primitive")
 _MOST_ROWS = 300
 _DIGITS = 6
 """Significant digits that the tables keep."""
-_NOTABLY = 0.9
-"""The optimizer's state is left out where the file is smaller than this share of the whole one."""
 
 
 def ship(
@@ -135,7 +133,7 @@ def _describe(
         cores=_cores(config, run),
         hours=round(progress["wall_time_s"][-1] / 3600, 3),
         env_steps=int(progress["env_steps"][-1]),
-        generation=checkpoint.state.generation,
+        generation=checkpoint.generation,
         evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in told}),
     )
 
@@ -154,9 +152,12 @@ def _copy(source: RunFolder, checkpoint: Checkpoint, target: RunFolder, command:
     config = TrainConfig.from_dict(record["config"])
     record["config"] = config.to_dict()
     target.write_record(record)
-    _copy_checkpoint(replace(checkpoint, numbers=config.numbers()), target.checkpoint_path("best"))
+    opened = open_run(source.path, "best")
+    arrays = opened.algorithm.to_arrays(opened.algorithm.without_training(opened.state))
+    shipped_checkpoint = replace(checkpoint, arrays=arrays, numbers=config.numbers())
+    save_checkpoint(target.checkpoint_path("best"), shipped_checkpoint, is_compressed=True)
     for table, copy in ((source.progress, target.progress), (source.evaluation, target.evaluation)):
-        _copy_table(table, copy, checkpoint.state.generation)
+        _copy_table(table, copy, checkpoint.generation)
 
 
 def _without_paths(value: Any) -> Any:
@@ -196,27 +197,6 @@ def _rename_runs(words: Sequence[str], names: Mapping[str, str]) -> list[str]:
             word_now = names.get(before, word)
         renamed.append(word_now)
     return renamed
-
-
-def _copy_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
-    """Write `checkpoint`, compressed, without running episodes; without the optimizer's state if that saves much."""
-    checkpoint = replace(checkpoint, state=replace(checkpoint.state, running=None))
-    levels = tuple(
-        replace(
-            level,
-            optimizer=OptimizerState(
-                steps=0, slots={slot: np.zeros_like(values) for slot, values in level.optimizer.slots.items()}
-            ),
-        )
-        for level in checkpoint.state.levels
-    )
-    bare = path.with_name("bare.npz")
-    save_checkpoint(path, checkpoint, is_compressed=True)
-    save_checkpoint(bare, replace(checkpoint, state=replace(checkpoint.state, levels=levels)), is_compressed=True)
-    if bare.stat().st_size < _NOTABLY * path.stat().st_size:
-        bare.replace(path)
-    else:
-        bare.unlink()
 
 
 def _copy_table(source: Path, target: Path, generation: int) -> None:

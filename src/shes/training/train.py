@@ -4,33 +4,24 @@ from __future__ import annotations
 
 import os
 import shlex
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
 
-from shes.algorithms.evolution.algorithm import GenerationReport, evolve
+from shes.algorithms.contract import Algorithm, Report
 from shes.backends.backend import Backend
 from shes.errors import ConfigError
-from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, save_checkpoint
+from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, restore, save_checkpoint
 from shes.runs.config import EXECUTION_FIELDS, TrainConfig, check_fields
-from shes.runs.device import array_module, check_asked_device
+from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
 from shes.runs.settings import flag
-from shes.runs.tables import Records, Row, progress_row, read_csv
-from shes.training.build import (
-    build_backend,
-    build_design,
-    build_plan,
-    build_settings,
-    build_state,
-    check_device,
-    open_noise_table,
-)
-from shes.training.evaluate import evaluate_levels, evaluation_seeds
+from shes.runs.tables import Records, Row, read_csv
+from shes.training.build import build_algorithm, build_backend, check_device
+from shes.training.evaluate import evaluate_state, evaluation_seeds
 from shes.training.interruption import Interruption
 from shes.training.presets import make_config
 from shes.training.transfer import check_robot, transfer
@@ -99,17 +90,17 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     """Begin a run with the settings of `config`; see `train`."""
     check_device(config)
     check_robot(config)
-    design = build_design(config)
-    open_noise_table(config, design)  # what can be wrong with it, or with a transfer, shows before there is a folder
-    state, origins = transfer(config, build_state(config, design))
+    algorithm = build_algorithm(config)
+    algorithm.plan()  # what can be wrong with the noise table, or with a transfer, shows before there is a folder
+    state, origins = transfer(algorithm, algorithm.start(config.seed))
     folder = RunFolder.create(new_folder(config) if out is None else _path(out))
     with folder.lock():
-        checkpoint = Checkpoint(state=state, best=Best(), numbers=config.numbers())
+        checkpoint = Checkpoint(arrays=algorithm.to_arrays(state), best=Best(), numbers=config.numbers())
         for name in ("0", "best", "last"):
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
         # From here on it is a run, which can be resumed.
         folder.record_start(config, {level: asdict(origin) for level, origin in origins.items()})
-        return _go_on(folder, config, checkpoint, listener)
+        return _go_on(folder, algorithm, state, checkpoint, listener)
 
 
 def _path(out: Path | str) -> Path:
@@ -153,7 +144,7 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
     check_device(config)
     with folder.lock():
         checkpoint = folder.load("last")
-        done, steps = checkpoint.state.generation, checkpoint.state.env_steps
+        done, steps = checkpoint.generation, checkpoint.env_steps
         if config.is_over(done, steps):
             is_long = done >= config.generations
             made, end = (done, config.generations) if is_long else (steps, config.env_steps)
@@ -162,6 +153,8 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
                 f"{end}. To go on: shes resume {shlex.quote(str(path))} "
                 f"{flag('generations' if is_long else 'env_steps')} {2 * made}"
             )
+        algorithm = build_algorithm(config)
+        state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
         changes = folder.record_resume(done, config)
         if changes:
             event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
@@ -169,38 +162,35 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
                 logger.warning(event)
             if listener is not None:
                 listener.on_event(event)
-        return _go_on(folder, config, checkpoint, listener)
+        return _go_on(folder, algorithm, state, checkpoint, listener)
 
 
-def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, listener: Listener | None) -> Run:
-    """Run from `checkpoint` to the end of the generations, steps or minutes, or to an interruption."""
-    design = build_design(config)
-    table = open_noise_table(config, design).on(array_module(config.device))
+def _go_on(
+    folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint: Checkpoint, listener: Listener | None
+) -> Run:
+    """Run from `state` to the end of the generations, steps or minutes, or to an interruption."""
+    config: TrainConfig = algorithm.problem.settings
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))
         interruption = stack.enter_context(Interruption())
-        records = stack.enter_context(closing(Records(folder, checkpoint.state.generation)))
+        records = stack.enter_context(closing(Records(folder, checkpoint.generation)))
         writer = stack.enter_context(closing(CheckpointWriter()))
-        backend = stack.enter_context(build_backend(config, build_plan(config, design, table)))
-        pool = stack.enter_context(ThreadPoolExecutor(min(config.workers, 8), thread_name_prefix="shes-gradient"))
-        session = _Session(folder, config, checkpoint, records, writer, backend, listener)
-        generations = evolve(checkpoint.state, build_settings(config), table, backend, pool)
+        backend = stack.enter_context(build_backend(config, algorithm.plan()))
+        session = _Session(folder, algorithm, checkpoint, records, writer, backend, listener)
+        generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.device == "cpu" else f" on device {config.device}"
-        logger.info(
-            "begins after generation %d with %d workers%s", checkpoint.state.generation, backend.num_workers, on_device
-        )
+        logger.info("begins after generation %d with %d workers%s", state.generation, backend.num_workers, on_device)
         session.check_schedules()
         while not session.is_over() and not interruption.is_requested:
-            logger.info("generation %d begins", session.checkpoint.state.generation + 1)
+            logger.info("generation %d begins", session.checkpoint.generation + 1)
             with interruption.at_once():
                 report = next(generations)
             session.add(report, interruption)
             logger.info("generation %d ends", report.state.generation)
-        generations.close()
     if interruption.is_requested and not session.is_over():
         raise KeyboardInterrupt
-    state = session.checkpoint.state
-    return Run(path=folder.path, config=config, generation=state.generation, best=session.checkpoint.best)
+    last = session.checkpoint
+    return Run(path=folder.path, config=config, generation=last.generation, best=last.best)
 
 
 class _Session:
@@ -209,7 +199,7 @@ class _Session:
     def __init__(
         self,
         folder: RunFolder,
-        config: TrainConfig,
+        algorithm: Algorithm[Any],
         checkpoint: Checkpoint,
         records: Records,
         writer: CheckpointWriter,
@@ -217,12 +207,13 @@ class _Session:
         listener: Listener | None,
     ) -> None:
         self.checkpoint = checkpoint
-        self._folder, self._config = folder, config
+        self._folder, self._algorithm = folder, algorithm
+        self._config: TrainConfig = algorithm.problem.settings
         self._records, self._writer, self._backend, self._listener = records, writer, backend, listener
         self._earlier_s = _wall_time(folder)
         self._start = self._generation_start = perf_counter()
         if listener is not None:
-            listener.on_start(folder.path, config, checkpoint.state.generation, backend.num_workers)
+            listener.on_start(folder.path, self._config, checkpoint.generation, backend.num_workers)
 
     def check_schedules(self) -> None:
         """Say so where the run ends before its schedules do."""
@@ -237,22 +228,29 @@ class _Session:
         """Tell whether the run, or this call's time, has come to its end."""
         minutes = self._config.minutes
         is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
-        state = self.checkpoint.state
-        return is_late or self._config.is_over(state.generation, state.env_steps)
+        last = self.checkpoint
+        return is_late or self._config.is_over(last.generation, last.env_steps)
 
-    def add(self, report: GenerationReport, interruption: Interruption) -> None:
+    def add(self, report: Report[Any], interruption: Interruption) -> None:
         """Write down a generation, evaluate where it is due, and put the checkpoint on its way."""
         state = report.state
         now = perf_counter()
-        row = progress_row(report, self._earlier_s + now - self._start, now - self._generation_start)
+        made = state.env_steps - self.checkpoint.env_steps
+        row: Row = {
+            "generation": state.generation,
+            "env_steps": state.env_steps,
+            "wall_time_s": round(self._earlier_s + now - self._start, 3),
+            "env_steps_per_s": round(made / (now - self._generation_start), 1),
+            **report.columns,
+        }
         self._generation_start = now
         row["evaluation_s"] = 0.0
-        self._tell_events(report.log)
+        self._tell_events(list(report.log))
         # `last` last: a run that dies before it does this generation, its evaluation and its other checkpoints again.
         best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
         if state.generation == 1 or state.generation % self._config.evaluation_interval == 0:
             with interruption.at_once():
-                evaluation = self._evaluate(report)
+                evaluation = self._evaluate(state)
             self._records.add_evaluation(evaluation)
             is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score says nothing
             if is_sound and best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
@@ -269,17 +267,18 @@ class _Session:
         if state.generation % self._config.keep_checkpoints == 0:
             paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
         self._records.add_progress(row)
-        self.checkpoint = Checkpoint(state=state, best=best, numbers=self.checkpoint.numbers)
+        arrays = self._algorithm.to_arrays(state)
+        self.checkpoint = Checkpoint(arrays=arrays, best=best, numbers=self.checkpoint.numbers)
         self._writer.write(paths, self.checkpoint)
         self._tell("on_generation", row)
 
-    def _evaluate(self, report: GenerationReport) -> Row:
-        """Return the row of `evaluation.csv` for the mean policies after this generation."""
-        seeds = evaluation_seeds(report.state, self._config.evaluation_episodes)
-        found = evaluate_levels(report.state.levels, seeds, self._backend, self._config.episodes_per_policy)
+    def _evaluate(self, state: Any) -> Row:
+        """Return the row of `evaluation.csv` for the agent of `state`."""
+        seeds = evaluation_seeds(state.seed, state.generation, self._config.evaluation_episodes)
+        found = evaluate_state(self._algorithm, state, seeds, self._backend)
         return {
-            "generation": report.state.generation,
-            "env_steps": report.state.env_steps,
+            "generation": state.generation,
+            "env_steps": state.env_steps,
             "wall_time_s": round(self._earlier_s + perf_counter() - self._start, 3),
             **found.summary(),
         }

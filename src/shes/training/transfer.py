@@ -8,15 +8,17 @@ other's folder no more.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
+from shes.algorithms.contract import Algorithm
+from shes.algorithms.evolution.learners import EvolutionStrategy
 from shes.errors import CheckpointError, ConfigError
-from shes.es.level import LevelState, TrainState
+from shes.es.level import LevelState
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.settings import flag
-from shes.training.build import build_task, controller_inputs, primitive_inputs
+from shes.training.build import OpenedRun, build_task, open_run
 
 __all__ = ["TRANSFERRED", "Transferred", "brought_settings", "check_robot", "transfer"]
 
@@ -47,8 +49,8 @@ class Transferred:
     """The generation that this was."""
 
 
-def _read(level: str, path: str, checkpoint: str) -> tuple[TrainConfig, LevelState, Transferred]:
-    """Return the settings of the run at `path`, its level of that name, and what is told of them.
+def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState, Transferred]:
+    """Return the run at `path`, its level of that name, and what is told of them.
 
     Raises:
         RunFolderError: `path` is neither a run folder nor a shipped agent.
@@ -56,24 +58,23 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[TrainConfig, LevelSta
         ConfigError: The run has no such level.
     """
     folder = RunFolder.open(path)
-    config = folder.read_config()
     if not folder.checkpoint_path(checkpoint).is_file():
         there, checkpoint_flag = _checkpoint_names(folder), f"--{level}-checkpoint"
         fix = f"Leave {checkpoint_flag} away." if there == ["best"] else f"Set {checkpoint_flag} to one of these."
         raise CheckpointError(f"{path} has no checkpoint {checkpoint!r}; it has {', '.join(there) or 'none'}. {fix}")
-    state = folder.load(checkpoint).state
-    levels = {each.name: each for each in state.levels}
+    opened = open_run(path, checkpoint)
+    levels = {each.name: each for each in getattr(opened.state, "levels", ())}  # none of a learner that is no ES
     if level not in levels:
         trained_by = {
             "primitive": "shes train ant-flagrun, or a run of two levels with --primitive-view proprioception",
             "controller": "shes train ant-gather, or another run of two levels",
         }[level]
         raise ConfigError(
-            f"{path} has no {level}: its levels are {', '.join(levels)}. Name a run with --{level} that trained "
-            f"one: {trained_by}."
+            f"{path} has no {level}: its levels are {', '.join(opened.algorithm.level_names)}. Name a run with "
+            f"--{level} that trained one: {trained_by}."
         )
-    told = Transferred(run=path, env=config.env, checkpoint=checkpoint, generation=state.generation)
-    return config, levels[level], told
+    told = Transferred(run=path, env=opened.config.env, checkpoint=checkpoint, generation=opened.state.generation)
+    return opened, levels[level], told
 
 
 def _checkpoint_names(folder: RunFolder) -> list[str]:
@@ -99,7 +100,7 @@ def brought_settings(level: str, path: str, checkpoint: str, asked: Mapping[str,
     """
     if not isinstance(path, str) or not path:
         raise ConfigError(f"{level} must be the path of a run folder, got {path!r}. Set --{level}.")
-    source, _, _ = _read(level, path, checkpoint)
+    source = _read(level, path, checkpoint)[0].config
     brought: dict[str, Any] = {name: getattr(source, name) for name in _BROUGHT[level]}
     if level == "primitive":
         brought["primitive_hidden"] = source.hidden if source.primitive_hidden is None else source.primitive_hidden
@@ -125,7 +126,7 @@ def check_robot(config: TrainConfig) -> None:
     """
     if config.primitive is None:
         return
-    source, _, _ = _read("primitive", config.primitive, config.primitive_checkpoint)
+    source = _read("primitive", config.primitive, config.primitive_checkpoint)[0].config
     (their_robot, theirs), (our_robot, ours) = _robot(source), _robot(config)
     # What an external robot is like, only the layouts can tell; but it has no egocentric view.
     is_known = None not in (their_robot, our_robot) or source.primitive_view == "egocentric"
@@ -146,8 +147,8 @@ def _robot(config: TrainConfig) -> tuple[str | None, str]:
     return name, f"{who} with {task.action_size} controls of up to {task.control_limit:g}"
 
 
-def transfer(config: TrainConfig, state: TrainState) -> tuple[TrainState, dict[str, Transferred]]:
-    """Return `state` with the levels that `config` names of other runs, and where each of these is from.
+def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Transferred]]:
+    """Return `state` with the levels that the run's settings name of other runs, and where each of these is from.
 
     A level comes with its parameters and its observation statistics.
 
@@ -157,22 +158,20 @@ def transfer(config: TrainConfig, state: TrainState) -> tuple[TrainState, dict[s
         ConfigError: The level does not fit: it observes, or controls, something else.
     """
     origins: dict[str, Transferred] = {}
+    config = algorithm.problem.settings
     for name in TRANSFERRED:
         path = getattr(config, name)
-        if path is None:
+        if path is None or not isinstance(algorithm, EvolutionStrategy):
             continue
         source, level, told = _read(name, path, getattr(config, f"{name}_checkpoint"))
-        _check_fit(name, path, source, config)
-        levels = tuple(
-            replace(each, theta=level.theta, statistics=level.statistics) if each.name == name else each
-            for each in state.levels
-        )
-        state, origins[name] = replace(state, levels=levels), told
+        assert isinstance(source.algorithm, EvolutionStrategy)
+        _check_fit(name, path, source.algorithm, algorithm)
+        state, origins[name] = algorithm.with_level(state, name, level), told
     return state, origins
 
 
-def _check_fit(level: str, path: str, source: TrainConfig, config: TrainConfig) -> None:
-    """Refuse a level of the run at `path` that observes, or controls, something else than that of `config`.
+def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionStrategy) -> None:
+    """Refuse a level of the run at `path` that observes, or controls, something else than that of our own run.
 
     Raises:
         ConfigError: It does.
@@ -188,30 +187,28 @@ def _check_fit(level: str, path: str, source: TrainConfig, config: TrainConfig) 
         ),
         "controller": (_controller_layout, "Name a controller of the same task, trained with the same --spec."),
     }[level]
-    theirs, ours = layout(source), layout(config)
+    theirs, ours = layout(source), layout(own)
     if theirs != ours:
         raise ConfigError(
-            f"the {level} of {path} does not fit {config.env}.\n"
-            f"It was trained on {source.env}: {theirs}.\n"
+            f"the {level} of {path} does not fit {own.problem.name}.\n"
+            f"It was trained on {source.problem.name}: {theirs}.\n"
             f"Here there is: {ours}.\n"
             f"{advice}"
         )
 
 
-def _primitive_layout(config: TrainConfig) -> str:
-    """Return what the primitive of `config` observes and controls, in words."""
-    inputs = primitive_inputs(config)
-    task = build_task(config, 1, is_evaluation=False)
-    task.close()
-    symmetry = "" if config.symmetry == "none" else f" ({config.symmetry} symmetry)"
+def _primitive_layout(algorithm: EvolutionStrategy) -> str:
+    """Return what the primitive observes and controls, in words."""
+    inputs, task, settings = algorithm.inputs("primitive"), algorithm.problem.sample(), algorithm.problem.settings
+    symmetry = "" if settings.symmetry == "none" else f" ({settings.symmetry} symmetry)"
     return (
-        f"{len(inputs)} inputs{symmetry} ({', '.join(inputs)}) of specification {config.spec} and {task.action_size} "
+        f"{len(inputs)} inputs{symmetry} ({', '.join(inputs)}) of specification {settings.spec} and {task.action_size} "
         f"controls of up to {task.control_limit:g}"
     )
 
 
-def _controller_layout(config: TrainConfig) -> str:
-    """Return what the controller of `config` observes and puts out, in words."""
-    inputs = controller_inputs(config)
+def _controller_layout(algorithm: EvolutionStrategy) -> str:
+    """Return what the controller observes and puts out, in words."""
+    inputs, settings = algorithm.inputs("controller"), algorithm.problem.settings
     names = ", ".join(inputs)
-    return f"{len(inputs)} inputs ({names}) of specification {config.spec}, output {config.controller_output}"
+    return f"{len(inputs)} inputs ({names}) of specification {settings.spec}, output {settings.controller_output}"

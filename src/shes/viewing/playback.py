@@ -15,11 +15,8 @@ from shes.drawing.drawer import Drawer, Window
 from shes.drawing.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
-from shes.es.level import TrainState
-from shes.es.streams import Purpose
-from shes.runs.folder import RunFolder
-from shes.training.build import build_task
-from shes.training.evaluate import evaluation_seeds
+from shes.training.build import open_run
+from shes.training.evaluate import fresh_seeds
 from shes.training.play import Agent
 from shes.types import F64Array
 
@@ -64,14 +61,13 @@ class Playback:
             raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
         if steps is not None and (not isinstance(steps, int) or steps < 1):
             raise ConfigError(f"steps must be a whole number of at least 1, got {steps}. Set --steps.")
-        folder = RunFolder.open(run)
-        config = folder.read_config()
-        state = folder.load(checkpoint).state
+        opened = open_run(run, checkpoint)
+        config, state = opened.config, opened.state
         self.name = f"{checkpoint} (generation {state.generation})" if not checkpoint.isdecimal() else checkpoint
         self.steps = steps or config.evaluation_horizon or config.horizon
-        self._agent = Agent(config, state.levels)
-        self._task = build_task(config, 1, is_evaluation=True)
-        self._draws = state if seed is None else TrainState(seed=seed, generation=0, env_steps=0, levels=state.levels)
+        self._agent = Agent(opened)
+        self._task = opened.algorithm.problem.make_task(is_evaluation=True)
+        self._state, self._seed = state, seed
 
     @property
     def step_s(self) -> float:
@@ -106,7 +102,7 @@ class Playback:
         """
         if episode < 0:
             raise ConfigError(f"episode must be a whole number of at least 0, got {episode}. Set --episode.")
-        return evaluation_seeds(self._draws, episode + 1, Purpose.FRESH_EPISODES)[episode]
+        return fresh_seeds(self._state, episode + 1, self._seed)[episode]
 
     def play(self, seed: int) -> Iterator[Moment]:
         """Yield the moments of the episode with this seed, the start first."""

@@ -9,13 +9,14 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
 from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule, draw_noise_index, update_level
 from shes.es.noise import NoiseTable
 from shes.es.novelty import NoveltyState, WeightRule
 from shes.es.perturbation import ManyToMany, Perturbation, Signs
 from shes.es.schedules import Schedule
-from shes.hierarchy.episodes import Generation, spread
+from shes.hierarchy.episodes import Generation
 from shes.hierarchy.fitness import shaped_fitness
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, noted_steps
 from shes.hierarchy.population import Work, mean_policy_task, members_per_lane, population_tasks
@@ -156,7 +157,8 @@ def roll_out(state: TrainState, settings: Settings, table: NoiseTable, backend: 
         return _branches(state, estimate, work, backend)
     return Population(
         work=work,
-        results=_results(work, backend),
+        # line 3: f = F(theta + epsilon * sigma), for every level at once.
+        results=roll_out_tasks(work.tasks, work.generation, backend),
         rules=settings.updates,
         learns=settings.by_episodes,
         learning_rate=settings.learning_rate.value(state.generation),
@@ -178,19 +180,8 @@ def _branches(state: TrainState, estimate: IntervalEstimate, work: Work, backend
     """Return the pairs of `work`, rolled out."""
     return Population(
         work=work,
-        results=_results(work, backend),
+        results=roll_out_tasks(work.tasks, work.generation, backend),
         rules=(estimate.update,),
         learns=(True,),
         learning_rate=estimate.learning_rate.value(state.generation),
     )
-
-
-def _results(work: Work, backend: Backend) -> PopulationResults:
-    """Return what came of `work`, done by the workers of `backend`."""
-    # line 3: f = F(theta + epsilon * sigma), for every level at once.
-    backend.broadcast(work.generation)
-    results = PopulationResults.of_tasks(work.tasks, work.generation)
-    tasks = spread(work.tasks, backend.num_workers)
-    for task, result in zip(tasks, backend.map(tasks), strict=True):
-        results.add(task, result)
-    return results

@@ -44,7 +44,8 @@ def _run(values: dict[str, Any]) -> int:
     from shes.training.train import resume
 
     run: Path = values.pop("run")
-    return show_progress(lambda display: resume(run, listener=display, **values), run)
+    # As text: of a shipped agent by name it is to say what may be done instead.
+    return show_progress(lambda display: resume(str(run), listener=display, **values), run)
 
 
 COMMAND = Command(

@@ -1,0 +1,127 @@
+"""The state of an evolution strategy as named arrays, which a checkpoint holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from shes.errors import CheckpointError
+from shes.es.level import LevelState, RunningEpisodes, TrainState
+from shes.es.novelty import NoveltyState
+from shes.es.optimizers import OptimizerState
+from shes.es.statistics import ObservationStatistics
+
+__all__ = ["check_arrays", "from_arrays", "to_arrays"]
+
+_GROWS = frozenset({"novelty/archive"})
+"""Arrays whose first axis has no fixed length."""
+_MAY_BE_LEFT_OUT = frozenset({"running/states", "running/steps"})
+"""Arrays of episodes that go on, which there are from the first generation on, if at all."""
+
+
+def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
+    """Return `state` as arrays by name."""
+    arrays = {
+        "seed": np.int64(state.seed),
+        "generation": np.int64(state.generation),
+        "env_steps": np.int64(state.env_steps),
+        "levels": np.array([level.name for level in state.levels]),
+    }
+    for level in state.levels:
+        arrays |= {
+            f"{level.name}/theta": level.theta,
+            f"{level.name}/optimizer_steps": np.int64(level.optimizer.steps),
+            **{f"{level.name}/optimizer_{slot}": values for slot, values in level.optimizer.slots.items()},
+            f"{level.name}/observation_count": np.int64(level.statistics.count),
+            f"{level.name}/observation_total": level.statistics.total,
+            f"{level.name}/observation_total_squares": level.statistics.total_squares,
+        }
+    if state.novelty is not None:
+        arrays |= {
+            "novelty/archive": state.novelty.archive,
+            "novelty/weight": np.float64(state.novelty.weight),
+            "novelty/best_return": np.float64(state.novelty.best_return),
+            "novelty/stalled": np.int64(state.novelty.stalled),
+        }
+    if state.running is not None:
+        arrays |= {"running/states": state.running.states, "running/steps": state.running.steps}
+    return {name: np.asarray(value) for name, value in arrays.items()}
+
+
+def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
+    """Refuse arrays that are no later state of the run that begins with `start`: names, shapes, types, finite values.
+
+    Raises:
+        CheckpointError: They are not.
+    """
+    expected = to_arrays(start)
+    missing = expected.keys() - arrays.keys()
+    unknown = arrays.keys() - expected.keys() - _MAY_BE_LEFT_OUT
+    if missing or unknown:
+        told = [f"lacks {', '.join(sorted(missing))}"] * bool(missing) + [f"has {', '.join(sorted(unknown))}"] * bool(
+            unknown
+        )
+        raise CheckpointError(f"is not of this run: it {' and '.join(told)}. Put back the checkpoint of this run.")
+    if ("running/states" in arrays) != ("running/steps" in arrays):
+        raise CheckpointError("has states or steps of running episodes, not both. Put back the checkpoint of this run.")
+    for name, array in arrays.items():
+        own = expected.get(name, array)
+        first = 1 if name in _GROWS else 0
+        if array.ndim != own.ndim or array.shape[first:] != own.shape[first:] or array.dtype.kind != own.dtype.kind:
+            raise CheckpointError(
+                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
+                f"{own.shape}. Put back the checkpoint of this run."
+            )
+        if array.dtype.kind == "f" and not np.isfinite(array).all() and name != "novelty/best_return":
+            raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
+        if array.dtype.kind == "i" and (array < (-1 if name == "running/steps" else 0)).any():
+            raise CheckpointError(f"holds a negative number in {name}. Put back the checkpoint of this run.")
+
+
+def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
+    """Return the state that `to_arrays` took apart."""
+    return TrainState(
+        seed=int(arrays["seed"]),
+        generation=int(arrays["generation"]),
+        env_steps=int(arrays["env_steps"]),
+        levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
+        novelty=_novelty(arrays),
+        running=_running(arrays),
+    )
+
+
+def _level(arrays: Mapping[str, np.ndarray], name: str) -> LevelState:
+    """Return the level of this name."""
+    start = f"{name}/optimizer_"
+    slots = {key.removeprefix(start): values for key, values in arrays.items() if key.startswith(start)}
+    steps = int(slots.pop("steps"))
+    return LevelState(
+        name=name,
+        theta=arrays[f"{name}/theta"],
+        optimizer=OptimizerState(steps=steps, slots=slots),
+        statistics=ObservationStatistics(
+            count=int(arrays[f"{name}/observation_count"]),
+            total=arrays[f"{name}/observation_total"],
+            total_squares=arrays[f"{name}/observation_total_squares"],
+        ),
+    )
+
+
+def _novelty(arrays: Mapping[str, np.ndarray]) -> NoveltyState | None:
+    """Return the search for novelty, if there is one."""
+    if "novelty/archive" not in arrays:
+        return None
+    return NoveltyState(
+        archive=arrays["novelty/archive"],
+        weight=float(arrays["novelty/weight"]),
+        best_return=float(arrays["novelty/best_return"]),
+        stalled=int(arrays["novelty/stalled"]),
+    )
+
+
+def _running(arrays: Mapping[str, np.ndarray]) -> RunningEpisodes | None:
+    """Return the episodes that go on, if there are any."""
+    if "running/states" not in arrays:
+        return None
+    return RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])

@@ -1,0 +1,85 @@
+"""What the tables say of a generation of an evolution strategy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shes.algorithms.evolution.algorithm import GenerationReport
+from shes.es.level import select_fitness
+from shes.hierarchy.episodes import PARTS
+from shes.types import F64Array, IntArray
+
+__all__ = ["columns"]
+
+
+def columns(report: GenerationReport) -> dict[str, Any]:
+    """Return what the row of `progress.csv` says of a generation, by column.
+
+    `physics_s`, `policy_s` and `task_s` are added up over the workers; NaN stands for what a generation has not.
+    """
+    results, levels = report.results, report.state.levels
+    populations = [each for each in (report.population, report.branches) if each is not None]
+    row: dict[str, Any] = {}
+    for level, (population, i) in zip(levels, report.sources, strict=True):
+        fitness = population.members.fitness[i]
+        row[f"{level.name}_return_mean"] = float(fitness.mean())
+        row[f"{level.name}_return_max"] = float(fitness.max())
+    row |= {
+        "score_mean": float(results.score.mean()),
+        "success_rate": float(results.success.mean()),
+        "episode_steps_mean": float(results.steps.mean()),
+        "terminated_rate": float(results.has_terminated.mean()),
+        "diverged_rate": float(results.has_diverged.mean()),
+        "diverged_episodes": int(results.has_diverged.sum()),
+        "episodes_per_policy": results.score.shape[1],
+        "sigma": report.population.work.generation.sigma,
+        "learning_rate": report.population.learning_rate,
+    }
+    if any(level.name == "primitive" for level in levels):
+        row["goals_reached_mean"] = float(results.goals_reached.mean())
+    for level, update, (population, i) in zip(levels, report.updates, report.sources, strict=True):
+        signs = population.work.signs[:, :, i]
+        indices = population.work.noise_index[i][signs.any(axis=1)]
+        row |= {
+            f"{level.name}_noise_distinct": len(np.unique(indices)),
+            f"{level.name}_noise_overlapping": _overlapping(indices, len(level.theta)),
+            f"{level.name}_rank_ties": _tied(select_fitness(population.members.fitness[i], signs)),
+            f"{level.name}_gradient_norm": update.gradient_norm,
+            f"{level.name}_halves_cosine": update.halves_cosine,
+            f"{level.name}_update_ratio": update.update_ratio,
+            f"{level.name}_theta_norm": float(np.linalg.norm(level.theta.astype(np.float64))),
+        }
+    if report.state.novelty is not None:
+        row |= {
+            "novelty_weight": report.state.novelty.weight,
+            "novelty_archive": len(report.state.novelty.archive),
+            "novelty_best_return": report.state.novelty.best_return,
+        }
+    if report.branches is not None:
+        branches = report.branches.members
+        row |= {
+            "branch_steps_mean": float(branches.steps.mean()),
+            "branch_terminated_rate": float(branches.has_terminated.mean()),
+            "primitive_sigma": report.branches.work.generation.sigma,
+            "primitive_learning_rate": report.branches.learning_rate,
+        }
+    row |= {"rollout_s": round(report.rollout_s, 4), "update_s": round(report.update_s, 4)}
+    seconds = np.sum([each.results.seconds for each in populations], axis=0)
+    return row | {f"{part}_s": round(float(s), 4) for part, s in zip(PARTS, seconds, strict=True)}
+
+
+def _tied(fitness: F64Array) -> float:
+    """Return the share of the members whose fitness another one has, too; NaN where there are no members."""
+    if not len(fitness):
+        return float("nan")
+    _, counts = np.unique(fitness, return_counts=True)
+    return float(counts[counts > 1].sum() / len(fitness))
+
+
+def _overlapping(indices: IntArray, dim: int) -> int:
+    """Return how many noise vectors share normals with another one of their generation."""
+    ordered = np.sort(indices)
+    touches = np.diff(ordered) < dim
+    return int((np.concatenate([touches, [False]]) | np.concatenate([[False], touches])).sum())

@@ -1,0 +1,191 @@
+"""What the agents of an evolution strategy are made of, by the settings of the run and its environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+from shes.algorithms.problem import Problem
+from shes.envs.bodies.symmetry import SymmetryGroup
+from shes.envs.episode_batch import EpisodeBatch
+from shes.errors import ConfigError
+from shes.hierarchy.agent import AgentDesign
+from shes.hierarchy.clock import Clock
+from shes.hierarchy.flat import FlatDesign
+from shes.hierarchy.goals import make_goal_encoding
+from shes.hierarchy.hierarchical import HierarchicalDesign
+from shes.hierarchy.outputs import make_controller_output
+from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
+from shes.hierarchy.rewards import make_primitive_reward
+from shes.hierarchy.views import ColumnsView, EgocentricView, View
+from shes.policies.mlp import MLP
+
+__all__ = [
+    "branch_design",
+    "controller_inputs",
+    "flat_design",
+    "hierarchical_design",
+    "primitive_design",
+    "primitive_inputs",
+]
+
+
+def flat_design(problem: Problem) -> FlatDesign:
+    """Return the design of one policy without goals."""
+    task, settings = problem.sample(), problem.settings
+    inputs = _clock_size(settings) + task.observation_size
+    return FlatDesign(policy=MLP(inputs, settings.hidden, task.action_size), **_acting(settings, task))
+
+
+def primitive_design(problem: Problem) -> PrimitiveDesign:
+    """Return the design of a primitive alone.
+
+    Raises:
+        ConfigError: There is no position to hide, or nobody knows how to look at this robot from its own frame.
+    """
+    return PrimitiveDesign(**_reaching(problem.settings, problem.sample()))
+
+
+def hierarchical_design(problem: Problem) -> HierarchicalDesign:
+    """Return the design of a controller and its primitive.
+
+    Raises:
+        ConfigError: There is no position to hide, or nobody knows how to look at this robot from its own frame.
+    """
+    task, settings = problem.sample(), problem.settings
+    output, view = make_controller_output(settings.controller_output), _controller_view(settings, task)
+    return HierarchicalDesign(
+        controller=MLP(view.size(task.observation_size), settings.hidden, output.size),
+        controller_output=output,
+        controller_view=view,
+        goal_distance=settings.goal_distance,
+        has_minimum_goal_distance=settings.minimum_goal_distance,
+        **_reaching(settings, task),
+    )
+
+
+def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
+    """Return what the level that acts is made of, whatever it is called."""
+    clock = None
+    if settings.clock_frequency is not None:
+        clock = Clock(frequency_hz=settings.clock_frequency, step_s=task.step_s)
+    return {"control_limit": task.control_limit, "clock": clock}
+
+
+def branch_design(settings: Any, design: AgentDesign) -> BranchDesign | None:
+    """Return what acts in branches beside a controller, by the `design` of the run's agent; None without branches."""
+    if settings.primitive_estimate != "interval" or not isinstance(design, HierarchicalDesign):
+        return None
+    shared = {field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)}
+    return BranchDesign(num_goals=settings.intervals, **shared)
+
+
+def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
+    """Return what an agent of `settings` is made of that concerns its primitive."""
+    encoding, view = make_goal_encoding(settings.goal_encoding), primitive_view(settings, task)
+    hidden = settings.hidden if settings.primitive_hidden is None else settings.primitive_hidden
+    return {
+        "primitive": MLP(
+            encoding.size + _clock_size(settings) + view.size(task.observation_size), hidden, task.action_size
+        ),
+        "primitive_view": view,
+        "symmetry": _symmetry(settings, task),
+        "goal_encoding": encoding,
+        "primitive_reward": make_primitive_reward(settings.primitive_reward),
+        "controller_interval": settings.controller_interval,
+        **_acting(settings, task),
+    }
+
+
+def _clock_size(settings: Any) -> int:
+    """Return the number of the clock's features."""
+    return 0 if settings.clock_frequency is None else Clock.size
+
+
+def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
+    """Return the symmetry that the primitive of `settings` uses, if any.
+
+    Raises:
+        ConfigError: The robot of `task` has none that is known.
+    """
+    if settings.symmetry == "none":
+        return None
+    group = None if task.robot is None else task.robot.symmetry(is_mirrored=settings.symmetry == "dihedral")
+    if group is None:
+        robot = "an external robot" if task.robot is None else f"the {task.robot.name}"
+        raise ConfigError(
+            f"symmetry is {settings.symmetry!r}, but nobody has told what symmetry {robot} of {settings.env} has. "
+            "Leave --symmetry away, or name an environment of the ant."
+        )
+    return group
+
+
+def _egocentric(settings: Any, task: EpisodeBatch, setting: str, others: Sequence[int] = ()) -> EgocentricView:
+    """Return the egocentric view of the robot of `task`, then of the observation's values at `others`.
+
+    Raises:
+        ConfigError: Nobody knows how to look at this robot from its own frame.
+    """
+    if task.robot is None or not task.robot.egocentric:
+        whose = f"{settings.env} is Gymnasium's" if task.robot is None else f"{settings.env} has the {task.robot.name}"
+        raise ConfigError(
+            f"{setting} is 'egocentric', but {whose}: what its robot looks like from its own frame is not known. "
+            f"Set --{setting.replace('_', '-')} to another one."
+        )
+    return EgocentricView(task.robot, task.proprioception.tolist(), others)
+
+
+def _controller_view(settings: Any, task: EpisodeBatch) -> View:
+    """Return what the controller of `settings` sees of the observation of `task`.
+
+    Raises:
+        ConfigError: Nobody knows how to look at this robot from its own frame.
+    """
+    if settings.controller_view == "observation":
+        return ColumnsView()
+    others = sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
+    return _egocentric(settings, task, "controller_view", others)
+
+
+def primitive_view(settings: Any, task: EpisodeBatch) -> View:
+    """Return what the primitive of `settings` sees of the observation of `task`.
+
+    Raises:
+        ConfigError: Its position is to be hidden, and it sees none; or nobody knows how to look at this robot from its
+            own frame.
+    """
+    if settings.primitive_view == "egocentric":
+        if settings.hide_position:
+            raise ConfigError(
+                "hide_position: an egocentric view shows no absolute position that could be hidden. "
+                "Leave --hide-position away."
+            )
+        return _egocentric(settings, task, "primitive_view")
+    sees_all = settings.primitive_view == "observation" and settings.level_names != ("primitive",)
+    view = (task.primitive_view if sees_all else task.proprioception).tolist()
+    if not settings.hide_position:
+        return ColumnsView(view)
+    hidden = [column for column in view if column in task.position_columns]
+    if not hidden:
+        raise ConfigError(
+            f"hide_position: a primitive in {settings.env} sees no absolute position that could be hidden. "
+            "Leave --hide-position away."
+        )
+    return ColumnsView([column for column in view if column not in hidden])
+
+
+def primitive_inputs(problem: Problem) -> tuple[str, ...]:
+    """Return what each input of the primitive is called, in order."""
+    task, settings = problem.sample(), problem.settings
+    features = [f"goal {settings.goal_encoding} {i}" for i in range(make_goal_encoding(settings.goal_encoding).size)]
+    clock = (
+        [] if settings.clock_frequency is None else [f"clock {x} {settings.clock_frequency} Hz" for x in ("sin", "cos")]
+    )
+    return (*features, *clock, *primitive_view(settings, task).names(task.observation_names))
+
+
+def controller_inputs(problem: Problem) -> tuple[str, ...]:
+    """Return what each input of the controller is called, in order."""
+    task, settings = problem.sample(), problem.settings
+    return tuple(_controller_view(settings, task).names(task.observation_names))

@@ -1,0 +1,143 @@
+"""Evolution strategies as learners of a run: SHES, S-ES, and the primitive alone."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Generator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from shes.algorithms.contract import Algorithm, Report
+from shes.algorithms.evolution.algorithm import evolve
+from shes.algorithms.evolution.arrays import check_arrays, from_arrays, to_arrays
+from shes.algorithms.evolution.columns import columns
+from shes.algorithms.evolution.designs import (
+    branch_design,
+    controller_inputs,
+    flat_design,
+    hierarchical_design,
+    primitive_design,
+    primitive_inputs,
+)
+from shes.algorithms.evolution.settings import make_settings, make_state
+from shes.algorithms.problem import Problem
+from shes.algorithms.worker import WorkerPlan
+from shes.backends.backend import Backend
+from shes.errors import CheckpointError
+from shes.es.level import LevelParameters, LevelState, TrainState
+from shes.hierarchy.agent import AgentDesign
+
+__all__ = ["SES", "SHES", "EvolutionStrategy", "PrimitiveES"]
+
+_MOST_THREADS = 8  # of the gradient: beyond that memory is the limit
+
+
+class EvolutionStrategy(Algorithm[TrainState]):
+    """Algorithm 1 of the SHES paper; with one level S-ES."""
+
+    def __init__(self, problem: Problem) -> None:
+        """Make the agent's design and the numbers of Algorithm 1.
+
+        Raises:
+            ConfigError: The settings do not fit the environment.
+            ShapeError: The environment observes another number of values than its layout names.
+        """
+        super().__init__(problem, self._make_design(problem))
+        self.settings = make_settings(problem.settings)
+
+    @abstractmethod
+    def _make_design(self, problem: Problem) -> AgentDesign:
+        """Return what the agent is made of."""
+
+    def start(self, seed: int) -> TrainState:
+        """Return the state before the first generation; a level that is transferred comes in later."""
+        return make_state(self.problem.settings, self.design, seed)
+
+    def run(self, state: TrainState, backend: Backend) -> Generator[Report[TrainState], None, None]:
+        """Yield a report after every generation, for ever, from `state` on."""
+        table, threads = self.table.on(self.problem.xp), min(self.problem.num_threads, _MOST_THREADS)
+        with ThreadPoolExecutor(threads, thread_name_prefix="shes-gradient") as pool:
+            for report in evolve(state, self.settings, table, backend, pool):
+                yield Report(state=report.state, columns=columns(report), log=report.log)
+
+    def to_arrays(self, state: TrainState) -> dict[str, np.ndarray]:
+        """Return `state` as arrays by name."""
+        return to_arrays(state)
+
+    def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TrainState:
+        """Return the state that `to_arrays` took apart.
+
+        Raises:
+            CheckpointError: It is not one of this run: other levels, names, shapes or types, or numbers that are none.
+        """
+        levels = tuple(str(name) for name in np.atleast_1d(arrays["levels"]))
+        if levels != self.level_names:
+            raise CheckpointError(
+                f"has the levels {', '.join(levels)}, but a run of {self.problem.name} has "
+                f"{', '.join(self.level_names)} now. Use the version that wrote it (config.json of the run names it)."
+            )
+        check_arrays(arrays, self.start(0))
+        return from_arrays(arrays)
+
+    def parameters(self, state: TrainState) -> tuple[LevelParameters, ...]:
+        """Return the mean policies and their normalisation."""
+        return LevelParameters.of_all(state.levels)
+
+    def without_training(self, state: TrainState) -> TrainState:
+        """Return `state` without running episodes, with an optimizer that begins anew."""
+        levels = tuple(
+            replace(level, optimizer=rule.optimizer.start(len(level.theta)))
+            for level, rule in zip(state.levels, self.settings.updates, strict=True)
+        )
+        return replace(state, levels=levels, running=None)
+
+    @property
+    def episodes_in_lockstep(self) -> int:
+        """Episodes of a policy that share a matmul: those that its fitness is the mean of."""
+        return self.problem.settings.episodes_per_policy
+
+    def plan(self) -> WorkerPlan:
+        """Return what every worker needs to know once."""
+        return self.problem.plan(self.design, branch_design(self.problem.settings, self.design))
+
+    def with_level(self, state: TrainState, name: str, source: LevelState) -> TrainState:
+        """Return `state` with the parameters and statistics of `source` at level `name`."""
+        levels = tuple(
+            replace(level, theta=source.theta, statistics=source.statistics) if level.name == name else level
+            for level in state.levels
+        )
+        return replace(state, levels=levels)
+
+    def inputs(self, level: str) -> tuple[str, ...]:
+        """Return what each input of `level` is called, in order: a level of another run must have the same."""
+        return {"controller": controller_inputs, "primitive": primitive_inputs}[level](self.problem)
+
+
+class SHES(EvolutionStrategy):
+    """A controller that sets goals and a primitive that reaches them, evolved together. Source: SHES paper."""
+
+    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
+
+    def _make_design(self, problem: Problem) -> AgentDesign:
+        return hierarchical_design(problem)
+
+
+class PrimitiveES(EvolutionStrategy):
+    """A primitive alone, where the environment sets the goals. Source: SHES paper, section II-D."""
+
+    level_names: ClassVar[tuple[str, ...]] = ("primitive",)
+
+    def _make_design(self, problem: Problem) -> AgentDesign:
+        return primitive_design(problem)
+
+
+class SES(EvolutionStrategy):
+    """One policy without goals. Source: Salimans et al. 2017."""
+
+    level_names: ClassVar[tuple[str, ...]] = ("policy",)
+
+    def _make_design(self, problem: Problem) -> AgentDesign:
+        return flat_design(problem)

@@ -1,0 +1,146 @@
+"""What every learner promises to a run: those of the package, and the example that is registered from outside."""
+
+import runpy
+from itertools import islice
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import shes
+from shes.algorithms.registry import ALGORITHMS, find_algorithm
+from shes.errors import CheckpointError, ConfigError, UnknownNameError
+from shes.runs.checkpoint import restore
+from shes.runs.tables import read_csv
+from shes.training.build import build_algorithm, build_backend
+from shes.training.presets import make_config
+from tests.e2e import runs
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "random_search.py"
+BRANCHED = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 3}
+LEARNERS = {
+    # what is tried: (algorithm, environment, settings)
+    "shes": ("shes", "point-gather", {}),
+    "shes, branched, with novelty": ("shes", "point-gather", {**BRANCHED, "novelty": "ns"}),
+    "es": ("es", "point-gather", {}),
+    "primitive": ("shes", "point-flagrun", {}),
+    "primitive, branched": ("shes", "point-flagrun", {**BRANCHED, "primitive_view": "egocentric"}),
+    "random-search": ("random-search", "point-gather", {}),
+}
+OF_THE_RUN = {"generation", "env_steps", "wall_time_s", "env_steps_per_s", "evaluation_s"}
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    """The example is known while a test of this module runs."""
+    runpy.run_path(str(EXAMPLE), run_name="random_search")
+    yield
+    ALGORITHMS.pop("random-search", None)
+
+
+@pytest.fixture(params=LEARNERS)
+def learner(request, registered):
+    """A learner of a tiny run."""
+    algorithm, env, settings = LEARNERS[request.param]
+    sizes = {name: value for name, value in runs.TINY.items() if name != "preset"}
+    return build_algorithm(make_config(env, "smoke", {**sizes, **settings, "algorithm": algorithm}))
+
+
+def reports(learner, state, count):
+    with build_backend(learner.problem.settings, learner.plan()) as backend:
+        return list(islice(learner.run(state, backend), count))
+
+
+def same(learner, *states):
+    one, other = (learner.to_arrays(state) for state in states)
+    return one.keys() == other.keys() and all(one[name].tobytes() == other[name].tobytes() for name in one)
+
+
+def no_times(columns):
+    return {name: repr(value) for name, value in columns.items() if not name.endswith("_s")}
+
+
+def test_every_learner_is_tried_here():
+    tried = {find_algorithm(algorithm, sets_goals="flagrun" in env) for algorithm, env, _ in LEARNERS.values()}
+    assert {ALGORITHMS[name] for name in ALGORITHMS} <= tried
+    assert len(tried) == 4
+
+
+def test_it_starts_by_the_seed_alone(learner):
+    state = learner.start(7)
+    assert (state.seed, state.generation, state.env_steps) == (7, 0, 0)
+    assert same(learner, state, learner.start(7))
+
+
+def test_its_agents_are_those_of_its_design(learner):
+    parameters = learner.parameters(learner.start(3))
+    assert learner.level_names == learner.design.level_names
+    assert tuple(len(level.theta) for level in parameters) == learner.design.dims
+    assert tuple(len(level.mean) for level in parameters) == learner.design.observation_sizes
+    kept = learner.without_training(learner.start(3))
+    assert [level.theta.tobytes() for level in learner.parameters(kept)] == [
+        each.theta.tobytes() for each in parameters
+    ]
+
+
+def test_a_generation_depends_on_the_state_alone(learner):
+    """A learner that keeps something beside its state would go on otherwise after a crash."""
+    first, second, third = reports(learner, learner.start(5), 3)
+    assert [each.state.generation for each in (first, second, third)] == [1, 2, 3]
+    assert 0 < first.state.env_steps < second.state.env_steps < third.state.env_steps
+    assert list(first.columns) == list(third.columns)
+    assert not OF_THE_RUN & first.columns.keys()
+    restored = learner.from_arrays({name: array.copy() for name, array in learner.to_arrays(first.state).items()})
+    again = reports(learner, restored, 2)
+    assert same(learner, again[-1].state, third.state)
+    assert [no_times(each.columns) for each in again] == [no_times(each.columns) for each in (second, third)]
+    assert not same(learner, second.state, third.state)
+
+
+def test_its_state_is_arrays_without_objects(learner):
+    (report,) = reports(learner, learner.start(5), 1)
+    arrays = learner.to_arrays(report.state)
+    assert {"seed", "generation", "env_steps"} <= arrays.keys()
+    assert all(isinstance(array, np.ndarray) and not array.dtype.hasobject for array in arrays.values())
+    assert same(learner, report.state, learner.from_arrays(arrays))
+    for name in arrays:
+        broken = SimpleNamespace(arrays={key: array for key, array in arrays.items() if key != name})
+        with pytest.raises(CheckpointError, match=r"^a\.npz (is not|has) "):
+            restore(broken, learner.from_arrays, Path("a.npz"))
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_a_run_of_it_goes_on_and_its_agent_acts(name, tmp_path):
+    algorithm, env, settings = LEARNERS[name]
+    whole = runs.train_tiny(tmp_path / "whole", env, algorithm=algorithm, **settings)
+    half = runs.train_tiny(tmp_path / "half", env, algorithm=algorithm, **settings, generations=2)
+    shes.resume(half, generations=4)
+    assert runs.differences(whole, half) == []
+    assert list(read_csv(whole / "progress.csv"))[:4] == ["generation", "env_steps", "wall_time_s", "env_steps_per_s"]
+    evaluations = [shes.evaluate(whole, episodes=3, num_workers=workers).summary() for workers in (1, 2)]
+    assert evaluations[0] == evaluations[1]
+    agent = shes.load(whole)
+    action = agent.act(np.zeros(agent.observation_size))
+    assert np.isfinite(action).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "algorithm", "message"),
+    [
+        ("shes", "RandomSearch", "algorithm 'shes' is shes.algorithms.evolution.learners.SHES already"),
+        ("Random search", "RandomSearch", "algorithm name must be lower-case words"),
+        ("other", "State", "an? algorithm must be a subclass of shes.algorithms.contract.Algorithm"),
+    ],
+)
+def test_what_is_no_algorithm_is_refused(name, algorithm, message):
+    found = runpy.run_path(str(EXAMPLE), run_name="random_search")
+    with pytest.raises(ConfigError, match=message):
+        shes.register_algorithm(name, found[algorithm])
+    assert "other" not in ALGORITHMS
+
+
+def test_an_unknown_algorithm_is_told_how_to_be_known():
+    message = r"unknown algorithm 'random_serch'\. Did you mean 'random-search'.*shes\.register_algorithm"
+    with pytest.raises(UnknownNameError, match=message):
+        make_config("point-gather", "smoke", {"algorithm": "random_serch"})
