@@ -18,7 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
+from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
 __all__ = [
@@ -225,7 +226,17 @@ class AuthorsNSRA(WeightRule):
         return weight, best_return, stalled
 
 
-NOVELTY_RULES: dict[str, type[WeightRule]] = {"ns": NS, "nsr": NSR, "nsra": NSRA, "nsra_reset": AuthorsNSRA}
+NOVELTY_RULES: Registry[type[WeightRule]] = Registry(
+    "novelty rule",
+    {
+        "ns": NS,
+        "nsr": NSR,
+        "nsra": NSRA,
+        "nsra_reset": AuthorsNSRA,
+    },
+    fix="Set --novelty.",
+    check=subclass_of(WeightRule),
+)
 
 
 def make_novelty_rule(name: str) -> WeightRule:
@@ -234,6 +245,4 @@ def make_novelty_rule(name: str) -> WeightRule:
     Raises:
         UnknownNameError: `name` is not in `NOVELTY_RULES`.
     """
-    if name not in NOVELTY_RULES:
-        raise UnknownNameError("novelty rule", name, NOVELTY_RULES, "Set --novelty.")
-    return NOVELTY_RULES[name]()
+    return NOVELTY_RULES.find(name)()
