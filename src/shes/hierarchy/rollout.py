@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,16 @@ from shes.errors import PolicyError
 from shes.es.level import perturb
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot
+from shes.hierarchy.episodes import (
+    PARTS,
+    EpisodeResults,
+    EpisodeTask,
+    Generation,
+    LevelMoments,
+    Outcomes,
+    Snapshot,
+    empty_outcomes,
+)
 from shes.hierarchy.snapshots import Notes
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
@@ -228,26 +238,19 @@ class Rollout:
         """Take the results of the episodes in `rows`; yield the lanes in which none is left."""
         self._is_running[rows] = False
         self._running = np.flatnonzero(self._is_running)
-        found, moments = self._outcomes(rows)
+        outcomes, moments = self._outcomes(rows)
         for i, row in enumerate(rows.tolist()):
             place, slot = divmod(row, self.num_episodes)
             lane = self._lanes[place]
             assert lane is not None
             k = lane.task.slots.index(slot)
-            results, outcome = lane.results, found[i]
-            results.environment_returns[k] = results.returns[:, k] = outcome[0]
-            if self.design.internal_level is not None:
-                results.returns[self.design.internal_level, k] = outcome[1]
-            results.score[k], results.success[k] = outcome[2], outcome[3]
-            results.steps[k] = self._steps[row]
-            results.goals_reached[k], results.has_diverged[k] = outcome[4], outcome[5]
-            results.has_terminated[k] = outcome[6] and not outcome[5]
-            results.final_position[k] = outcome[7:]
+            results = lane.results
+            results.outcomes[k] = outcomes[i]
             for mine, summed in zip(results.moments or (), moments, strict=False):
                 for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
                     taken[k] = of_all[i]
             if lane.task.kept_slot == slot:
-                has_ended_early = outcome[5] or outcome[6]
+                has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
                 results.snapshots[k] = None if has_ended_early else self._snapshot(row, lane.task)
             if self._notes is not None:
                 results.snapshots[k] = self._notes.of(row)
@@ -264,22 +267,35 @@ class Rollout:
         state = self.task.states(np.array([row]))[0]
         return Snapshot(state=state, steps=before + int(self._steps[row]))
 
-    def _outcomes(self, rows: IntArray) -> tuple[list[list[float]], list[tuple[F64Array, ...]]]:
-        """Return what came of the episodes in `rows`, and what each level has observed in them, in one transfer each.
-
-        An outcome is the environment's return, the internal return, score, success, goals reached, whether it diverged,
-        whether it ended by itself, and the place of the robot, x and y.
-        """
+    def _outcomes(self, rows: IntArray) -> tuple[Outcomes, list[tuple[F64Array, ...]]]:
+        """Return the outcomes of the episodes in `rows` and the moments of each level, in one transfer each."""
         task, agent, ids = self.task, self.agent, self.xp.asarray(rows)
-        values = (task.running_return, self._internal_return, task.score, task.success, agent.goals_reached)
-        ended = (task.diverged, task.terminated, *task.position.T)
+        quantities: dict[str, Any] = {
+            "environment_returns": task.running_return,
+            "score": task.score,
+            "success": task.success,
+            "goals_reached": agent.goals_reached,
+            "has_diverged": task.diverged,
+            "has_terminated": task.terminated & ~task.diverged,
+            "final_position": task.position,
+        }
         # float64 holds every count that there is exactly.
-        found = np.stack([value[ids].astype(np.float64) for value in (*values, *ended)], axis=1)
+        parts = [part[ids].reshape(len(rows), -1) for part in (self._internal_return, *quantities.values())]
+        found = to_host(np.concatenate([part.astype(np.float64) for part in parts], axis=1))
+        ends = np.cumsum([part.shape[1] for part in parts])
+        internal_return, *columns = np.split(found, ends[:-1], axis=1)
+        outcomes = empty_outcomes(len(self.design.dims), len(rows))
+        for name, column in zip(quantities, columns, strict=True):
+            outcomes[name] = column.reshape(outcomes[name].shape)
+        outcomes["steps"] = self._steps[rows]
+        outcomes["returns"] = outcomes["environment_returns"][:, None]
+        if self.design.internal_level is not None:
+            outcomes["returns"][:, self.design.internal_level] = internal_return[:, 0]
         moments = [
             tuple(to_host(sums[ids]) for sums in (each.count, each.total, each.total_squares))
             for each in (agent.moments if agent.is_recording else ())
         ]
-        return to_host(found).tolist(), moments
+        return outcomes, moments
 
     def _refuse(self, action: F32Array) -> None:
         """Say whose policy returned what is not finite; one without work cannot be the reason."""
@@ -322,15 +338,7 @@ def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
         for size in sizes
     )
     return EpisodeResults(
-        returns=np.zeros((len(sizes), k)),
-        score=np.zeros(k),
-        success=np.zeros(k, np.bool_),
-        steps=np.zeros(k, np.int64),
-        has_terminated=np.zeros(k, np.bool_),
-        has_diverged=np.zeros(k, np.bool_),
-        goals_reached=np.zeros(k, np.int64),
-        final_position=np.zeros((k, 2)),
-        environment_returns=np.zeros(k),
+        outcomes=empty_outcomes(len(sizes), k),
         moments=moments if task.records_statistics else None,
         snapshots=[None] * k,
     )
