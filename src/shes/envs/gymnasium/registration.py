@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-import gymnasium
-
 __all__ = ["MAX_EPISODE_STEPS", "gymnasium_id", "register_ids"]
 
 MAX_EPISODE_STEPS = 500
@@ -20,6 +18,8 @@ def gymnasium_id(name: str, spec: str = "shes") -> str:
 
 def register_ids(name: str, specs: Collection[str]) -> None:
     """Register environment `name` in each of its `specs` that Gymnasium does not know yet."""
+    import gymnasium  # worker processes do without
+
     for spec in specs:
         if gymnasium_id(name, spec) not in gymnasium.registry:
             gymnasium.register(
