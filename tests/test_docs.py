@@ -15,7 +15,7 @@ import pytest
 
 import shes
 from shes.cli.commands import SUMMARIES
-from shes.envs.gymnasium.registration import gymnasium_id
+from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.runs.config import TrainConfig

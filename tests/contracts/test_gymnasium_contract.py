@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
 
 import shes  # registers
-from shes.envs.gymnasium.registration import MAX_EPISODE_STEPS
+from shes.envs.gymnasium_ids import MAX_EPISODE_STEPS
 from shes.errors import ConfigError, PolicyError, ShapeError, ShesError, UnknownNameError
 from tests.contracts.variants import over_variants
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from shes.drawing.flat_renderer import FlatRenderer
-from shes.drawing.markers import FOOD, GOAL, ROBOT, ball, disc, line
-from shes.drawing.renderer import make_renderer
+from shes.drawing.rendering import make_renderer
+from shes.envs.markers import FOOD, GOAL, ROBOT, ball, disc, line
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.errors import ConfigError, UnknownNameError
 

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.drawing.markers import FOOD, GOAL, ROBOT, ball, disc, line
 from shes.drawing.mujoco_renderer import MujocoRenderer
 from shes.drawing.opengl import find_opengl
 from shes.drawing.renderer import between
 from shes.drawing.scenery import decorate
+from shes.envs.markers import FOOD, GOAL, ROBOT, ball, disc, line
 from shes.envs.registry import ENVIRONMENTS, make_task
 
 SIZE = 200

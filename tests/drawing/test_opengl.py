@@ -10,7 +10,7 @@ import pytest
 
 from shes.drawing import opengl
 from shes.drawing.flat_renderer import FlatRenderer
-from shes.drawing.renderer import make_renderer
+from shes.drawing.rendering import make_renderer
 from shes.envs.registry import make_task
 from shes.errors import ConfigError
 

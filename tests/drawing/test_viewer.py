@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from shes.drawing import viewer as viewer_module
-from shes.drawing.markers import FOOD, ball
 from shes.drawing.viewer import Viewer
+from shes.envs.markers import FOOD, ball
 from shes.envs.registry import make_task
 from shes.errors import ConfigError
 

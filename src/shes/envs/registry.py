@@ -15,7 +15,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.description import ExternalDescription
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, READY
 from shes.envs.external.selection import Selection
-from shes.envs.gymnasium.registration import register_ids
+from shes.envs.gymnasium_ids import register_ids
 from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun
 from shes.envs.tasks.gather import Gather

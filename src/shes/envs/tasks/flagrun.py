@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 
 from shes.arrays import to_host
-from shes.drawing.markers import TARGET, Marker, ball
 from shes.envs.bodies.body import Body
-from shes.envs.bodies.reader import BodyReader
+from shes.envs.markers import TARGET, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
+from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskDescription
 from shes.envs.worlds import GATHER, add_grid, empty_world

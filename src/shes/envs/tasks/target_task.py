@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from shes.arrays import to_host
-from shes.drawing.markers import TARGET, Marker, ball, disc
 from shes.envs.bodies.body import Body
+from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription

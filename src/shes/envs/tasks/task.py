@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from types import ModuleType
 from typing import ClassVar
 
@@ -17,11 +16,10 @@ import mujoco
 import numpy as np
 
 from shes.arrays import to_host
-from shes.drawing.drawer import Drawer, Window
 from shes.envs.bodies.body import Body
-from shes.envs.bodies.reader import BodyReader
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.observation_spec import ObservationElement, elements
+from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.worlds import TIMESTEP_S
 from shes.errors import ConfigError, UnknownNameError
@@ -241,25 +239,9 @@ class Task(EpisodeBatch):
         """How an agent reads what it shows."""
         return BodyReader(self.body, self.observation_size, self.proprioception)
 
-    def make_drawer(self, width: int, height: int) -> Drawer:
-        """Return what makes pictures of poses.
-
-        Raises:
-            ConfigError: The size is not allowed, or MUJOCO_GL asks for what does not work here.
-        """
-        from shes.drawing.renderer import make_renderer
-
-        return make_renderer(partial(self.build_spec, self.body, self.options), width, height)
-
-    def open_window(self) -> Window:
-        """Return a window that shows poses.
-
-        Raises:
-            ConfigError: There is no screen.
-        """
-        from shes.drawing.viewer import Viewer
-
-        return Viewer(self.build_spec(self.body, self.options), self.step_s)
+    def make_world(self) -> mujoco.MjSpec:
+        """Return the world to draw poses in, made anew."""
+        return self.build_spec(self.body, self.options)
 
     def pose(self, episode: int) -> F64Array:
         """Return a copy of the qpos [nq] of episode `episode`, in NumPy's array."""

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from shes.cores import num_cores
 from shes.drawing.renderer import Picture
-from shes.envs.gymnasium.adapter import TaskAdapter
 from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError
+from shes.gymnasium.adapter import TaskAdapter
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["TaskVectorEnv"]

@@ -24,8 +24,8 @@ def register_ids(name: str, specs: Collection[str]) -> None:
         if gymnasium_id(name, spec) not in gymnasium.registry:
             gymnasium.register(
                 gymnasium_id(name, spec),
-                entry_point="shes.envs.gymnasium.env:TaskEnv",
-                vector_entry_point="shes.envs.gymnasium.vector_env:TaskVectorEnv",
+                entry_point="shes.gymnasium.env:TaskEnv",
+                vector_entry_point="shes.gymnasium.vector_env:TaskVectorEnv",
                 max_episode_steps=MAX_EPISODE_STEPS,
                 kwargs={"name": name, "spec": spec},
             )
