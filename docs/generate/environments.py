@@ -113,7 +113,7 @@ def _actions(task: Task) -> str:
 def _observations(task: Task) -> str:
     rows = [
         (i, f"`{each.name}`", each.meaning, each.unit, _bound(each.low), _bound(each.high))
-        for i, each in enumerate(task.layout)
+        for i, each in enumerate(task.observation_spec)
     ]
     return table(["index", "name", "meaning", "unit", "low", "high"], rows, numbers=["index", "low", "high"])
 

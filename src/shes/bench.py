@@ -150,7 +150,7 @@ def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjMo
     table = open_noise_table(config, plan.design)
     work = generation_work(state, settings, table.size)
     tasks, generation = work.tasks, work.generation
-    lanes, rows = max(1, _REPLAYED // generation.rows), generation.rows
+    lanes, rows = max(1, _REPLAYED // generation.rows_per_lane), generation.rows_per_lane
     task = make_task(config.env, lanes * rows, plan.training)
     recorder = _Recorder(task)
     horizon = generation.branch_steps or config.horizon

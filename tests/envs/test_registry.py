@@ -172,7 +172,7 @@ class Lonely(Corner):
         ),
         (Point, "Corner", r"a task must be .*got 'Corner'"),
         (Body, Corner, r"body shes\.envs\.bodies\.body\.Body lacks add_to, .*name, .*says what each of them is: add"),
-        (Point, Task, r"task shes\.envs\.tasks\.task\.Task lacks .*build_spec, .*observe, .*name, description\. "),
+        (Point, Task, r"task shes\.envs\.tasks\.task\.Task lacks .*build_world, .*observe, .*name, description\. "),
         (Sized, Corner, r"body .*Sized must be made from no arguments, and is not: .*'size'\. Change its __init__"),
         (Point, Lonely, r"task .*Lonely must be made from 4 arguments, and is not: too many .*Change its __init__"),
     ],

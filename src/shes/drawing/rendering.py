@@ -34,7 +34,7 @@ def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
         batch.draw_by("rgb_array")
         offer_opengl()
         return FrameDrawer(width, height)
-    return make_renderer(batch.make_world, width, height)
+    return make_renderer(batch.world_to_draw, width, height)
 
 
 def open_window(batch: EpisodeBatch) -> Window:
@@ -46,7 +46,7 @@ def open_window(batch: EpisodeBatch) -> Window:
     if batch.draws_itself:
         batch.draw_by("human")
         return FrameWindow()
-    return Viewer(batch.make_world(), batch.step_s)
+    return Viewer(batch.world_to_draw(), batch.step_s)
 
 
 def make_renderer(make_spec: Callable[[], mujoco.MjSpec], width: int, height: int) -> Renderer:

@@ -220,10 +220,10 @@ class EpisodeBatch(ABC):
 
     @property
     def draws_itself(self) -> bool:
-        """Whether a `pose` is a picture that the environment has drawn, not the qpos of `make_world`."""
+        """Whether a `pose` is a picture that the environment has drawn, not the qpos of `world_to_draw`."""
         return False
 
-    def make_world(self) -> mujoco.MjSpec:
+    def world_to_draw(self) -> mujoco.MjSpec:
         """Return the world to draw poses in, made anew.
 
         Raises:

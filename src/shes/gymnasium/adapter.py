@@ -53,7 +53,7 @@ class TaskAdapter:
         task_options, self._picture = _split_options(options)
         threads = min(num_threads, num_envs)
         self.task = make_task(name, num_envs, task_options, partial(CpuSimulator, num_threads=threads))
-        low, high = bounds(self.task.layout)
+        low, high = bounds(self.task.observation_spec)
         self.observation_space = Box(low, high, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)
         self._drawer: Drawer | None = None

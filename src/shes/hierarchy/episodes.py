@@ -80,7 +80,7 @@ class Snapshot:
     steps: int
     """Control steps since the reset."""
     goals: F64Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """This decision's goal and those of the next ones [K, 2]: from where the robot was when each was set, in metres.
+    """This decision's goal and those of the next ones [J, 2]: from where the robot was when each was set, in metres.
 
     Empty where the environment sets the goals.
     """
@@ -113,7 +113,7 @@ class Generation:
         return "evaluation" if self.is_evaluation else "branch" if self.branch_steps else "training"
 
     @property
-    def rows(self) -> int:
+    def rows_per_lane(self) -> int:
         """Rows of every matmul, R = M' * E: part of what decides how it rounds."""
         return self.members_per_lane * self.episodes_per_policy
 

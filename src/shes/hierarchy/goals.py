@@ -25,7 +25,7 @@ __all__ = [
     "register_goal_encoding",
 ]
 
-DISTANCE_SCALE = 1000.0
+DISTANCE_UNIT_M = 1000.0
 """Distances are divided by this (paper II-C)."""
 
 
@@ -55,7 +55,7 @@ class AngleEncoding(GoalEncoding):
     def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
         """Write sin, cos, distance / 1000."""
         _write_bearing(vector, heading, out)
-        np.divide(distance, DISTANCE_SCALE, out=out[:, 2])
+        np.divide(distance, DISTANCE_UNIT_M, out=out[:, 2])
 
 
 class MetreAngleEncoding(GoalEncoding):
@@ -89,7 +89,7 @@ class UnitVectorEncoding(GoalEncoding):
         del heading
         length = np.where(distance > 0, distance, 1)
         np.divide(vector, length[:, None], out=out[:, :2])
-        np.divide(distance, DISTANCE_SCALE, out=out[:, 2])
+        np.divide(distance, DISTANCE_UNIT_M, out=out[:, 2])
 
 
 class VectorEncoding(GoalEncoding):

@@ -24,7 +24,7 @@ __all__ = [
     "register_controller_output",
 ]
 
-NUM_BINS = 8
+NUM_DIRECTIONS = 8
 """Directions that a one-hot output can choose from."""
 MIN_DISTANCE_M = 1.0
 """A one-hot output sets no goal nearer than this."""
@@ -89,11 +89,11 @@ class OneHotOutput(ControllerOutput):
     eight outputs: no goal can lie within the 108 degrees behind to the left. Here all tasks have eight directions.
     """
 
-    size = NUM_BINS
+    size = NUM_DIRECTIONS
 
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return the vector in the direction of the largest output."""
-        angle = (output.argmax(axis=1) + 1) * (2 * np.pi / NUM_BINS) - np.pi
+        angle = (output.argmax(axis=1) + 1) * (2 * np.pi / NUM_DIRECTIONS) - np.pi
         angle += heading
         distance = np.maximum(output.max(axis=1).astype(np.float64) * goal_distance, MIN_DISTANCE_M)
         return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)

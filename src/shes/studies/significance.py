@@ -31,11 +31,11 @@ def check_scipy() -> ModuleType:
 
 
 def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_000, seed: int = 0) -> float:
-    """Return the two-sided p of the difference of means between `first` [N] and `second` [M].
+    """Return the two-sided p of the difference of means between two samples.
 
-    It is the share of divisions of all values into N and M whose difference is at least as large: of all of them, if
-    there are no more than `permutations`, else of so many random ones, with the division at hand as one more, so that
-    p is never 0 (Phipson and Smyth 2010). It is 1 where one of them has a single value: too few to tell.
+    It is the share of divisions of all values into two such samples whose difference is at least as large: of all
+    divisions, if there are no more than `permutations`, else of so many random ones, with the division at hand as one
+    more, so that p is never 0 (Phipson and Smyth 2010). It is 1 where one of them has a single value: too few to tell.
 
     Raises:
         MissingExtraError: SciPy is not installed.

@@ -102,7 +102,7 @@ def build_design(config: TrainConfig) -> AgentDesign:
     """Return what the agent of `config` is made of.
 
     Raises:
-        ShapeError: The environment observes another number of values than its layout names.
+        ShapeError: The environment observes another number of values than its observation spec names.
         ConfigError: There is no position to hide.
     """
     task = build_task(config, 1, is_evaluation=False)
@@ -110,8 +110,8 @@ def build_design(config: TrainConfig) -> AgentDesign:
     shape = task.observe().shape
     if shape != (1, task.observation_size):
         raise ShapeError(
-            f"environment {config.env!r} must observe [N, {task.observation_size}], as many values as its layout "
-            f"names; for 1 episode it observed {shape}. Change its layout or its observe()."
+            f"environment {config.env!r} must observe [N, {task.observation_size}], as many values as its "
+            f"observation_spec names; for 1 episode it observed {shape}. Change observation_spec or observe()."
         )
     task.close()
     clock = None
@@ -291,9 +291,9 @@ def _interval_estimate(config: TrainConfig, sigma: Schedule, learning_rate: Sche
     return IntervalEstimate(
         population_size=config.primitive_population_size or config.population_size,
         intervals=config.intervals,
-        interval_steps=config.controller_interval,
+        controller_interval=config.controller_interval,
         horizon=config.horizon,
-        goal_range=config.goal_distance,
+        goal_distance=config.goal_distance,
         update=build_update_rules(config)[-1],
         sigma=own("primitive_sigma", config.primitive_sigma, sigma),
         learning_rate=own("primitive_learning_rate", config.primitive_learning_rate, learning_rate),

@@ -141,18 +141,18 @@ def _check_fit(level: str, path: str, source: TrainConfig, config: TrainConfig) 
     Raises:
         ConfigError: It does.
     """
-    layout, advice = {
+    spec, advice = {
         "primitive": (
-            _primitive_layout,
+            _primitive_spec,
             (
                 "Name a primitive of the same robot, trained with the same --spec by shes train ant-flagrun or "
                 "point-flagrun, or by a run of two levels with --primitive-view proprioception (for the point of Fall, "
                 "which has a height)."
             ),
         ),
-        "controller": (_controller_layout, "Name a controller of the same task, trained with the same --spec."),
+        "controller": (_controller_spec, "Name a controller of the same task, trained with the same --spec."),
     }[level]
-    theirs, ours = layout(source), layout(config)
+    theirs, ours = spec(source), spec(config)
     if theirs != ours:
         raise ConfigError(
             f"the {level} of {path} does not fit {config.env}.\n"
@@ -162,7 +162,7 @@ def _check_fit(level: str, path: str, source: TrainConfig, config: TrainConfig) 
         )
 
 
-def _primitive_layout(config: TrainConfig) -> str:
+def _primitive_spec(config: TrainConfig) -> str:
     """Return what the primitive of `config` observes and controls, in words."""
     inputs = primitive_inputs(config)
     task = build_task(config, 1, is_evaluation=False)
@@ -174,7 +174,7 @@ def _primitive_layout(config: TrainConfig) -> str:
     )
 
 
-def _controller_layout(config: TrainConfig) -> str:
+def _controller_spec(config: TrainConfig) -> str:
     """Return what the controller of `config` observes and puts out, in words."""
     inputs = controller_inputs(config)
     names = ", ".join(inputs)

@@ -15,7 +15,7 @@ _RESAMPLES = 2000
 
 
 def interpolate(x: Sequence[F64Array], y: Sequence[F64Array]) -> tuple[F64Array, F64Array]:
-    """Return all places [K] that every curve reaches, and the linearly interpolated values there [runs, K].
+    """Return all places [grid] that every curve reaches, and the linearly interpolated values there [runs, grid].
 
     Args:
         x: Places of each curve's points, ascending.
@@ -28,9 +28,9 @@ def interpolate(x: Sequence[F64Array], y: Sequence[F64Array]) -> tuple[F64Array,
 
 
 def interval(values: F64Array, seed: int = 0) -> tuple[F64Array, F64Array]:
-    """Return the 95 % bootstrap interval [K], [K] of the mean over runs of `values` [runs, K].
+    """Return the 95 % bootstrap interval [grid], [grid] of the mean over runs of `values` [runs, grid].
 
-    One matrix product for all K, however many: `scipy.stats.bootstrap` would hold every resample of every curve.
+    One matrix product for all of the grid: `scipy.stats.bootstrap` would hold every resample of every curve.
     """
     rng = np.random.default_rng(seed)
     runs = len(values)
