@@ -7,7 +7,8 @@ DOCS_STAMP := $(VENV)/.docs-done
 EXTRAS_STAMP := $(VENV)/.extras-done
 PY := $(VENV)/bin/python
 # One BLAS thread: parallelism comes from worker processes, and the thread count changes bits.
-PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest
+# Bytecode: without it every process that a test starts compiles all of shes again, and pytest every test.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest
 SOURCES := $(wildcard src tests benchmarks examples docs)
 DEMO_COMMAND := .venv/bin/python -m shes.cli.demo
 # The Python that .venv is made of: `make setup PYTHON=/path/to/python3.12`. Empty: the first candidate that works.
@@ -73,12 +74,13 @@ $(EXTRAS_STAMP): $(DOCS_STAMP)
 	@touch $(EXTRAS_STAMP)
 
 # pytest exits 5 when the markers select nothing.
-test-extras: $(EXTRAS_STAMP) ## tests of optional parts: engines, rendering, HIRO
-	@$(PYTEST) -m "(extras or render or hiro) and not gpu and not cluster"; status=$$?; \
+test-extras: $(EXTRAS_STAMP) ## tests of optional parts: engines, rendering, HIRO; more examples
+	@$(PYTEST) --hypothesis-profile thorough \
+		-m "(extras or render or hiro or (hypothesis and not slow)) and not gpu and not cluster"; status=$$?; \
 	if [ $$status -eq 5 ]; then echo "no tests with these markers yet"; else exit $$status; fi
 
 test-all: $(EXTRAS_STAMP) ## every test but those that need a GPU
-	$(PYTEST) -m "not gpu"
+	$(PYTEST) --hypothesis-profile thorough -m "not gpu"
 
 # On a machine with a card; no other target needs one, and none of them runs these tests.
 test-gpu: $(STAMP) ## tests on a CUDA card: the physics, the roll-out, return distributions against the CPU's

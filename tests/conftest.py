@@ -16,8 +16,10 @@ import pytest
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# No deadline: a busy machine is no failure. In CI the examples are the same each time.
-hypothesis.settings.register_profile("shes", deadline=None, derandomize="CI" in os.environ)
+# No deadline: a busy machine is no failure. In CI the examples are the same each time. The fast tests have three
+# minutes: `make test-extras` and `make test-all` look at more examples.
+hypothesis.settings.register_profile("shes", deadline=None, derandomize="CI" in os.environ, max_examples=40)
+hypothesis.settings.register_profile("thorough", hypothesis.settings.get_profile("shes"), max_examples=100)
 hypothesis.settings.load_profile("shes")
 
 

@@ -203,7 +203,7 @@ def test_plot_says_where_the_picture_is(shes, tiny_run, tmp_path, monkeypatch):
 
 
 def test_bench_prints_a_table_or_json(shes, monkeypatch):
-    monkeypatch.setattr("shes.bench._REPLAY_S", 0.02)  # how exact it is does not matter here
+    monkeypatch.setattr("shes.bench.measure._REPLAY_S", 0.02)  # how exact it is does not matter here
     small = ["point-gather", *TINY, "--population-size", 4, "--horizon", 5]
     found = json.loads(shes("bench", "update", *small, "--json"))
     assert found["total_ms"] > 0

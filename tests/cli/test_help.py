@@ -164,15 +164,19 @@ def setting_options():
     return options_in(setting_groups(None, SETTINGS))
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("setting", SETTINGS)
-def test_the_value_of_every_setting_can_be_written_on_the_command_line(setting_options, setting, preset):
-    options, value = setting_options, getattr(make_config("ant-gather", preset), setting)
+def written(setting, value):
+    """Return the words that give `setting` this value."""
     if isinstance(value, bool):
-        words = [flag(setting) if value else flag(setting).replace("--", "--no-")]
-    else:
-        words = [flag(setting), *(str(item) for item in (value if isinstance(value, tuple) else (value,)))]
-    assert parse(options, words, "train") == {setting: value}
+        return [flag(setting) if value else flag(setting).replace("--", "--no-")]
+    return [flag(setting), *(str(item) for item in (value if isinstance(value, tuple) else (value,)))]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_value_of_every_setting_can_be_written_on_the_command_line(setting_options, preset):
+    config = make_config("ant-gather", preset)
+    values = {setting: getattr(config, setting) for setting in SETTINGS}
+    words = [word for setting, value in values.items() for word in written(setting, value)]
+    assert parse(setting_options, words, "train") == values
 
 
 def test_resume_takes_the_settings_that_change_no_number():

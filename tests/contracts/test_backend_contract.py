@@ -21,8 +21,28 @@ def test_every_backend_of_the_settings_is_here():
     assert {name.split(",")[0] for name in BACKENDS} == set(NAMES)
 
 
+@pytest.fixture(scope="module", params=BACKENDS)
+def shared(request):
+    """A backend that one test after another uses: to start one takes longer than most of them."""
+    with BACKENDS[request.param](Worker) as made:
+        yield made
+
+
+@pytest.fixture
+def backend(shared):
+    shared.broadcast(100)
+    return shared
+
+
+@pytest.fixture
+def others():
+    """Processes that were there before the test."""
+    return psutil.Process().children()
+
+
 @pytest.fixture(params=BACKENDS)
-def backend(request):
+def own_backend(request, others):
+    """A backend that no other test uses."""
     with BACKENDS[request.param](Worker) as made:
         made.broadcast(100)
         yield made
@@ -94,17 +114,17 @@ def test_what_is_given_is_not_changed(backend):
     assert (tasks, state) == ([("add", [1]), ("add", [2])], [0])
 
 
-def test_closing_leaves_no_process_and_may_be_done_twice(backend):
-    list(backend.map([("add", 1)] * 4))
-    backend.close()
-    assert psutil.Process().children() == []
-    backend.close()
+def test_closing_leaves_no_process_and_may_be_done_twice(own_backend, others):
+    list(own_backend.map([("add", 1)] * 4))
+    own_backend.close()
+    assert psutil.Process().children() == others
+    own_backend.close()
 
 
-def test_closing_at_work_leaves_no_process(backend):
-    results = backend.map([("where", 0.05)] * 30)
+def test_closing_at_work_leaves_no_process(own_backend, others):
+    results = own_backend.map([("where", 0.05)] * 30)
     next(results)
-    backend.close()
-    assert psutil.Process().children() == []
+    own_backend.close()
+    assert psutil.Process().children() == others
     results.close()
-    assert psutil.Process().children() == []
+    assert psutil.Process().children() == others

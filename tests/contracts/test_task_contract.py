@@ -23,6 +23,7 @@ SHOWN = (
     "score",
     "success",
     "terminated",
+    "fallen",
     "diverged",
     "position",
     "heading",
@@ -89,7 +90,7 @@ def test_what_is_shown_has_one_row_per_episode(variant):
     for attribute in SHOWN:
         expected = (3, 2) if attribute == "position" else (3,)
         assert np.shape(getattr(task, attribute)) == expected, attribute
-    for attribute in ("success", "terminated", "diverged"):
+    for attribute in ("success", "terminated", "fallen", "diverged"):
         assert getattr(task, attribute).dtype == np.bool_, attribute
     assert (np.abs(task.heading) <= np.pi).all()
 
@@ -98,7 +99,7 @@ def test_a_fresh_episode_has_neither_time_nor_reward_nor_end(variant):
     task = start(variant, 2)
     play(task, draw_actions(task, 5))
     task.reset(np.arange(2), [8, 9])
-    for attribute in ("time", "reward", "running_return", "terminated", "diverged"):
+    for attribute in ("time", "reward", "running_return", "terminated", "fallen", "diverged"):
         assert not getattr(task, attribute).any(), attribute
 
 

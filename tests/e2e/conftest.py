@@ -2,6 +2,7 @@
 
 import os
 import signal
+from functools import cache
 
 import pytest
 
@@ -23,6 +24,15 @@ KILLED = {
 }
 """Settings of the runs that are killed: a generation takes long enough to be hit."""
 
+BRANCHED = {
+    "population_size": 4,
+    "horizon": 25,
+    "primitive_view": "egocentric",
+    "primitive_estimate": "interval",
+    "primitive_population_size": 300,
+}
+"""What makes nearly all of a generation branches beside a controller: whole episodes are few and short."""
+
 
 @pytest.fixture(scope="session")
 def tiny_run(tmp_path_factory):
@@ -31,12 +41,23 @@ def tiny_run(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def undisturbed(tmp_path_factory):
-    """Folder of a run with the settings of `killed` that nothing happened to."""
-    path = tmp_path_factory.mktemp("undisturbed") / "run"
-    code, out, err = runs.run("train", "point-gather", *runs.flags(**KILLED, out=path))
-    assert (code, err) == (0, ""), out
-    return path
+def undisturbed_with(tmp_path_factory):
+    """Return a function that returns the folder of a run of `started` that nothing happened to. Not to be changed."""
+
+    @cache
+    def run(**settings):
+        path = tmp_path_factory.mktemp("undisturbed") / "run"
+        code, out, err = runs.run("train", "point-gather", *runs.flags(**{**KILLED, **settings}, out=path))
+        assert (code, err) == (0, ""), out
+        return path
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def undisturbed(undisturbed_with):
+    """Folder of such a run with no more settings."""
+    return undisturbed_with()
 
 
 @pytest.fixture

@@ -418,8 +418,15 @@ def spoil(path, level):
     np.savez(path, **arrays)
 
 
-@pytest.mark.parametrize("backend", ["serial", "processes"])
-@pytest.mark.parametrize("level", ["controller", "primitive"])
+@pytest.mark.parametrize(
+    ("level", "backend"),
+    [
+        ("controller", "serial"),
+        ("primitive", "processes"),
+        pytest.param("controller", "processes", marks=pytest.mark.extras),
+        pytest.param("primitive", "serial", marks=pytest.mark.extras),
+    ],
+)
 def test_a_policy_that_returns_nan_ends_the_run_and_leaves_the_folder_intact(refused, run_copy, level, backend):
     spoil(run_copy / "checkpoints" / "last.npz", level)
     before = runs.numbers(run_copy)

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 import shes
-from shes.bench import bench_rollout
+from shes.bench.measure import bench_rollout
 from shes.cli import main
 from shes.envs.external.description import ExternalDescription
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS

@@ -9,9 +9,11 @@ import pytest
 from shes.errors import ShesError
 from shes.hierarchy.results import PopulationResults
 from shes.runs.checkpoint import load_checkpoint
+from shes.runs.folder import RunFolder
 from shes.training import train as training
 from shes.training.train import resume
 from tests.e2e import runs
+from tests.e2e.conftest import KILLED
 
 INTERRUPTED = 130
 
@@ -44,11 +46,22 @@ def interrupt_inside(process, path, send):
     return inside, workers
 
 
-def test_ctrl_c_in_a_terminal_stops_with_a_checkpoint_and_resume_has_the_same_numbers(started, undisturbed):
+@pytest.fixture
+def interrupted_run(started):
+    """Return the folder of a run that was interrupted inside a generation, with a checkpoint of the one before."""
     process, path = started()  # a terminal sends the signal to the whole process group
     inside, workers = interrupt_inside(process, path, lambda: os.killpg(process.pid, signal.SIGINT))
     assert assert_interrupted(process, path, workers) == inside - 1
-    go_on(path, undisturbed)
+    return path
+
+
+def test_ctrl_c_in_a_terminal_stops_with_a_checkpoint(interrupted_run):
+    assert RunFolder.open(interrupted_run).read_config().seed == KILLED["seed"]
+
+
+@pytest.mark.extras
+def test_a_run_interrupted_in_a_terminal_goes_on_with_the_same_numbers(interrupted_run, undisturbed):
+    go_on(interrupted_run, undisturbed)
 
 
 def test_ctrl_c_while_the_workers_start_is_quiet(started):

@@ -10,6 +10,7 @@ import pytest
 import shes
 from shes.training import train as training
 from tests.e2e import runs
+from tests.e2e.conftest import BRANCHED
 
 
 def resume(path):
@@ -61,8 +62,12 @@ def losses(path):
     return found
 
 
-def test_a_run_killed_inside_a_generation_goes_on_with_the_same_numbers(started, undisturbed):
-    process, path = started()
+@pytest.mark.parametrize(
+    "settings", [pytest.param({}, id="episodes"), pytest.param(BRANCHED, id="branches", marks=pytest.mark.extras)]
+)
+def test_a_run_killed_inside_a_generation_goes_on_with_the_same_numbers(started, undisturbed_with, settings):
+    undisturbed = undisturbed_with(**settings)
+    process, path = started(**settings)
     inside = kill_main_inside(process, path, 3)
     assert runs.differences(undisturbed, path)  # something is left to do
     resume(path)

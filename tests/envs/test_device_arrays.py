@@ -17,8 +17,8 @@ from tests.strict_simulator import DeviceSimulator
 NUM_EPISODES, STEPS = 6, 12
 GOAL_INTERVAL = 5
 SHOWN = (
-    *("time", "reward", "running_return", "terminated", "diverged", "score", "success", "position", "heading"),
-    *("distance", "goal"),
+    *("time", "reward", "running_return", "terminated", "fallen", "diverged", "score", "success"),
+    *("position", "heading", "distance", "goal"),
 )
 
 

@@ -323,8 +323,19 @@ def test_a_fall_ends_the_episode_and_costs_nothing(height, has_fallen):
     task.sim.qpos[0, 2] = height
     task.sim.qvel[0] = 0
     assert step(task) == 0
-    assert bool(task.terminated[0]) == has_fallen
+    assert bool(task.terminated[0]) == bool(task.fallen[0]) == has_fallen
     assert (task.score[0], task.running_return[0]) == (1, 1)
+
+
+@pytest.mark.parametrize("height", [0.5, 1.5])
+def test_an_arena_that_is_cleared_ends_the_episode_without_a_fall(height):
+    task = make_task("ant-gather", 1, TaskOptions(reset_noise=0, spec="hiro"))
+    task.reset(np.arange(1), [0])
+    task.present[0] = False
+    task.sim.qpos[0, 2] = height
+    step(task)
+    assert task.terminated[0]
+    assert task.fallen[0] == (height == 1.5)
 
 
 def test_the_step_of_a_fall_still_pays_its_pickups():

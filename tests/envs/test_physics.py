@@ -282,7 +282,7 @@ def assert_nothing_passes(crashes):
         assert crashes.last[each].max() <= ALLOWED_AT_REST_M[each], each
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("integrator", ["euler", "rk4", pytest.param("implicitfast", marks=pytest.mark.extras)])
 @pytest.mark.parametrize(("name", "spec"), WORLDS)
 def test_nothing_passes_through_anything(name, spec, integrator):
     assert_nothing_passes(crash(name, 20, 15, seed=0, integrator=integrator, spec=spec))
@@ -319,7 +319,7 @@ def test_the_measurement_sees_what_passes_through(name, prefix):
             if model.geom(i).name.startswith(prefix):
                 model.geom_contype[i] = model.geom_conaffinity[i] = 0
 
-    greatest = crash(name, 40, 15, seed=0, change=make_intangible).greatest
+    greatest = crash(name, 20, 15, seed=0, change=make_intangible).greatest
     assert any(depth.max() > 2 * ALLOWED_M[each] for each, depth in greatest.items())
 
 

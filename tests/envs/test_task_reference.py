@@ -137,12 +137,12 @@ def launch(task, rng):
 
 @of_every_variant
 def test_a_task_equals_its_reference(name, spec):
-    play(name, 5, 50, spec=spec)
+    play(name, 5, 30, spec=spec)
 
 
 @of_every_variant
 def test_a_task_equals_its_reference_where_robots_hit_walls_and_blocks(name, spec):
-    ends = play(name, 10, 25, draw_independent, arrange=launch, spec=spec)
+    ends = play(name, 6, 25, draw_independent, arrange=launch, spec=spec)
     if name in ("ant-flagrun", "ant-gather"):
         assert ends > 0  # an ant that is thrown falls
 

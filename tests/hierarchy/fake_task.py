@@ -66,6 +66,11 @@ class FakeTask:
         return np.array([0 < s.terminates_after <= age for s, age in zip(self.scripts, self.age, strict=True)])
 
     @property
+    def fallen(self):
+        """Ends after an odd number of steps are falls."""
+        return self.terminated & (self.age % 2 == 1)
+
+    @property
     def score(self):
         return self.position[:, 0] * ~self.diverged
 

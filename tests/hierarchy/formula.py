@@ -98,6 +98,7 @@ class FormulaBackend(Backend):
                     success=luck > 0,
                     steps=100 + slots,
                     has_terminated=luck > 0,
+                    has_fallen=luck > 0,
                     has_diverged=has_diverged,
                     goals_reached=slots,
                     final_position=np.array(
@@ -190,8 +191,9 @@ def run_bits(reports):
 def population_bits(population):
     results, work = population.members, population.work
     arrays = (
-        results.returns, results.score, results.success, results.steps, results.has_terminated, results.has_diverged,
-        results.goals_reached, results.final_position, results.environment_returns, work.noise_index, work.signs,
+        results.returns, results.score, results.success, results.steps, results.has_terminated, results.has_fallen,
+        results.has_diverged, results.goals_reached, results.final_position, results.environment_returns,
+        work.noise_index, work.signs,
     )  # fmt: skip
     left = [(place, end.state.tobytes(), end.steps, end.goals.tobytes()) for place, end in results.snapshots.items()]
     return [array.tobytes() for array in arrays], left, work.generation.sigma, population.learning_rate

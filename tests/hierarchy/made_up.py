@@ -56,6 +56,7 @@ def make_result(task, seed=0, log=()):
             success=draw() > 0,
             steps=np.array([int(rng.integers(1, 500)) for rng in rows]),
             has_terminated=draw() > 0,
+            has_fallen=draw() > 0,
             has_diverged=draw() > 0,
             goals_reached=np.array([int(rng.integers(0, 20)) for rng in rows]),
             final_position=draw(2),

@@ -78,7 +78,7 @@ def play(design, make_batch, task, generation, table, horizon):
         found.returns[:] += agent.intrinsic_reward(batch.position) * is_running
         for row in np.flatnonzero(is_running & (batch.terminated | (found.steps == horizon))):
             is_running[row] = False
-            found.fell[row] = batch.terminated[row]
+            found.fell[row] = batch.fallen[row]
             ends[row], positions[row] = batch.states(np.array([row]))[0], batch.position[row].copy()
         if not is_running.any():
             break

@@ -103,7 +103,7 @@ def assert_same(found, expected):
     assert found.keys() == expected.keys()
     for number, mine in found.items():
         theirs = expected[number]
-        for name in ("success", "steps", "has_terminated", "has_diverged", "goals_reached"):
+        for name in ("success", "steps", "has_terminated", "has_fallen", "has_diverged", "goals_reached"):
             assert np.array_equal(getattr(mine, name), getattr(theirs, name)), name
         for name in ("returns", "score", "final_position", "environment_returns"):
             assert type(getattr(mine, name)) is np.ndarray

@@ -115,8 +115,8 @@ def test_a_policy_without_levels_above_it_can_search_for_novelty_too():
 
 def _falls(results, seed=3):
     """Let some episodes fall."""
-    falls = np.random.default_rng(seed).random(results.has_terminated.shape) < 0.4
-    results.has_terminated[:] = falls
+    falls = np.random.default_rng(seed).random(results.has_fallen.shape) < 0.4
+    results.has_fallen[:] = falls
     return falls
 
 
@@ -135,7 +135,7 @@ def test_a_fall_takes_its_price_off_what_a_member_is_worth_and_the_sum_stays_zer
 def test_a_mirrored_pair_gains_the_price_where_one_side_falls_and_nothing_where_both_do():
     """Ranks alone cap what a fall costs: the price goes past them."""
     results = _results(levels=1)
-    results.has_terminated[[1, 4, 5, 6]] = True
+    results.has_fallen[[1, 4, 5, 6]] = True
     signs, rule = np.tile(np.array([[[1], [-1]]], np.int8), (4, 1, 1)), UpdateRule(shaping=PairRanks())
     (plain,), (priced,) = (
         shaped_fitness(results, signs, (each,), None, 10) for each in (rule, replace(rule, fall_price=15.0))
@@ -146,7 +146,7 @@ def test_a_mirrored_pair_gains_the_price_where_one_side_falls_and_nothing_where_
 
 def test_falls_of_members_that_do_not_perturb_a_level_do_not_enter_its_mean():
     results, rules = _results(), (UpdateRule(fall_price=1.0),) * 2
-    results.has_terminated[[0, 4, 5, 6]] = True
+    results.has_fallen[[0, 4, 5, 6]] = True
     plain = shaped_fitness(results, _signs("one_to_many_halves"), RANKS, None, 10)
     priced = shaped_fitness(results, _signs("one_to_many_halves"), rules, None, 10)
     assert priced[0] - plain[0] == pytest.approx([0.25 - 1, 0.25, 0.25, 0.25])
@@ -155,8 +155,9 @@ def test_falls_of_members_that_do_not_perturb_a_level_do_not_enter_its_mean():
 
 def test_where_all_fall_alike_the_price_changes_nothing():
     results = _results()
+    results.has_terminated[:3] = True  # other ends than falls cost nothing
     for share in (0.0, 1.0):
-        results.has_terminated[:] = share
+        results.has_fallen[:] = share
         priced = shaped_fitness(results, _signs(), (UpdateRule(fall_price=9.0),) * 2, None, 10)
         for one, other in zip(priced, shaped_fitness(results, _signs(), RANKS, None, 10), strict=True):
             assert one.tobytes() == other.tobytes()

@@ -323,7 +323,7 @@ class Case:
             members = slice(task.member, task.member + len(task.slots))
             assert results.steps[members, 0].tolist() == played.steps.tolist()
             assert results.returns[-1, members, 0].tobytes() == played.returns.tobytes()
-            assert results.has_terminated[members, 0].tolist() == played.fell.tolist()
+            assert results.has_fallen[members, 0].tolist() == played.fell.tolist()
             assert results.final_position[members, 0].tobytes() == played.positions.tobytes()
             found[task.member] = played
         return found
@@ -421,7 +421,7 @@ def test_without_a_perturbation_both_sides_end_in_the_same_bits(beside, alone, w
         results = PopulationResults.of_tasks(work.tasks, generation)
         for task, result in zip(work.tasks, case.backend.map(work.tasks), strict=True):
             results.add(task, result)
-        for values in (results.returns[0], results.environment_returns, results.steps, results.has_terminated):
+        for values in (results.returns[0], results.environment_returns, results.steps, results.has_fallen):
             assert values[0::2].tobytes() == values[1::2].tobytes()
         assert results.final_position[0::2].tobytes() == results.final_position[1::2].tobytes()
         for task in work.tasks:

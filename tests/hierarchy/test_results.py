@@ -11,7 +11,7 @@ from shes.hierarchy.results import PopulationResults, lower_diverged
 from tests.hierarchy.made_up import SIZES, make_result, make_task, population
 
 BY_EPISODE = (
-    "score", "success", "steps", "has_terminated", "has_diverged", "goals_reached", "final_position",
+    "score", "success", "steps", "has_terminated", "has_fallen", "has_diverged", "goals_reached", "final_position",
     "environment_returns",
 )  # fmt: skip
 """What there is of every episode [n, E, ...], beside the returns [L, n, E]."""

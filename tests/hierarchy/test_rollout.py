@@ -119,7 +119,14 @@ def _run_in_order(rollout, tasks):
 def _bits(results):
     """Return everything in `results` [K episodes] as bytes, episode by episode."""
     moments = [a for m in results.moments or () for a in (m.count, m.total, m.total_squares)]
-    arrays = [*results.returns, results.score, results.success, results.steps, results.has_terminated]
+    arrays = [
+        *results.returns,
+        results.score,
+        results.success,
+        results.steps,
+        results.has_terminated,
+        results.has_fallen,
+    ]
     arrays += [results.has_diverged, results.goals_reached, results.final_position, results.environment_returns]
     arrays += moments
     return [b"".join(a[k].tobytes() for a in arrays) for k in range(len(results.steps))]
@@ -247,6 +254,7 @@ def test_an_episode_ends_by_its_own_rule_or_at_the_horizon():
     results = _run(_rollout(), [_task(0, seeds)])[0]
     assert results.steps.tolist() == [4, HORIZON, 6]
     assert results.has_terminated.tolist() == [True, False, False]
+    assert not results.has_fallen.any()
     assert results.has_diverged.tolist() == [False, False, True]
 
 
@@ -274,11 +282,17 @@ def test_a_divergence_is_counted_pays_nothing_for_its_step_and_scores_nothing():
     assert before[-1] != 0
 
 
-def test_an_episode_that_diverges_as_it_terminates_has_diverged():
-    results = _run(_rollout(episodes=1), [_task(0, [make_seed(terminates_after=6, diverges_after=6)])])[0]
-    assert results.steps.tolist() == [6]
+def test_of_the_ends_by_their_own_rule_the_task_says_which_are_falls():
+    results = _run(_rollout(), [_task(0, [make_seed(terminates_after=steps) for steps in (4, 5, 6)])])[0]
+    assert results.has_terminated.tolist() == [True, True, True]
+    assert results.has_fallen.tolist() == [False, True, False]
+
+
+def test_an_episode_that_diverges_as_it_falls_has_diverged():
+    results = _run(_rollout(episodes=1), [_task(0, [make_seed(terminates_after=5, diverges_after=5)])])[0]
+    assert results.steps.tolist() == [5]
     assert results.has_diverged.tolist() == [True]
-    assert results.has_terminated.tolist() == [False]
+    assert results.has_terminated.tolist() == results.has_fallen.tolist() == [False]
 
 
 def test_the_primitive_too_is_not_paid_for_the_step_of_a_divergence():

@@ -267,7 +267,9 @@ def lockstep(table):
 
 
 # Of 8 members, 2 workers get whole policies, 3 workers also single episodes; of 9, with the mean policy, the reverse.
-@pytest.fixture(scope="module", params=[pytest.param(1, marks=pytest.mark.slow), 2, 3])
+@pytest.fixture(
+    scope="module", params=[pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.extras), 3]
+)
 def processes(request, table):
     """Worker processes that run up to three members at a time."""
     with ProcessesBackend(_make_worker(table, 3, 3), request.param) as backend:
@@ -302,8 +304,19 @@ def test_a_run_goes_on_with_other_workers_as_if_it_had_not_stopped(table, case, 
 
 @pytest.mark.parametrize(
     ("case", "chunk_size"),
-    [("point, both", 0), ("point, both", 2), ("point, both", 5), ("point, primitive", 5), ("point, flat", 0)]
-    + [(case, size) for case in ("point, branches", "point, running") for size in (0, 2, 5)],
+    [
+        ("point, both", 0),
+        ("point, both", 5),
+        ("point, primitive", 5),
+        ("point, flat", 0),
+        ("point, branches", 0),
+        ("point, branches", 5),
+        ("point, running", 5),
+        *(
+            pytest.param(*each, marks=pytest.mark.extras)
+            for each in (("point, both", 2), ("point, branches", 2), ("point, running", 0), ("point, running", 2))
+        ),
+    ],
 )
 def test_the_number_of_members_in_lockstep_changes_no_bit(table, case, chunk_size, expected):
     of, _ = POINTS[case]

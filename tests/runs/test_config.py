@@ -437,6 +437,9 @@ OF_CONTROLLERS = {
     "controller_weight_decay": 0.1,
     "minimum_goal_distance": False,
     "primitive_hidden": (8,),
+    "primitive_learning_rate": 0.1,
+    "primitive_population_size": 8,
+    "primitive_sigma": 0.1,
 }
 OF_PRIMITIVES = {
     **OF_CONTROLLERS,
@@ -445,9 +448,14 @@ OF_PRIMITIVES = {
     "goal_encoding": "vector",
     "hide_position": True,
     "fall_price": 2.0,
+    "intervals": 3,
     "primitive_estimate": "interval",
+    "primitive_fitness_shaping": "z_score",
     "primitive_reward": "cosine",
     "primitive_view": "proprioception",
+    "symmetry": "dihedral",
+    "freeze_primitive": False,
+    "primitive_checkpoint": "last",
 }
 UNHEEDED = [
     *(("point-flagrun", "shes", "primitive", name) for name in OF_CONTROLLERS),

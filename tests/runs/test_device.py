@@ -9,7 +9,7 @@ import shes
 import shes.runs.device
 import shes.training.build
 from shes.backends.serial import SerialBackend
-from shes.bench import bench_update
+from shes.bench.measure import bench_update
 from shes.cli.commands import load_command
 from shes.cli.options import options_in
 from shes.envs.external.description import ExternalDescription

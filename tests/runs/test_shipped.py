@@ -4,7 +4,9 @@ The agents of most tests are tiny ones; those that are really shipped are held t
 """
 
 import json
+import shlex
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +65,7 @@ def none_shipped(tmp_path, monkeypatch):
 def test_a_name_is_found_and_a_path_wins_over_it(agents, run_copy):
     assert shipped_names() == ("point-gather", "point-walker")
     assert find_run("point-walker") == shipped_path("point-walker") == agents / "point-walker"
-    assert find_run("./point-walker") == Path("point-walker")
+    assert find_run("./point-walker") == find_run(Path("./point-walker")) == Path("point-walker")
     assert RunFolder.open("point-gather").path == agents / "point-gather"
     run_copy.rename("point-gather")
     assert RunFolder.open("point-gather").path == Path("point-gather")
@@ -77,6 +79,11 @@ def test_what_is_no_name_is_refused_with_the_names(agents):
         shes.load("point-wlker")
     with pytest.raises(RunFolderError, match=r"^point-walker does not exist\. .*\(its --out\)\.$"):
         shes.load("./point-walker")
+    message = r"^point-walker does not exist\. .*A pathlib\.Path is always a path: .*give the string 'point-walker'\.$"
+    with pytest.raises(RunFolderError, match=message):
+        shes.load(Path("./point-walker"))
+    with pytest.raises(RunFolderError, match=r"^point-walker does not exist\. .*\(its --out\)\.$"):
+        runs.train_tiny(Path("run"), primitive=Path("./point-walker"))
     with pytest.raises(
         UnknownNameError, match=r"unknown shipped agent 'x'\. Known: point-gather, point-walker\. `shes"
     ):
@@ -126,7 +133,7 @@ def test_a_shipped_agent_has_its_best_checkpoint_alone(agents):
         CheckpointError, match=r"agent point-gather has the checkpoint best alone, got 'last'\. Leave --"
     ):
         evaluate("point-gather", checkpoint="last")
-    with pytest.raises(CheckpointError, match=r"no checkpoint 'last'; there are best\. Set --primitive-checkpoint"):
+    with pytest.raises(CheckpointError, match=r"no checkpoint 'last'; it has best\. Leave --primitive-checkpoint away"):
         runs.train_tiny(Path("run"), primitive="point-walker", primitive_checkpoint="last")
 
 
@@ -200,6 +207,22 @@ def test_no_path_of_this_machine_is_shipped(walker_run, tmp_path):
     assert folder.load("best").numbers["primitive"] == "run"
 
 
+def test_the_record_names_runs_as_the_commands_do(walker_run, tmp_path):
+    run = runs.train_tiny(tmp_path / "gather_b", primitive=str(walker_run), generations=1)
+    record = json.loads((run / "config.json").read_text())
+    record["command"] = ["shes", "train", "run", f"--primitive={walker_run}", "--out", str(run)]
+    record["resumed"] = [{"command": ["shes", "resume", str(run), "--generations", "9"]}]
+    (run / "config.json").write_text(json.dumps(record))
+    told = {**TOLD, "commands": ["shes train a --out walker", "shes train run --primitive walker --out=gather"]}
+    ship(run, "gatherer", **told, episodes=1, num_workers=1, into=tmp_path / "agents")
+    folder = RunFolder.open(tmp_path / "agents" / "gatherer")
+    record = folder.read_record()
+    assert record["command"] == ["shes", "train", "run", "--primitive=walker", "--out", "gather"]
+    assert record["resumed"][0]["command"] == ["shes", "resume", "gather", "--generations", "9"]
+    assert record["config"]["primitive"] == record["primitive"]["run"] == "walker"
+    assert folder.load("best").numbers["primitive"] == "walker"
+
+
 def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
     generations = range(1, 1001)
     rows = [f"{number},{number * 12345678},{number / 7!r},nan" for number in generations]
@@ -237,6 +260,7 @@ def test_the_state_of_the_optimizer_stays_where_it_takes_little(tmp_path):
         ({"description": "two\nlines"}, r"description must be one line of text, got .*Set --description"),
         ({"description": " "}, r"description must be one line of text, got ' '"),
         ({"commands": []}, r"commands must name at least one, got \[\]\. Set --command"),
+        ({"commands": ["shes train '"]}, r"commands must be a shell's, got \"shes train '\" \(No closing quotation\)"),
         ({"episodes": 0}, r"episodes must be at least 1, got 0\. Set --episodes"),
     ],
 )
@@ -306,6 +330,12 @@ def test_every_shipped_agent_is_small_complete_and_acts():
         for values in (read_csv(folder.progress), read_csv(folder.evaluation)):
             assert 0 < len(values["generation"]) <= 300
         assert "/home/" not in folder.config.read_text()
+        record, last = folder.read_record(), shlex.split(told.commands[-1])
+        for option, given in pairwise(last):  # runs have one name everywhere
+            if option in ("--out", "--primitive"):
+                assert (option, given) in pairwise(record["command"])
+            if option == "--primitive":
+                assert record["config"]["primitive"] == record["primitive"]["run"] == given
         agent, task = shes.load(shipped_path(name)), build_task(folder.read_config(), 1, is_evaluation=True)
         task.reset(np.array([0]), [1])
         control = agent.control(task.observe(), task.position, task.heading, task.goal)

@@ -275,16 +275,37 @@ def test_one_that_saw_the_robot_alone_serves_every_task(tmp_path):
 # What cannot be.
 
 
-def test_a_primitive_that_does_not_fit_is_refused_with_both_layouts(ant, tmp_path):
+@pytest.mark.parametrize(
+    ("source", "env", "ours"),
+    [
+        ("ant", "point-gather", "the point with 2 controls of up to 1"),
+        ("walker", "point-gather", "the point with 2 controls of up to 1"),
+        pytest.param(
+            "walker", "robotics-ant-maze", "an external robot with 8 controls of up to 1", marks=pytest.mark.extras
+        ),
+    ],
+)
+def test_a_primitive_of_another_robot_is_refused_by_saying_so(source, env, ours, request, tmp_path):
+    path = request.getfixturevalue(source)
+    message = (
+        f"the primitive of {path} does not fit {env}: it was trained on ant-flagrun for the ant with 8 controls of up "
+        f"to 30, but {env} has {ours}. Name a primitive of the same robot"
+    )
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        runs.train_tiny(tmp_path / "run", env, primitive=str(path))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_primitive_that_does_not_fit_is_refused_with_both_layouts(point, tmp_path):
     with pytest.raises(ConfigError) as error:
-        runs.train_tiny(tmp_path / "run", "point-gather", primitive=str(ant))
+        runs.train_tiny(tmp_path / "run", "point-fall", primitive=str(point))
     first, theirs, ours, fix = str(error.value).splitlines()
-    assert first == f"the primitive of {ant} does not fit point-gather."
-    assert theirs.startswith("It was trained on ant-flagrun: 32 inputs (goal angle 0, goal angle 1, goal angle 2, ")
-    assert theirs.endswith(") of specification shes and 8 controls of up to 30.")
-    assert ours.startswith("Here there is: 7 inputs (goal angle 0, goal angle 1, goal angle 2, torso_x, torso_y, ")
+    assert first == f"the primitive of {point} does not fit point-fall."
+    assert theirs.startswith("It was trained on point-flagrun: 7 inputs (")
+    assert theirs.endswith(") of specification shes and 2 controls of up to 1.")
+    assert ours.startswith("Here there is: ")
     assert ours.endswith(") of specification shes and 2 controls of up to 1.")
-    assert theirs.count(",") == 31
+    assert theirs.count(",") == 6
     assert "trained with the same --spec by shes train ant-flagrun or point-flagrun" in fix
     assert list(tmp_path.iterdir()) == []
 
@@ -321,7 +342,7 @@ def test_a_source_that_is_not_there_or_damaged_is_refused(plain, tmp_path, comma
     refused(RunFolderError, "is not a run folder: it has no config.json", primitive=str(tmp_path))
     refused(
         CheckpointError,
-        r"source has no checkpoint '77'; there are best, generation_000000, .*Set --primitive-checkpoint to best, last",
+        r"source has no checkpoint '77'; it has best, 0, 1, 2, 3, last\. Set --primitive-checkpoint to one of these\.",
         primitive=str(source),
         primitive_checkpoint="77",
     )

@@ -165,6 +165,11 @@ class EpisodeBatch(ABC):
         """Whether the episode has ended by the environment's own rule [N]; never by the time limit."""
 
     @property
+    def fallen(self) -> BoolArray:
+        """Whether the robot's fall has ended the episode [N]; every end, where the robot is not known."""
+        return self.terminated
+
+    @property
     @abstractmethod
     def diverged(self) -> BoolArray:
         """Whether the physics blew up since the reset [N]: the episode ends there and does not score."""

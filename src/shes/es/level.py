@@ -111,7 +111,7 @@ class UpdateRule:
     holds_when_tied: bool = False
     """Whether a level whose members are all worth the same stays as it is, its optimizer's state too."""
     fall_price: float = 0.0
-    """Subtracted from a member's shaped fitness for a fall, which is an end by the task's own rule."""
+    """Subtracted from a member's shaped fitness for a fall that ends its episode."""
     shaping: FitnessShaping = CentredRanks()
     """What a fitness counts."""
     optimizer: Optimizer = Adam()

@@ -48,6 +48,7 @@ def empty_outcomes(num_levels: int, *shape: int) -> Outcomes:
         ("success", np.bool_),  # whether the task counts as solved
         ("steps", np.int64),  # environment steps; 0 for an episode that was not asked for
         ("has_terminated", np.bool_),  # whether the task's own rule ended the episode
+        ("has_fallen", np.bool_),  # whether the robot's fall ended the episode
         ("has_diverged", np.bool_),  # whether the physics blew up
         ("goals_reached", np.int64),  # goals that the primitive reached
         ("final_position", np.float64, (2,)),  # where the robot was at the end, in metres

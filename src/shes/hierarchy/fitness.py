@@ -61,7 +61,7 @@ def shaped_fitness(
             novel[results.has_diverged.any(axis=1)] = 0  # where blown-up physics ends says nothing
             worth = blend(worth, rule.shaping(select_fitness(novel, signs[:, :, level])), search.weight)
         if rule.fall_price:
-            falls = select_fitness(results.has_terminated.mean(axis=1), signs[:, :, level])
+            falls = select_fitness(results.has_fallen.mean(axis=1), signs[:, :, level])
             worth = worth - rule.fall_price * (falls - falls.mean())
         shaped.append(worth)
     return shaped

@@ -277,6 +277,7 @@ class Rollout:
             "goals_reached": agent.goals_reached,
             "has_diverged": task.diverged,
             "has_terminated": task.terminated & ~task.diverged,
+            "has_fallen": task.fallen & ~task.diverged,
             "final_position": task.position,
         }
         # float64 holds every count that there is exactly.

@@ -193,7 +193,7 @@ class TrainConfig:
     intervals: int = 2
     """Intervals of a goal that a branch plays."""
     fall_price: float = 0.0
-    """What a fall takes off a primitive's shaped fitness; the best pair's is worth 1."""
+    """What a fall that ends the episode takes off a primitive's shaped fitness; the best pair's is worth 1."""
     primitive_population_size: int | None = None
     """Policies in the branches of a generation beside a controller; the same as population_size if none."""
     primitive_sigma: float | None = None
@@ -326,12 +326,14 @@ class TrainConfig:
                 f"fitness_shaping 'pair_rank' ranks mirrored pairs, but with mirrored {self.mirrored!r} a group has "
                 f"{members} member(s) here. Set --mirrored pair, or another --fitness-shaping."
             )
+        if "primitive" not in self.level_names:
+            return
         if self.symmetry != "none" and self.primitive_view != "egocentric":
             raise ConfigError(
                 f"symmetry is {self.symmetry!r}, but the primitive's view is {self.primitive_view!r}: only what is "
                 "seen from the robot's own frame can be turned. Set --primitive-view egocentric, or --symmetry none."
             )
-        if self.primitive_estimate != "interval" or "primitive" not in self.level_names:
+        if self.primitive_estimate != "interval":
             return
         if self.external is not None:
             raise ConfigError(

@@ -22,6 +22,7 @@ __all__ = [
     "ShippedAgent",
     "find_run",
     "read_agent",
+    "run_text",
     "shipped_hint",
     "shipped_name",
     "shipped_names",
@@ -123,16 +124,24 @@ def read_agent(name: str) -> ShippedAgent:
 def find_run(run: Path | str) -> Path:
     """Return the folder that `run` means: the path itself, or the shipped agent of this name.
 
-    A path that exists wins over a name, and `./name` is always a path.
+    Only a string can be a name. A path that exists wins over a name, and `./name` or a `pathlib.Path` is always a path.
     """
+    if isinstance(run, str) and run in shipped_names() and not os.path.lexists(run):
+        return AGENTS / run
+    return Path(run)
+
+
+def run_text(run: Path | str) -> str:
+    """Return `run` as text that means the same: a path object without a separator gets `./`, as it is no name."""
     given = os.fspath(run)
-    is_name = not os.path.lexists(given) and given in shipped_names()
-    return AGENTS / given if is_name else Path(given)
+    return given if isinstance(run, str) or os.sep in given else f".{os.sep}{given}"
 
 
 def shipped_hint(run: Path | str) -> str:
     """Return what an error says of shipped agents where `run` is no run folder; nothing if there are none."""
     given, names = os.fspath(run), shipped_names()
+    if given in names and not os.path.lexists(given):
+        return f" A pathlib.Path is always a path: for the shipped agent of this name, give the string {given!r}."
     if given in names:
         return f" It hides the shipped agent {given}: rename it, or work in another folder, to use that one."
     if not names or os.sep in given:

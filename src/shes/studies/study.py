@@ -134,7 +134,7 @@ def cell_config(cell: Cell, out: Path) -> TrainConfig:
         UnknownNameError: A name is not known.
         RunFolderError: There is no run yet to take the primitive from.
     """
-    transfer = {} if cell.primitive is None else {"primitive": str(out / cell.primitive)}
+    transfer = {} if cell.primitive is None else {"primitive": out / cell.primitive}
     alone = {"seed": cell.seed, "backend": "serial", "num_workers": 1}
     return make_config(cell.env, cell.preset, {**cell.settings, **transfer, **alone})
 

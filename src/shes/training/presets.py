@@ -13,6 +13,7 @@ from shes.es.novelty import NOVELTY_RULES
 from shes.runs.config import TrainConfig, check_fields
 from shes.runs.device import check_asked_device
 from shes.runs.settings import SCHEDULED, flag
+from shes.runs.shipped import run_text
 from shes.training.transfer import TRANSFERRED, brought_settings
 
 __all__ = ["PRESETS", "make_config"]
@@ -137,7 +138,7 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
             overrides[name] = (overrides[name],)
     for name in TRANSFERRED:
         if isinstance(overrides.get(name), Path):
-            overrides[name] = str(overrides[name])
+            overrides[name] = run_text(overrides[name])
     has_walker = preset == "laptop" and overrides.get("algorithm", "shes") == "shes"
     own = _WALKERS.get(env, {}) if has_walker else {}
     values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **own, **overrides}
@@ -181,6 +182,12 @@ _OF_PRIMITIVES = frozenset(
     | _OF_CONTROLLERS
 )
 """Settings that concern goals."""
+_OF_TRANSFER = {
+    "controller_checkpoint": "controller",
+    "freeze_primitive": "primitive",
+    "primitive_checkpoint": "primitive",
+}
+"""Settings of a transferred level, and the setting that says where it is from."""
 _OF_RANDOM_CONTROLLERS = frozenset({"controller_interval", "goal_distance"})
 """Settings of goals that an environment heeds which sets them itself."""
 
@@ -221,11 +228,8 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
     Raises:
         ConfigError: There is one.
     """
-    for level, name in (
-        ("primitive", "freeze_primitive"),
-        ("primitive", "primitive_checkpoint"),
-        ("controller", "controller_checkpoint"),
-    ):
+    _refuse_unheeded_levels(config, overrides)
+    for name, level in sorted(_OF_TRANSFER.items()):
         if getattr(config, level) is None and name in overrides:
             raise ConfigError(
                 f"{name} is {overrides[name]!r}, but no run is named whose {level} it would be. "
@@ -254,12 +258,22 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
             f"perturbation says how two levels share the population, but in this run the {learning} alone {told}; got "
             f"{overrides['perturbation']!r}. Leave --perturbation away."
         )
+
+
+def _refuse_unheeded_levels(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
+    """Refuse settings that somebody asked for, and that concern a level that this run does not have.
+
+    This comes before the other checks: their advice is for runs that have the level.
+
+    Raises:
+        ConfigError: There is one.
+    """
     unheeded = frozenset[str]()
     if config.level_names == ("primitive",):
-        unheeded = _OF_CONTROLLERS
+        unheeded = _OF_CONTROLLERS | {"controller_checkpoint"}
     elif config.level_names == ("policy",):
         sets_goals = config.external is None and find_environment(config.env).sets_goals
-        unheeded = _OF_PRIMITIVES - (_OF_RANDOM_CONTROLLERS if sets_goals else frozenset())
+        unheeded = (_OF_PRIMITIVES | _OF_TRANSFER.keys()) - (_OF_RANDOM_CONTROLLERS if sets_goals else frozenset())
     for name in sorted(unheeded & set(overrides)):
         raise ConfigError(
             f"{name} does nothing in a run of {config.env} with algorithm {config.algorithm!r}, whose one level is the "

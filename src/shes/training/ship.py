@@ -10,9 +10,11 @@ import csv
 import io
 import json
 import re
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -33,6 +35,8 @@ from shes.training.evaluate import Evaluation, evaluate
 __all__ = ["main", "ship"]
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_RUN_OPTIONS = ("--out", "--primitive")
+"""Options of `shes train` that name run folders."""
 _MOST_ROWS = 300
 _DIGITS = 6
 """Significant digits that the tables keep."""
@@ -58,7 +62,8 @@ def ship(
         run: The run folder.
         name: What it is called: small letters, digits and hyphens.
         description: What it does, on one line.
-        commands: The commands that made it.
+        commands: The commands that made it. The record takes the names of run folders from the last one (`--out`,
+            `--primitive`), so that it agrees with them.
         episodes: Fresh episodes on which it is evaluated.
         seed: Seed of the episodes; a stream of the run's own, apart from its training, if none.
         num_workers: Worker processes; 0 is one for every core.
@@ -83,10 +88,10 @@ def ship(
         temporary = TemporaryDirectory(prefix=f".{name}.", dir=place)
     with temporary:
         folder = RunFolder.create(Path(temporary.name) / name)
-        _copy(source, checkpoint, folder)
+        _copy(source, checkpoint, folder, commands[-1])
         found = evaluate(folder.path, episodes=episodes, seed=seed, num_workers=num_workers)
         agent = _describe(source, checkpoint, found, seed, description, commands)
-        agent = _with_cost_of(agent, [RunFolder.open(Path(each)) for each in earlier])
+        agent = _with_cost_of(agent, [RunFolder.open(each) for each in earlier])
         text = json.dumps(agent.to_dict(), indent=2, ensure_ascii=False) + "\n"
         write_atomically(folder.path / AGENT_FILE, lambda file: file.write(text.encode()))
         with storage_errors(place / name):
@@ -106,6 +111,10 @@ def _check_words(name: str, description: str, commands: Sequence[str]) -> None:
         raise ConfigError(f"description must be one line of text, got {description!r}. Set --description.")
     if not commands or not all(command.strip() for command in commands):
         raise ConfigError(f"commands must name at least one, got {list(commands)!r}. Set --command.")
+    try:
+        shlex.split(commands[-1])
+    except ValueError as error:
+        raise ConfigError(f"commands must be a shell's, got {commands[-1]!r} ({error}). Set --command.") from error
 
 
 def _describe(
@@ -139,9 +148,9 @@ def _with_cost_of(agent: ShippedAgent, earlier: Sequence[RunFolder]) -> ShippedA
     return replace(agent, hours=round(hours, 3), env_steps=steps)
 
 
-def _copy(source: RunFolder, checkpoint: Checkpoint, target: RunFolder) -> None:
-    """Copy what an agent needs of a run, without paths of this machine."""
-    record = _without_paths(source.read_record())
+def _copy(source: RunFolder, checkpoint: Checkpoint, target: RunFolder, command: str) -> None:
+    """Copy what an agent needs of a run, without paths of this machine, with the names of runs that `command` has."""
+    record = _with_names_of(command, _without_paths(source.read_record()))
     config = TrainConfig.from_dict(record["config"])
     record["config"] = config.to_dict()
     target.write_record(record)
@@ -160,6 +169,33 @@ def _without_paths(value: Any) -> Any:
         return value
     flag, equals, path = value.partition("=") if value.startswith("--") else ("", "", value)
     return flag + equals + PurePosixPath(path).name if path.startswith(("/", "~")) else value
+
+
+def _with_names_of(command: str, record: dict[str, Any]) -> dict[str, Any]:
+    """Return `record` with the run and its primitive's named as in `command`, where that names them."""
+    words = shlex.split(command)
+    pairs = [*pairwise(words), *(word.partition("=")[::2] for word in words)]
+    names = {option: name for option, name in pairs if option in _RUN_OPTIONS and name}
+    if "--primitive" in names and record.get("primitive") is not None:
+        record["config"]["primitive"] = record["primitive"]["run"] = names["--primitive"]
+    for part in (record, *record.get("resumed", ())):
+        part["command"] = _rename_runs(part.get("command", ()), names)
+    return record
+
+
+def _rename_runs(words: Sequence[str], names: Mapping[str, str]) -> list[str]:
+    """Return the words of a command with the run folders of its options named as in `names`, by option."""
+    renamed = list[str]()
+    for before, word in pairwise(("", *words)):
+        option, equals, _ = word.partition("=")
+        if equals and option in names:
+            word_now = option + equals + names[option]
+        elif before == "resume" and not word.startswith("-"):
+            word_now = names.get("--out", word)
+        else:
+            word_now = names.get(before, word)
+        renamed.append(word_now)
+    return renamed
 
 
 def _copy_checkpoint(checkpoint: Checkpoint, path: Path) -> None:

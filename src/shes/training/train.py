@@ -33,7 +33,7 @@ from shes.training.build import (
 from shes.training.evaluate import evaluate_levels, evaluation_seeds
 from shes.training.interruption import Interruption
 from shes.training.presets import make_config
-from shes.training.transfer import transfer
+from shes.training.transfer import check_robot, transfer
 
 __all__ = ["Listener", "Run", "resume", "start_run", "train"]
 
@@ -98,6 +98,7 @@ def train(
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: Listener | None = None) -> Run:
     """Begin a run with the settings of `config`; see `train`."""
     check_device(config)
+    check_robot(config)
     design = build_design(config)
     open_noise_table(config, design)  # what can be wrong with it, or with a transfer, shows before there is a folder
     state, origins = transfer(config, build_state(config, design))

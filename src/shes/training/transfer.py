@@ -18,7 +18,7 @@ from shes.runs.folder import RunFolder
 from shes.runs.settings import flag
 from shes.training.build import build_task, controller_inputs, primitive_inputs
 
-__all__ = ["TRANSFERRED", "Transferred", "brought_settings", "transfer"]
+__all__ = ["TRANSFERRED", "Transferred", "brought_settings", "check_robot", "transfer"]
 
 TRANSFERRED = ("primitive", "controller")
 """Levels that may come from another run; the setting of this name says from which."""
@@ -58,11 +58,9 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[TrainConfig, LevelSta
     folder = RunFolder.open(path)
     config = folder.read_config()
     if not folder.checkpoint_path(checkpoint).is_file():
-        there = sorted(file.stem for file in folder.checkpoints.glob("*.npz"))
-        raise CheckpointError(
-            f"{path} has no checkpoint {checkpoint!r}; there are {', '.join(there) or 'none'}. Set "
-            f"--{level}-checkpoint to best, last or the number of a generation."
-        )
+        there, checkpoint_flag = _checkpoint_names(folder), f"--{level}-checkpoint"
+        fix = f"Leave {checkpoint_flag} away." if there == ["best"] else f"Set {checkpoint_flag} to one of these."
+        raise CheckpointError(f"{path} has no checkpoint {checkpoint!r}; it has {', '.join(there) or 'none'}. {fix}")
     state = folder.load(checkpoint).state
     levels = {each.name: each for each in state.levels}
     if level not in levels:
@@ -76,6 +74,13 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[TrainConfig, LevelSta
         )
     told = Transferred(run=path, env=config.env, checkpoint=checkpoint, generation=state.generation)
     return config, levels[level], told
+
+
+def _checkpoint_names(folder: RunFolder) -> list[str]:
+    """Return what --primitive-checkpoint or --controller-checkpoint may name in `folder`."""
+    stems = sorted(file.stem for file in folder.checkpoints.glob("*.npz"))
+    prefix = "generation_"
+    return [f"{int(stem.removeprefix(prefix))}" if stem.startswith(prefix) else stem for stem in stems]
 
 
 def brought_settings(level: str, path: str, checkpoint: str, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -108,6 +113,37 @@ def brought_settings(level: str, path: str, checkpoint: str, asked: Mapping[str,
                 f"Leave {flag(name)} away: it comes with the {level}."
             )
     return brought | {name: getattr(source, name) for name in _SUGGESTED[level] if name not in asked}
+
+
+def check_robot(config: TrainConfig) -> None:
+    """Refuse a primitive of another robot: before the parts of the run are built by the settings that it brings.
+
+    Raises:
+        RunFolderError: There is no such run folder.
+        CheckpointError: The checkpoint is missing or damaged.
+        ConfigError: The primitive that `config` names was trained with another robot.
+    """
+    if config.primitive is None:
+        return
+    source, _, _ = _read("primitive", config.primitive, config.primitive_checkpoint)
+    (their_robot, theirs), (our_robot, ours) = _robot(source), _robot(config)
+    # What an external robot is like, only the layouts can tell; but it has no egocentric view.
+    is_known = None not in (their_robot, our_robot) or source.primitive_view == "egocentric"
+    if is_known and their_robot != our_robot:
+        raise ConfigError(
+            f"the primitive of {config.primitive} does not fit {config.env}: it was trained on {source.env} for "
+            f"{theirs}, but {config.env} has {ours}. Name a primitive of the same robot with --primitive, or leave it "
+            "away."
+        )
+
+
+def _robot(config: TrainConfig) -> tuple[str | None, str]:
+    """Return the name of the robot of `config`, None for an external one, and what it is in words."""
+    task = build_task(config, 1, is_evaluation=False)
+    task.close()
+    name = None if task.robot is None else task.robot.name
+    who = "an external robot" if name is None else f"the {name}"
+    return name, f"{who} with {task.action_size} controls of up to {task.control_limit:g}"
 
 
 def transfer(config: TrainConfig, state: TrainState) -> tuple[TrainState, dict[str, Transferred]]:

@@ -18,7 +18,7 @@ class Arguments:
     """What `shes bench` takes beside the settings."""
 
     bench: Annotated[str, Shown(choices=_NAMES, noun="the name of a bench")]
-    """rollout: steps per second of whole generations against a bare mj_step loop on the same episodes.
+    """rollout: steps per second of whole generations against a bare mj_step loop on the same episodes and branches.
     update: milliseconds of the parent's work between generations, by part."""
     seconds: float = 0.0
     """Measure for so long at least: on a machine shared with others the median of many turns is steadier."""
@@ -38,7 +38,7 @@ def _groups(words: Sequence[str]) -> tuple[Group, ...]:
 
 
 def _run(values: dict[str, Any]) -> int:
-    from shes.bench import bench_rollout, bench_update
+    from shes.bench.measure import bench_rollout, bench_update
     from shes.cli.settings import DEFAULT_ENV, make_asked_config
     from shes.errors import ConfigError, UnknownNameError
 

@@ -225,6 +225,11 @@ class Task(EpisodeBatch):
         return self.xp.zeros(self.num_episodes, dtype=np.bool_)
 
     @property
+    def fallen(self) -> BoolArray:
+        """Whether the robot's fall has ended the episode [N]: other ends, as of a task that is done, are none."""
+        return self.terminated & self.body.fallen(self.sim.qpos)
+
+    @property
     def diverged(self) -> BoolArray:
         """Whether the physics blew up since the reset [N]: the episode ends there and does not score."""
         return self.sim.diverged

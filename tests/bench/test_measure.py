@@ -5,9 +5,11 @@ import time
 
 import pytest
 
-from shes.bench import bench_rollout, bench_update
+from shes.bench.measure import bench_rollout, bench_update
+from shes.training.build import build_design
 from shes.training.presets import make_config
 
+BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 3}
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10}
 
 
@@ -16,13 +18,15 @@ TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon
     [
         ("point-gather", {}),
         ("ant-gather", {}),
+        ("ant-gather", BRANCHES),
         ("point-flagrun", {}),
+        ("point-flagrun", {"primitive_estimate": "interval"}),
         ("point-gather", {"algorithm": "es"}),
         ("point-gather", {"novelty": "nsr", "perturbation": "one_to_many", "clock_frequency": 1.0}),
     ],
 )
 def test_the_rollout_bench_compares_whole_generations_with_bare_physics(env, settings, monkeypatch):
-    monkeypatch.setattr("shes.bench._REPLAY_S", 0.02)  # how exact it is does not matter here
+    monkeypatch.setattr("shes.bench.measure._REPLAY_S", 0.02)  # how exact it is does not matter here
     config = make_config(env, "smoke", {**TINY, "backend": "serial", **settings})
     found = bench_rollout(config, repeats=2)
     assert list(found) == [
@@ -43,7 +47,7 @@ def test_the_rollout_bench_compares_whole_generations_with_bare_physics(env, set
 
 
 def test_the_rollout_bench_goes_on_for_as_long_as_it_is_asked_to(monkeypatch):
-    monkeypatch.setattr("shes.bench._REPLAY_S", 0.02)
+    monkeypatch.setattr("shes.bench.measure._REPLAY_S", 0.02)
     config = make_config("point-gather", "smoke", {**TINY, "backend": "serial"})
     start = time.perf_counter()
     found = bench_rollout(config, repeats=1, seconds=0.5)
@@ -51,18 +55,35 @@ def test_the_rollout_bench_goes_on_for_as_long_as_it_is_asked_to(monkeypatch):
     assert found["generations"] > 2
 
 
-def test_the_update_bench_tells_the_parts():
-    config = make_config("point-gather", "smoke", {**TINY, "num_workers": 2})
-    found = bench_update(config, repeats=2)
+@pytest.mark.parametrize(
+    ("env", "settings", "noise_vectors"),
+    [
+        ("point-gather", {}, (2, 0)),
+        ("point-gather", {"algorithm": "es"}, (4, 0)),
+        ("point-gather", {"novelty": "nsr", "perturbation": "one_to_many"}, (2, 0)),
+        ("point-gather", {**BRANCHES, "primitive_population_size": 12}, (4, 6)),
+        ("point-flagrun", {"primitive_estimate": "interval"}, (0, 4)),
+    ],
+)
+def test_the_update_bench_tells_the_parts(env, settings, noise_vectors):
+    config = make_config(env, "smoke", {**TINY, "num_workers": 2, **settings})
+    found = bench_update(config, repeats=3)
     assert list(found) == [
         "parameters",
         "noise_vectors",
+        "branch_noise_vectors",
         "total_ms",
         "rank_ms",
         "gradient_ms",
         "optimizer_ms",
         "checkpoint_ms",
     ]
-    assert found["noise_vectors"] == 2
-    assert found["parameters"] > 100
-    assert all(math.isfinite(value) and value > 0 for value in found.values())
+    assert (found["noise_vectors"], found["branch_noise_vectors"]) == noise_vectors
+    assert found["parameters"] == sum(build_design(config).dims)
+    assert all(math.isfinite(value) and value > 0 for value in list(found.values())[3:])
+
+
+def test_the_update_bench_goes_on_for_as_long_as_it_is_asked_to():
+    start = time.perf_counter()
+    bench_update(make_config("point-gather", "smoke", TINY), repeats=1, seconds=0.3)
+    assert time.perf_counter() - start >= 0.3

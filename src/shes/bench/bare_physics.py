@@ -1,0 +1,143 @@
+"""MuJoCo alone: a loop over `mj_step` that replays what a generation plays, whole episodes and branches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from shes.algorithms.evolution.populations import Settings, generation_work
+from shes.algorithms.evolution.worker import RolloutWorker, WorkerPlan
+from shes.backends.backend import Backend
+from shes.backends.serial import SerialBackend
+from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.registry import EnvironmentMaker
+from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
+from shes.es.level import TrainState
+from shes.hierarchy.episodes import EpisodeResults, Snapshot
+from shes.hierarchy.intervals import branch_work
+from shes.hierarchy.population import Work
+from shes.sim.cpu import CpuSimulator
+from shes.types import F64Array, FloatArray, IntArray
+
+__all__ = ["BarePhysics", "Episode", "record_generation"]
+
+_REPLAYED = 24  # whole episodes of the generation that the bare loop replays
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Episode:
+    """The physics of a whole episode or of a branch."""
+
+    start: F64Array
+    """Whole physics state that it begins with [S]: qpos, qvel, the solver's warm start, time."""
+    controls: list[F64Array] = field(default_factory=list)
+    """Control of every control step [A]."""
+
+
+class BarePhysics:
+    """Replays episodes one after another with `mj_step`, without policy or task: the limit of one core."""
+
+    def __init__(self, model: mujoco.MjModel, episodes: Sequence[Episode]) -> None:
+        """Take the world and what was played in it."""
+        self.model, self.episodes = model, episodes
+        self.data = mujoco.MjData(model)
+        self._ends = np.cumsum([model.nq, model.nv, model.nv])
+
+    def replay(self, episode: Episode) -> None:
+        """Put `data` where `episode` begins and play its controls."""
+        model, data = self.model, self.data
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.qacc_warmstart[:], (data.time,) = np.split(episode.start, self._ends)
+        for control in episode.controls:
+            data.ctrl[:] = control
+            mujoco.mj_step(model, data, nstep=FRAME_SKIP)
+
+    def steps_per_s(self, seconds: float) -> float:
+        """Return the control steps per second of replaying all episodes, again and again for `seconds` or more."""
+        steps = 0
+        start = perf_counter()
+        while (elapsed := perf_counter() - start) < seconds or not steps:
+            for episode in self.episodes:
+                self.replay(episode)
+                steps += len(episode.controls)
+        return steps / elapsed
+
+
+def record_generation(plan: WorkerPlan, state: TrainState, settings: Settings, table_size: int) -> BarePhysics:
+    """Return the physics of the generation that follows `state`: its first tasks, played on the CPU.
+
+    Of the branches it is the same share as of the whole episodes, and they begin with states that these have left, so
+    that what is replayed is made up as the generation is.
+    """
+    recorder = _Recorder(plan.env)
+    with SerialBackend(partial(RolloutWorker, replace(plan, env=recorder, device="cpu"))) as worker:
+        work = generation_work(state, settings, table_size)
+        num_tasks = min(len(work.tasks), max(1, _REPLAYED // work.generation.rows_per_lane))
+        results = _play(worker, work, num_tasks)
+        if settings.intervals is not None and not work.generation.branch_steps:
+            branches = branch_work(state, settings.intervals, table_size, _snapshots(results))
+            _play(worker, branches, max(1, len(branches.tasks) * num_tasks // len(work.tasks)))
+    return BarePhysics(recorder.models[0], recorder.episodes)
+
+
+def _play(worker: Backend, work: Work, num_tasks: int) -> list[EpisodeResults]:
+    """Return what came of the first `num_tasks` of `work`."""
+    worker.broadcast(work.generation)
+    return list(worker.map(work.tasks[:num_tasks]))
+
+
+def _snapshots(results: Sequence[EpisodeResults]) -> list[Snapshot]:
+    """Return all that episodes have left."""
+    return [left for each in results for left in each.snapshots if left is not None]
+
+
+class _Recorder:
+    """An environment maker that keeps what its tasks' reset and step are given."""
+
+    def __init__(self, env: EnvironmentMaker) -> None:
+        self._env = env
+        self.heeds, self.sets_goals = env.heeds, env.sets_goals
+        self.models: list[mujoco.MjModel] = []
+        self.episodes: list[Episode] = []
+
+    def make(
+        self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
+    ) -> EpisodeBatch:
+        """Return `num_episodes` episodes that are recorded."""
+
+        def keep_model(model: mujoco.MjModel, num_sims: int) -> Any:
+            self.models.append(model)
+            return simulator(model, num_sims)
+
+        batch = self._env.make(num_episodes, options, keep_model)
+        running: dict[int, Episode] = {}
+        batch.reset = partial(self._reset, batch, batch.reset, running)  # type: ignore[method-assign]
+        batch.step = partial(self._step, batch.step, running)  # type: ignore[method-assign]
+        return batch
+
+    def _reset(
+        self,
+        batch: EpisodeBatch,
+        reset: Callable[..., None],
+        running: dict[int, Episode],
+        ids: IntArray,
+        seeds: Sequence[int],
+        states: Sequence[F64Array | None] = (),
+    ) -> None:
+        reset(ids, seeds, states)
+        for i, start in zip(ids.tolist(), batch.states(ids), strict=True):
+            running[i] = Episode(start=start)
+            self.episodes.append(running[i])
+
+    @staticmethod
+    def _step(step: Callable[..., None], running: dict[int, Episode], ids: IntArray, action: FloatArray) -> None:
+        for i in ids.tolist():
+            running[i].controls.append(action[i].astype(np.float64))
+        step(ids, action)

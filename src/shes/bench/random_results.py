@@ -1,0 +1,63 @@
+"""Results without roll-outs, drawn at random: what the parent does with results is measured by itself with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot, empty_outcomes
+
+__all__ = ["RandomResults"]
+
+
+class RandomResults:
+    """A `Worker` that answers every task at once."""
+
+    def __init__(self, state_size: int) -> None:
+        """Make snapshots, where any are wanted, with physics states of `state_size` numbers."""
+        self._state = np.zeros(state_size)
+        self._rng = np.random.default_rng(0)
+        self._generation: Generation | None = None
+
+    def receive(self, state: Generation) -> None:
+        """Take what the next tasks have in common."""
+        self._generation = state
+
+    def run(self, work: Iterator[tuple[int, EpisodeTask]], share: int) -> Iterator[tuple[int, EpisodeResults]]:
+        """Yield numbered results of `work`."""
+        assert self._generation is not None, "receive() comes first"
+        for number, task in work:
+            yield number, self._results(task, self._generation)
+
+    def _results(self, task: EpisodeTask, generation: Generation) -> EpisodeResults:
+        """Return results of `task`: every episode differs, none diverged."""
+        rng, k = self._rng, len(task.slots)
+        outcomes = empty_outcomes(len(generation.levels), k)
+        for name in ("returns", "environment_returns", "score", "final_position"):
+            outcomes[name] = rng.standard_normal(outcomes[name].shape)
+        outcomes["steps"] = 1
+        outcomes["has_terminated"] = rng.random(k) < 0.5
+        return EpisodeResults(
+            outcomes=outcomes,
+            moments=_moments(generation, k) if task.records_statistics else None,
+            snapshots=self._snapshots(task, generation),
+        )
+
+    def _snapshots(self, task: EpisodeTask, generation: Generation) -> list[Snapshot | None]:
+        """Return all the snapshots that are asked for."""
+        left = Snapshot(state=self._state, steps=0, goals=np.zeros((generation.goals_noted, 2)))
+        return [left if task.noted_steps or slot == task.kept_slot else None for slot in task.slots]
+
+
+def _moments(generation: Generation, episodes: int) -> tuple[LevelMoments, ...]:
+    """Return the sums of one observation of each episode at each level, of mean 0 and variance 1."""
+    sizes = [len(level.mean) for level in generation.levels]
+    return tuple(
+        LevelMoments(
+            count=np.ones(episodes, np.int64),
+            total=np.zeros((episodes, size)),
+            total_squares=np.ones((episodes, size)),
+        )
+        for size in sizes
+    )
