@@ -191,7 +191,7 @@ def generations(device: str, size: Size, out: Path) -> None:
         found = list(itertools.islice(_timed(config), size.repeats + 1))[1:]  # the first one compiles
         names = [name for name in found[0] if found[0][name] is not None]
         row = {name: statistics.median(each[name] for each in found) for name in names}
-        policies = config.population_size
+        policies = config.evolution.population_size
         table.add(what=what, env=env, integrator=integrator, policies=policies, episodes=episodes, **row)
 
 
@@ -200,7 +200,7 @@ def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
     design = build_design(config)
     table = open_noise_table(config, design)
     plan = build_plan(config, design, table)
-    opened = WarpDevice(config.device)
+    opened = WarpDevice(config.workers.device)
     with build_backend(config, plan) as backend:
         state, settings = build_state(config, design), build_settings(config)
         for report in evolve(state, settings, table.on(opened.xp), backend):
@@ -216,7 +216,7 @@ def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
                 "update_s": report.update_s,
                 "env_steps_per_s": steps / (report.rollout_s + report.update_s),
                 "policy_and_task_share": (policy_s + task_s) / (report.rollout_s + report.update_s),
-                "weights_mb": 4e-6 * sum(design.dims) * config.population_size,
+                "weights_mb": 4e-6 * sum(design.dims) * config.evolution.population_size,
                 "free_bytes": opened.free_bytes(),
             }
 

@@ -65,18 +65,18 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
     Raises:
         ConfigError: The environment is an external one, which has no bare loop.
     """
-    if config.external is not None:
+    if config.run.external is not None:
         raise ConfigError(
-            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.env}, which Gymnasium "
-            "makes. Name one of `shes envs` with a world of our own, e.g. ant-gather."
+            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.run.env}, which "
+            "Gymnasium makes. Name one of `shes envs` with a world of our own, e.g. ant-gather."
         )
     design = build_design(config)
-    table = open_noise_table(config, design).on(array_module(config.device))
+    table = open_noise_table(config, design).on(array_module(config.workers.device))
     plan = build_plan(config, design, table)
     episodes = _record_episodes(config, plan)
     bare: list[float] = []
     whole: list[float] = []
-    is_alone = config.device == "cpu" and (config.backend == "serial" or config.workers == 1)
+    is_alone = config.workers.device == "cpu" and (config.workers.backend == "serial" or config.workers.count == 1)
     with (
         _on_one_core() if is_alone else nullcontext(),
         build_backend(config, plan) as backend,
@@ -94,12 +94,12 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
             before = after
         workers = backend.num_workers
     return {
-        "env": config.env,
-        "hidden": list(config.hidden),
+        "env": config.run.env,
+        "hidden": list(config.networks.hidden),
         "integrator": plan.training.integrator,
-        "population_size": config.population_size,
-        "episodes_per_policy": config.episodes_per_policy,
-        "device": config.device,
+        "population_size": config.evolution.population_size,
+        "episodes_per_policy": config.evolution.episodes_per_policy,
+        "device": config.workers.device,
         "num_workers": workers,
         "generations": len(whole),
         "env_steps_per_s": statistics.median(whole),
@@ -151,9 +151,9 @@ def _record_episodes(config: TrainConfig, plan: WorkerPlan) -> tuple[mujoco.MjMo
     work = generation_work(state, settings, table.size)
     tasks, generation = work.tasks, work.generation
     lanes, rows = max(1, _REPLAYED // generation.rows), generation.rows
-    task = make_task(config.env, lanes * rows, plan.training)
+    task = make_task(config.run.env, lanes * rows, plan.training)
     recorder = _Recorder(task)
-    horizon = generation.branch_steps or config.horizon
+    horizon = generation.branch_steps or config.episodes.horizon
     rollout = Rollout(plan.design, lambda _: task, lanes, rows, horizon, generation.members_per_lane)
     for _ in rollout.run(iter(enumerate(tasks[:lanes])), generation, table):
         pass
@@ -190,12 +190,12 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
     Raises:
         ConfigError: A device is asked for.
     """
-    if config.device != "cpu":
+    if config.workers.device != "cpu":
         raise ConfigError(
-            f"bench update measures the CPU, got device {config.device!r}. Leave --device away; the columns update_s "
-            "and rollout_s of a run's progress.csv tell of a device."
+            f"bench update measures the CPU, got device {config.workers.device!r}. Leave --device away; the columns "
+            "update_s and rollout_s of a run's progress.csv tell of a device."
         )
-    design = build_design(config)
+    design, learning_rate = build_design(config), config.evolution.learning_rate
     table = open_noise_table(config, design)
     state = build_state(config, design)
     settings = replace(build_settings(config), perturbation=ManyToMany())  # all that learns, in one generation
@@ -203,7 +203,7 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
     learning = [i for i, learns in enumerate(settings.learns) if learns]
     dims = tuple(design.dims[i] for i in learning)
     rng = np.random.default_rng(0)
-    fitness = rng.standard_normal((len(learning), config.population_size))
+    fitness = rng.standard_normal((len(learning), config.evolution.population_size))
     times: dict[str, list[float]] = {}
 
     def timed(name: str, work: Callable[[], Any]) -> Any:
@@ -212,7 +212,7 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
         times.setdefault(name, []).append(1000 * (perf_counter() - start))
         return result
 
-    with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers, 8)) as pool:
+    with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers.count, 8)) as pool:
         start = perf_counter()
         for generation in count():
             if generation >= repeats and perf_counter() - start >= seconds:
@@ -224,9 +224,7 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
                 for k, i in enumerate(learning):
                     rule, statistics = settings.updates[i], levels[i].statistics
                     shaped = rule.shaping(fitness[k])
-                    update = update_level(
-                        levels[i], shaped, signs[:, :, i], index[k], table, rule, config.learning_rate, pool
-                    )
+                    update = update_level(levels[i], shaped, signs[:, :, i], index[k], table, rule, learning_rate, pool)
                     merged = statistics.merge(1, statistics.total, statistics.total)
                     levels[i] = replace(update.level, statistics=merged)
                 return tuple(levels)
@@ -244,7 +242,7 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
             timed(
                 "optimizer_ms",
                 lambda gradients=gradients: [
-                    settings.updates[i].optimizer.step(gradient, state.levels[i].optimizer, config.learning_rate)
+                    settings.updates[i].optimizer.step(gradient, state.levels[i].optimizer, learning_rate)
                     for gradient, i in zip(gradients, learning, strict=True)
                 ],
             )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import shes
+from shes.runs.config import known_settings
 from shes.runs.folder import RunFolder
-from shes.runs.settings import NAMES, choices
 from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
 
@@ -139,10 +139,12 @@ def companions(name, choice):
     return {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {}), **scheduled}
 
 
+CHOICES = {name: each.choices for name, each in known_settings().items() if each.choices}
+
 BY_CHOICE = {
     f"{name}={choice}": {**companions(name, choice), name: choice}
-    for name in NAMES
-    for choice in choices(name)
+    for name, choices in CHOICES.items()
+    for choice in choices
     if name not in NO_CHOICES | OF_THE_ANT
 }
 BY_HAND = {
@@ -281,7 +283,7 @@ def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
     field, _, choice = name.partition("=")
     others = {} if field in SCHEDULES else companions(field, choice)
     same = usual({name: value for name, value in others.items() if name != field})
-    is_usual = getattr(RunFolder.open(same).read_config(), field) == choice or name in SAME_AS_USUAL
+    is_usual = RunFolder.open(same).read_config().settings[field] == choice or name in SAME_AS_USUAL
     found = {each for each in runs.differences(same, path) if not each.endswith("/settings")}
     assert (not found) is is_usual
 
@@ -297,9 +299,8 @@ def test_a_primitive_alone_on_branches_leaves_episodes_that_go_on(tmp_path):
 
 def test_every_choice_of_every_name_is_compared():
     tried = {item for _, _, settings in METHODS for item in settings.items() if isinstance(item[1], str)}
-    every = {(name, choice) for name in NAMES if name not in NO_CHOICES for choice in choices(name)}
+    every = {(name, choice) for name in CHOICES if name not in NO_CHOICES for choice in CHOICES[name]}
     assert every <= tried
-    assert {name for name in NAMES if not choices(name)} <= NO_CHOICES
     assert {(env, name) for env, name, _ in METHODS} >= QUICK
 
 

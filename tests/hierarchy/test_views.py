@@ -1,7 +1,5 @@
 """Views: what levels see, against rotation matrices written out and the names that environments give."""
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
@@ -234,7 +232,7 @@ def test_a_controllers_egocentric_view_is_the_robots_then_all_else_in_order(vari
     robot = task.robot
     assert out[:, : len(own)].tolist() == _view(robot, sees[:, : robot.num_qpos], sees[:, robot.num_qpos :]).tolist()
     assert out[:, len(own) :].tolist() == observed[:, others].tolist()
-    plain = build_design(replace(config, controller_view="observation"))
+    plain = build_design(config.having(controller_view="observation"))
     assert plain.controller.sizes[0] == task.observation_size
 
 

@@ -163,29 +163,6 @@ def test_the_first_format_holds_the_same(tmp_path):
     assert_same(load_checkpoint(tmp_path / "a.npz"), make())
 
 
-@pytest.mark.parametrize("shared", ["group", "off"])
-def test_a_run_of_the_first_version_goes_on_as_if_today_had_begun_it(tmp_path, shared):
-    settings = {"common_random_numbers": shared}
-    whole = runs.train_tiny(tmp_path / "whole", **settings)
-    old = runs.train_tiny(tmp_path / "old", **settings, generations=2)
-    for file in (old / "checkpoints").iterdir():
-        in_the_first_format(file)
-    record = json.loads((old / "config.json").read_text())
-    record["config"]["common_random_numbers"] = shared == "group"
-    for name in ("algorithm", "controller_output", "primitive", "schedule_generations", "momentum"):
-        del record["config"][name]
-    (old / "config.json").write_text(json.dumps(record))
-    before = shes.evaluate(old, checkpoint="2", episodes=3, num_workers=1)
-    assert before.summary() == shes.evaluate(whole, checkpoint="2", episodes=3, num_workers=1).summary()
-    shes.resume(old, generations=4)
-    # What nobody has written since stays in the words of then; everything else is the same to the bit.
-    kept = {"generation_000000.npz", "generation_000002.npz"}
-    best = load_checkpoint(old / "checkpoints" / "best.npz").state.generation
-    stale = kept if best > 2 else {*kept, "best.npz"}
-    assert {name.split("/")[0] for name in runs.differences(whole, old)} <= stale
-    assert_same(load_checkpoint(old / "checkpoints" / "last.npz"), load_checkpoint(whole / "checkpoints" / "last.npz"))
-
-
 def test_a_run_whose_levels_were_others_in_the_first_version_is_refused(tmp_path):
     """Then flagrun had a controller, too."""
     path = runs.train_tiny(tmp_path / "run", "point-flagrun", generations=1)

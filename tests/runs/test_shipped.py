@@ -116,7 +116,7 @@ def test_a_video_of_a_shipped_agent_is_in_the_working_directory(agents):
 def test_the_primitive_of_a_shipped_agent_is_brought_by_name(agents):
     path = runs.train_tiny(Path("run"), primitive="point-walker", generations=1)
     record = json.loads((path / "config.json").read_text())
-    assert record["config"]["primitive"] == record["primitive"]["run"] == "point-walker"
+    assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "point-walker"
     brought, own = (RunFolder.open(run).load("best").state.levels[-1] for run in ("point-walker", path))
     assert own.theta.tobytes() == brought.theta.tobytes()
 
@@ -196,7 +196,7 @@ def test_no_path_of_this_machine_is_shipped(walker_run, tmp_path):
     assert str(walker_run) not in text
     record = json.loads(text)
     assert record["command"] == ["shes", "train", "point-gather", "--out", "run", "--primitive=run", "--sigma=1"]
-    assert record["config"]["primitive"] == record["primitive"]["run"] == "run"
+    assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "run"
     assert folder.load("best").numbers["primitive"] == "run"
 
 
@@ -298,7 +298,7 @@ def test_every_shipped_agent_is_small_complete_and_acts():
         assert folder.checkpoint_path("best").stat().st_size < 200_000
         assert sum(path.stat().st_size for path in folder.path.rglob("*") if path.is_file()) < 500_000
         assert shipped_name(folder.path) == name
-        assert folder.read_config().env == told.env
+        assert folder.read_config().run.env == told.env
         assert folder.load("best").state.generation == told.generation
         assert told.description.strip()
         assert told.commands

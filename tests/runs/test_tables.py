@@ -196,7 +196,7 @@ def generation_by_hand(path, config, number):
     """Return the state before generation `number` of a run, its signs [G, M, L] and its noise [L, G]."""
     state = RunFolder.open(path).load(str(number - 1)).state
     settings = build_settings(config)
-    work = generation_work(state, settings, config.noise_table_size)
+    work = generation_work(state, settings, config.evolution.noise_table_size)
     return state, work.signs, work.noise_index
 
 

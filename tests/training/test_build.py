@@ -33,7 +33,7 @@ def test_the_plan_carries_the_environment_and_not_its_name(monkeypatch):
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Corner))
     config = make_config("point-corner", "smoke")
     design = build_design(config)
-    plan = build_plan(config, design, NoiseTable.open(config.noise_table_size))
+    plan = build_plan(config, design, NoiseTable.open(config.evolution.noise_table_size))
     monkeypatch.delitem(ENVIRONMENTS, "point-corner")  # as in a worker process
     assert type(plan.env.make(1)) is Corner
     assert isinstance(plan.noise_table, Path)
@@ -70,7 +70,7 @@ class Built:
     def of(cls, env, **settings):
         config = make_config(env, "smoke", settings)
         design = build_design(config)
-        plan = build_plan(config, design, NoiseTable.open(config.noise_table_size))
+        plan = build_plan(config, design, NoiseTable.open(config.evolution.noise_table_size))
         return cls(config, design, build_settings(config), plan, build_state(config, design))
 
     @property

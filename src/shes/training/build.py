@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from shes.algorithms.evolution.populations import Settings
+from shes.algorithms.evolution.rooms import SCHEDULED
 from shes.algorithms.evolution.worker import RolloutWorker, WorkerPlan, simulator_factory
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
@@ -26,7 +27,7 @@ from shes.es.novelty import make_novelty_rule
 from shes.es.optimizers import make_optimizer
 from shes.es.perturbation import make_perturbation
 from shes.es.schedules import Schedule, make_schedule
-from shes.es.shaping import make_fitness_shaping
+from shes.es.shaping import FitnessShaping, make_fitness_shaping
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.agent import AgentDesign
@@ -41,7 +42,7 @@ from shes.hierarchy.rewards import make_primitive_reward
 from shes.hierarchy.views import ColumnsView, EgocentricView, View
 from shes.policies.mlp import MLP
 from shes.runs.config import TrainConfig
-from shes.runs.settings import SCHEDULED, flag
+from shes.settings import flag
 from shes.sim.warp_device import is_out_of_memory
 
 __all__ = [
@@ -57,6 +58,7 @@ __all__ = [
     "check_device",
     "open_noise_table",
     "primitive_inputs",
+    "primitive_layers",
     "primitive_view",
 ]
 
@@ -69,33 +71,22 @@ def build_environment(config: TrainConfig) -> EnvironmentMaker:
         MissingExtraError: It comes with a package that is not installed.
         ConfigError: It is not as it is described.
     """
-    return find_environment(config.env) if config.external is None else ExternalEnvironment.find(config.external)
+    if config.run.external is not None:
+        return ExternalEnvironment.find(config.run.external)
+    env = find_environment(config.run.env)
+    return env.with_body_options(config.body) if "body" in config else env
 
 
-def build_options(config: TrainConfig, env: EnvironmentMaker, *, is_evaluation: bool) -> TaskOptions:
+def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
     """Return the options of the environment in training or in evaluation."""
-    random_controller: dict[str, Any] = {
-        "goal_interval": config.controller_interval,
-        "goal_range": config.goal_distance,
-    }
-    return TaskOptions(
-        spec=config.spec,
-        integrator=config.integrator,
-        reset_noise=config.evaluation_reset_noise if is_evaluation else config.reset_noise,
-        evaluation=is_evaluation,
-        target_sampling=config.target_sampling,
-        target=config.target,
-        evaluation_target=config.evaluation_target,
-        observe_block=config.observe_block,
-        fall_penalty=config.fall_penalty,
-        **(random_controller if env.sets_goals else {}),
-    )
+    noise = config.episodes.evaluation_reset_noise if is_evaluation else config.environment.reset_noise
+    return replace(config.environment, reset_noise=noise, evaluation=is_evaluation)
 
 
 def build_task(config: TrainConfig, num_episodes: int, *, is_evaluation: bool) -> EpisodeBatch:
     """Return the environment of `config` for `num_episodes` episodes."""
     env = build_environment(config)
-    return env.make(num_episodes, build_options(config, env, is_evaluation=is_evaluation))
+    return env.make(num_episodes, build_options(config, is_evaluation=is_evaluation))
 
 
 def build_design(config: TrainConfig) -> AgentDesign:
@@ -110,59 +101,68 @@ def build_design(config: TrainConfig) -> AgentDesign:
     shape = task.observe().shape
     if shape != (1, task.observation_size):
         raise ShapeError(
-            f"environment {config.env!r} must observe [N, {task.observation_size}], as many values as its layout "
+            f"environment {config.run.env!r} must observe [N, {task.observation_size}], as many values as its layout "
             f"names; for 1 episode it observed {shape}. Change its layout or its observe()."
         )
     task.close()
-    clock = None
-    if config.clock_frequency is not None:
-        clock = Clock(frequency_hz=config.clock_frequency, step_s=task.step_s)
+    clock, networks = None, config.networks
+    if networks.clock_frequency is not None:
+        clock = Clock(frequency_hz=networks.clock_frequency, step_s=task.step_s)
     acting: dict[str, Any] = {"control_limit": task.control_limit, "clock": clock}
     if config.level_names == ("policy",):
         return FlatDesign(
-            policy=MLP(_clock_size(config) + task.observation_size, config.hidden, task.action_size), **acting
+            policy=MLP(_clock_size(config) + task.observation_size, networks.hidden, task.action_size), **acting
         )
     reaching = _reaching(config, task) | acting
     if config.level_names == ("primitive",):
         return PrimitiveDesign(**reaching)
-    output, view = make_controller_output(config.controller_output), _controller_view(config, task)
+    hierarchy = config.hierarchy
+    output, view = make_controller_output(hierarchy.controller_output), _controller_view(config, task)
     return HierarchicalDesign(
-        controller=MLP(view.size(task.observation_size), config.hidden, output.size),
+        controller=MLP(view.size(task.observation_size), networks.hidden, output.size),
         controller_output=output,
         controller_view=view,
-        goal_distance=config.goal_distance,
-        has_minimum_goal_distance=config.minimum_goal_distance,
+        goal_distance=hierarchy.goal_distance,
+        has_minimum_goal_distance=hierarchy.minimum_goal_distance,
         **reaching,
     )
 
 
 def build_branch_design(config: TrainConfig, design: AgentDesign) -> BranchDesign | None:
     """Return what acts in branches beside a controller, by the `design` of the run's agent; None without branches."""
-    if config.primitive_estimate != "interval" or not isinstance(design, HierarchicalDesign):
+    if not config.is_branched or not isinstance(design, HierarchicalDesign):
         return None
     shared = {field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)}
-    return BranchDesign(num_goals=config.intervals, **shared)
+    return BranchDesign(num_goals=config.estimate.intervals, **shared)
 
 
 def _reaching(config: TrainConfig, task: EpisodeBatch) -> dict[str, Any]:
     """Return what an agent of `config` is made of that concerns its primitive."""
-    encoding, view = make_goal_encoding(config.goal_encoding), primitive_view(config, task)
-    hidden = config.hidden if config.primitive_hidden is None else config.primitive_hidden
+    hierarchy = config.hierarchy
+    encoding, view = make_goal_encoding(hierarchy.goal_encoding), primitive_view(config, task)
     return {
         "primitive": MLP(
-            encoding.size + _clock_size(config) + view.size(task.observation_size), hidden, task.action_size
+            encoding.size + _clock_size(config) + view.size(task.observation_size),
+            primitive_layers(config),
+            task.action_size,
         ),
         "primitive_view": view,
         "symmetry": _symmetry(config, task),
         "goal_encoding": encoding,
-        "primitive_reward": make_primitive_reward(config.primitive_reward),
-        "controller_interval": config.controller_interval,
+        "primitive_reward": make_primitive_reward(hierarchy.primitive_reward),
+        "controller_interval": hierarchy.controller_interval,
     }
+
+
+def primitive_layers(config: TrainConfig) -> tuple[int, ...]:
+    """Return the hidden layers of the primitive of `config`."""
+    own = config.hierarchy.primitive_hidden if len(config.level_names) > 1 else None
+    return config.networks.hidden if own is None else own
 
 
 def _clock_size(config: TrainConfig) -> int:
     """Return the number of the clock's features."""
-    return 0 if config.clock_frequency is None else Clock.size
+    return 0 if config.networks.clock_frequency is None else Clock.size
 
 
 def _symmetry(config: TrainConfig, task: EpisodeBatch) -> SymmetryGroup | None:
@@ -171,13 +171,14 @@ def _symmetry(config: TrainConfig, task: EpisodeBatch) -> SymmetryGroup | None:
     Raises:
         ConfigError: The robot of `task` has none that is known.
     """
-    if config.symmetry == "none":
+    kind = config.hierarchy.symmetry
+    if kind == "none":
         return None
-    group = None if task.robot is None else task.robot.symmetry(is_mirrored=config.symmetry == "dihedral")
+    group = None if task.robot is None else task.robot.symmetry(is_mirrored=kind == "dihedral")
     if group is None:
         robot = "an external robot" if task.robot is None else f"the {task.robot.name}"
         raise ConfigError(
-            f"symmetry is {config.symmetry!r}, but nobody has told what symmetry {robot} of {config.env} has. "
+            f"symmetry is {kind!r}, but nobody has told what symmetry {robot} of {config.run.env} has. "
             "Leave --symmetry away, or name an environment of the ant."
         )
     return group
@@ -190,7 +191,8 @@ def _egocentric(config: TrainConfig, task: EpisodeBatch, setting: str, others: S
         ConfigError: Nobody knows how to look at this robot from its own frame.
     """
     if task.robot is None or not task.robot.egocentric:
-        whose = f"{config.env} is Gymnasium's" if task.robot is None else f"{config.env} has the {task.robot.name}"
+        env = config.run.env
+        whose = f"{env} is Gymnasium's" if task.robot is None else f"{env} has the {task.robot.name}"
         raise ConfigError(
             f"{setting} is 'egocentric', but {whose}: what its robot looks like from its own frame is not known. "
             f"Set {flag(setting)} to another one."
@@ -204,7 +206,7 @@ def _controller_view(config: TrainConfig, task: EpisodeBatch) -> View:
     Raises:
         ConfigError: Nobody knows how to look at this robot from its own frame.
     """
-    if config.controller_view == "observation":
+    if config.hierarchy.controller_view == "observation":
         return ColumnsView()
     others = sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
     return _egocentric(config, task, "controller_view", others)
@@ -217,21 +219,22 @@ def primitive_view(config: TrainConfig, task: EpisodeBatch) -> View:
         ConfigError: Its position is to be hidden, and it sees none; or nobody knows how to look at this robot from its
             own frame.
     """
-    if config.primitive_view == "egocentric":
-        if config.hide_position:
+    hierarchy = config.hierarchy
+    if hierarchy.primitive_view == "egocentric":
+        if hierarchy.hide_position:
             raise ConfigError(
                 "hide_position: an egocentric view shows no absolute position that could be hidden. "
                 "Leave --hide-position away."
             )
         return _egocentric(config, task, "primitive_view")
-    sees_all = config.primitive_view == "observation" and config.level_names != ("primitive",)
+    sees_all = hierarchy.primitive_view == "observation" and config.level_names != ("primitive",)
     view = (task.primitive_view if sees_all else task.proprioception).tolist()
-    if not config.hide_position:
+    if not hierarchy.hide_position:
         return ColumnsView(view)
     hidden = [column for column in view if column in task.position_columns]
     if not hidden:
         raise ConfigError(
-            f"hide_position: a primitive in {config.env} sees no absolute position that could be hidden. "
+            f"hide_position: a primitive in {config.run.env} sees no absolute position that could be hidden. "
             "Leave --hide-position away."
         )
     return ColumnsView([column for column in view if column not in hidden])
@@ -241,8 +244,9 @@ def primitive_inputs(config: TrainConfig) -> tuple[str, ...]:
     """Return what each input of the primitive of `config` is called, in order."""
     task = build_task(config, 1, is_evaluation=False)
     task.close()
-    features = [f"goal {config.goal_encoding} {i}" for i in range(make_goal_encoding(config.goal_encoding).size)]
-    clock = [] if config.clock_frequency is None else [f"clock {x} {config.clock_frequency} Hz" for x in ("sin", "cos")]
+    encoding, frequency = config.hierarchy.goal_encoding, config.networks.clock_frequency
+    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding).size)]
+    clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
     return (*features, *clock, *primitive_view(config, task).names(task.observation_names))
 
 
@@ -255,66 +259,77 @@ def controller_inputs(config: TrainConfig) -> tuple[str, ...]:
 
 def build_settings(config: TrainConfig) -> Settings:
     """Return the numbers of Algorithm 1."""
+    evolution, values = config.evolution, config.settings
 
     def schedule(name: str) -> Schedule:
         kind, end = SCHEDULED[name]
-        start, quantity = getattr(config, name), kind.removesuffix("_schedule")
-        stop = start if getattr(config, end) is None else getattr(config, end)
-        return make_schedule(quantity, getattr(config, kind), start, stop, config.schedule_generations)
+        start, quantity = values[name], kind.removesuffix("_schedule")
+        stop = start if values[end] is None else values[end]
+        return make_schedule(quantity, values[kind], start, stop, config.schedules.schedule_generations)
 
+    novelty = values.get("novelty", "none")
     return Settings(
-        population_size=config.population_size,
+        population_size=evolution.population_size,
         episodes_per_policy=schedule("episodes_per_policy"),
         sigma=schedule("sigma"),
         learning_rate=schedule("learning_rate"),
         updates=build_update_rules(config),
         learns=config.learns,
-        mirrored=config.mirrored,
-        perturbation=make_perturbation(config.perturbation),
-        common_random_numbers=config.common_random_numbers,
-        statistics_fraction=config.statistics_fraction,
-        novelty=None if config.novelty == "none" else make_novelty_rule(config.novelty),
-        novelty_neighbours=config.novelty_neighbours,
+        mirrored=evolution.mirrored,
+        perturbation=make_perturbation(values.get("perturbation", "many_to_many")),
+        common_random_numbers=evolution.common_random_numbers,
+        statistics_fraction=evolution.statistics_fraction,
+        novelty=None if novelty == "none" else make_novelty_rule(novelty),
+        novelty_neighbours=values.get("novelty_neighbours", 10),
         intervals=_interval_estimate(config, schedule("sigma"), schedule("learning_rate")),
-        horizon=config.horizon,
+        horizon=config.episodes.horizon,
     )
 
 
 def _interval_estimate(config: TrainConfig, sigma: Schedule, learning_rate: Schedule) -> IntervalEstimate | None:
     """Return how the primitive is judged by intervals, if it is and learns; the schedules are those of the run."""
-    if config.primitive_estimate != "interval" or not config.learns[-1]:
+    if not config.is_branched or not config.learns[-1]:
         return None
+    values = config.settings
 
-    def own(quantity: str, value: float | None, shared: Schedule) -> Schedule:
+    def own(quantity: str, shared: Schedule) -> Schedule:
+        value = values.get(quantity)
         return shared if value is None else make_schedule(quantity, "constant", value, value, 1)
 
     return IntervalEstimate(
-        population_size=config.primitive_population_size or config.population_size,
-        intervals=config.intervals,
-        interval_steps=config.controller_interval,
-        horizon=config.horizon,
-        goal_range=config.goal_distance,
+        population_size=values.get("primitive_population_size") or config.evolution.population_size,
+        intervals=config.estimate.intervals,
+        interval_steps=config.hierarchy.controller_interval,
+        horizon=config.episodes.horizon,
+        goal_range=config.hierarchy.goal_distance,
         update=build_update_rules(config)[-1],
-        sigma=own("primitive_sigma", config.primitive_sigma, sigma),
-        learning_rate=own("primitive_learning_rate", config.primitive_learning_rate, learning_rate),
+        sigma=own("primitive_sigma", sigma),
+        learning_rate=own("primitive_learning_rate", learning_rate),
     )
 
 
 def build_update_rules(config: TrainConfig) -> tuple[UpdateRule, ...]:
     """Return how fitness becomes a step, for each level."""
+    evolution = config.evolution
+
+    def shaping(name: str) -> FitnessShaping:
+        return make_fitness_shaping(name, ties=evolution.rank_ties, fraction=evolution.top_fraction)
+
     rule = UpdateRule(
-        weight_decay=config.weight_decay,
-        decouples_decay=config.weight_decay_form == "decoupled",
-        holds_when_tied=config.hold_tied,
-        shaping=make_fitness_shaping(config.fitness_shaping, ties=config.rank_ties, fraction=config.top_fraction),
-        optimizer=make_optimizer(config.optimizer, momentum=config.momentum),
+        weight_decay=evolution.weight_decay,
+        decouples_decay=evolution.weight_decay_form == "decoupled",
+        holds_when_tied=evolution.hold_tied,
+        shaping=shaping(evolution.fitness_shaping),
+        optimizer=make_optimizer(evolution.optimizer, momentum=evolution.momentum),
     )
-    own: dict[str, dict[str, Any]] = {"primitive": {"fall_price": config.fall_price}}
-    if config.controller_weight_decay is not None:
-        own["controller"] = {"weight_decay": config.controller_weight_decay}
-    if config.primitive_estimate == "interval":
-        name = config.primitive_fitness_shaping
-        own["primitive"]["shaping"] = make_fitness_shaping(name, ties=config.rank_ties, fraction=config.top_fraction)
+    own: dict[str, dict[str, Any]] = {}
+    if "estimate" in config:
+        own["primitive"] = {"fall_price": config.estimate.fall_price}
+    if config.is_branched:
+        own["primitive"]["shaping"] = shaping(config.estimate.primitive_fitness_shaping)
+    decay = config.settings.get("controller_weight_decay")
+    if decay is not None:
+        own["controller"] = {"weight_decay": decay}
     return tuple(replace(rule, **own.get(name, {})) for name in config.level_names)
 
 
@@ -323,8 +338,8 @@ def build_state(config: TrainConfig, design: AgentDesign) -> TrainState:
     levels: list[LevelState] = []
     rules = build_update_rules(config)
     for number, (policy, size) in enumerate(zip(design.policies, design.observation_sizes, strict=True)):
-        rng = stream(config.seed, Purpose.INITIAL_PARAMETERS, number)
-        theta = policy.initial(rng, config.biases, config.output_weights)
+        rng = stream(config.run.seed, Purpose.INITIAL_PARAMETERS, number)
+        theta = policy.initial(rng, config.networks.biases, config.networks.output_weights)
         levels.append(
             LevelState(
                 name=design.level_names[number],
@@ -333,13 +348,14 @@ def build_state(config: TrainConfig, design: AgentDesign) -> TrainState:
                 statistics=ObservationStatistics.empty(size),
             )
         )
-    novelty = None if config.novelty == "none" else make_novelty_rule(config.novelty).start()
-    return TrainState(seed=config.seed, generation=0, env_steps=0, levels=tuple(levels), novelty=novelty)
+    rule = config.settings.get("novelty", "none")
+    novelty = None if rule == "none" else make_novelty_rule(rule).start()
+    return TrainState(seed=config.run.seed, generation=0, env_steps=0, levels=tuple(levels), novelty=novelty)
 
 
 def open_noise_table(config: TrainConfig, design: AgentDesign) -> NoiseTable:
     """Open the noise table of `config`, building it where it is missing."""
-    table = NoiseTable.open(config.noise_table_size)
+    table = NoiseTable.open(config.evolution.noise_table_size)
     for dim in design.dims:
         table.check_dim(dim)
     return table
@@ -348,19 +364,19 @@ def open_noise_table(config: TrainConfig, design: AgentDesign) -> NoiseTable:
 def build_plan(config: TrainConfig, design: AgentDesign, table: NoiseTable) -> WorkerPlan:
     """Return what every worker needs to know."""
     assert table.path is not None
-    env = build_environment(config)
+    workers = config.workers
     return WorkerPlan(
-        env=env,
-        training=build_options(config, env, is_evaluation=False),
-        evaluation=build_options(config, env, is_evaluation=True),
+        env=build_environment(config),
+        training=build_options(config, is_evaluation=False),
+        evaluation=build_options(config, is_evaluation=True),
         design=design,
         noise_table=table.path,
-        horizon=config.horizon,
-        evaluation_horizon=config.evaluation_horizon or config.horizon,
-        chunk_size=config.chunk_size,
-        device=config.device,
-        nconmax=config.nconmax,
-        njmax=config.njmax,
+        horizon=config.episodes.horizon,
+        evaluation_horizon=config.evaluation_steps,
+        chunk_size=workers.chunk_size,
+        device=workers.device,
+        nconmax=workers.nconmax,
+        njmax=workers.njmax,
         branch_design=build_branch_design(config, design),
     )
 
@@ -373,17 +389,18 @@ def check_device(config: TrainConfig) -> None:
         ConfigError: There is no card, its driver is too old, versions do not go together, the world needs the CPU, or
             there is not the memory for one.
     """
-    if config.device == "cpu":
+    workers = config.workers
+    if workers.device == "cpu":
         return
     env = build_environment(config)
-    simulator = simulator_factory(config.device, config.nconmax, config.njmax)
+    simulator = simulator_factory(workers.device, workers.nconmax, workers.njmax)
     try:
-        env.make(1, build_options(config, env, is_evaluation=False), simulator).close()
+        env.make(1, build_options(config, is_evaluation=False), simulator).close()
     except (MemoryError, RuntimeError) as error:
         if not is_out_of_memory(error):
             raise
         raise ConfigError(
-            f"device {config.device} has too little memory for a single episode ({error}). See what else uses it, set "
+            f"device {workers.device} has too little memory for a single episode ({error}). See what else uses it, set "
             "--nconmax or --njmax lower, or use --device cpu."
         ) from error
 
@@ -391,6 +408,6 @@ def check_device(config: TrainConfig) -> None:
 def build_backend(config: TrainConfig, plan: WorkerPlan) -> Backend:
     """Start the workers; a device has one, in this process."""
     factory = partial(RolloutWorker, plan)
-    if config.backend == "serial" or config.device != "cpu":
+    if config.workers.backend == "serial" or config.workers.device != "cpu":
         return SerialBackend(factory)
-    return ProcessesBackend(factory, config.workers)
+    return ProcessesBackend(factory, config.workers.count)

@@ -15,7 +15,6 @@ from shes.es.level import LevelParameters, LevelState, TrainState
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
-from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder
 from shes.training.build import build_backend, build_design, build_plan, open_noise_table
@@ -159,7 +158,7 @@ def evaluate(
     stored = folder.read_config()
     buffers = {name: size for name, size in (("nconmax", nconmax), ("njmax", njmax)) if size is not None}
     execution = {"num_workers": num_workers, "device": device, **buffers}
-    config = TrainConfig.from_dict({**stored.to_dict(), **execution, "evaluation_episodes": episodes})
+    config = stored.having(**execution, evaluation_episodes=episodes)
     check_asked_device(config, execution)
     state = folder.load(checkpoint).state
     draws = state if seed is None else TrainState(seed=seed, generation=0, env_steps=0, levels=state.levels)
@@ -169,4 +168,4 @@ def evaluate(
     if targets == "training":
         plan = replace(plan, evaluation=plan.training)
     with build_backend(config, plan) as backend:
-        return evaluate_levels(state.levels, seeds, backend, config.episodes_per_policy)
+        return evaluate_levels(state.levels, seeds, backend, config.evolution.episodes_per_policy)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
@@ -15,11 +16,10 @@ from shes.algorithms.evolution.algorithm import GenerationReport, evolve
 from shes.backends.backend import Backend
 from shes.errors import ConfigError
 from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, save_checkpoint
-from shes.runs.config import EXECUTION_FIELDS, TrainConfig, check_fields
+from shes.runs.config import TrainConfig, execution_settings, known_settings
 from shes.runs.device import array_module, check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
-from shes.runs.settings import flag
 from shes.runs.tables import Records, Row, progress_row, read_csv
 from shes.training.build import (
     build_backend,
@@ -82,7 +82,7 @@ def train(
         preset: `paper`, `laptop` or `smoke`.
         out: The run folder, which must not hold a run yet; a new one below `runs/` if none.
         listener: Hears of the progress.
-        settings: Any field of `TrainConfig`, e.g. `seed=0, num_workers=4`.
+        settings: Any setting by name, e.g. `seed=0, num_workers=4`.
 
     Raises:
         UnknownNameError: An environment, preset or other name is not known.
@@ -139,27 +139,20 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
     """
     folder = RunFolder.open(path)
     stored = folder.read_config()
-    check_fields(settings)
-    for name in settings:
-        if name not in EXECUTION_FIELDS - {"preset"}:
-            allowed = ", ".join(flag(field) for field in sorted(EXECUTION_FIELDS - {"preset"}))
-            raise ConfigError(
-                f"{flag(name)} would change the numbers of the run; resume takes {allowed}. "
-                "Start another run to change it."
-            )
-    config = replace(stored, **{"minutes": None, **settings})
+    _refuse_other_numbers(settings)
+    config = stored.having(**{"minutes": None, **settings})
     check_asked_device(config, settings)
     check_device(config)
     with folder.lock():
         checkpoint = folder.load("last")
         done, steps = checkpoint.state.generation, checkpoint.state.env_steps
-        if config.is_over(done, steps):
-            is_long = done >= config.generations
-            made, end = (done, config.generations) if is_long else (steps, config.env_steps)
+        if config.run.is_over(done, steps):
+            is_long = done >= config.run.generations
+            made, end = (done, config.run.generations) if is_long else (steps, config.run.env_steps)
             raise ConfigError(
                 f"the run has made {made} {'generations' if is_long else 'environment steps'}, and is to end after "
                 f"{end}. To go on: shes resume {shlex.quote(str(path))} "
-                f"{flag('generations' if is_long else 'env_steps')} {2 * made}"
+                f"{'--generations' if is_long else '--env-steps'} {2 * made}"
             )
         changes = folder.record_resume(done, config)
         if changes:
@@ -171,20 +164,38 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
         return _go_on(folder, config, checkpoint, listener)
 
 
+def _refuse_other_numbers(settings: Mapping[str, Any]) -> None:
+    """Refuse settings that would make another run of the one to resume.
+
+    Raises:
+        ConfigError: There is one.
+    """
+    execution, known = execution_settings(), known_settings()
+    allowed = ", ".join(sorted(each.flag for name, each in execution.items() if name != "preset"))
+    for name in settings:
+        if name not in known:
+            raise ConfigError(f"unknown setting {name!r}. resume takes {allowed}.")
+        if name not in execution or name == "preset":
+            raise ConfigError(
+                f"{known[name].flag} would change the numbers of the run; resume takes {allowed}. "
+                "Start another run to change it."
+            )
+
+
 def _go_on(folder: RunFolder, config: TrainConfig, checkpoint: Checkpoint, listener: Listener | None) -> Run:
     """Run from `checkpoint` to the end of the generations, steps or minutes, or to an interruption."""
     design = build_design(config)
-    table = open_noise_table(config, design).on(array_module(config.device))
+    table = open_noise_table(config, design).on(array_module(config.workers.device))
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))
         interruption = stack.enter_context(Interruption())
         records = stack.enter_context(closing(Records(folder, checkpoint.state.generation)))
         writer = stack.enter_context(closing(CheckpointWriter()))
         backend = stack.enter_context(build_backend(config, build_plan(config, design, table)))
-        pool = stack.enter_context(ThreadPoolExecutor(min(config.workers, 8), thread_name_prefix="shes-gradient"))
+        pool = stack.enter_context(ThreadPoolExecutor(min(config.workers.count, 8), thread_name_prefix="shes-gradient"))
         session = _Session(folder, config, checkpoint, records, writer, backend, listener)
         generations = evolve(checkpoint.state, build_settings(config), table, backend, pool)
-        on_device = "" if config.device == "cpu" else f" on device {config.device}"
+        on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
         logger.info(
             "begins after generation %d with %d workers%s", checkpoint.state.generation, backend.num_workers, on_device
         )
@@ -226,18 +237,18 @@ class _Session:
     def check_schedules(self) -> None:
         """Say so where the run ends before its schedules do."""
         config = self._config
-        if config.has_schedule and config.generations < config.schedule_generations:
+        if config.has_schedule and config.run.generations < config.schedules.schedule_generations:
             self._tell_event(
-                f"the schedules take {config.schedule_generations} generations, but the run ends after "
-                f"{config.generations}, short of their end: see --schedule-generations"
+                f"the schedules take {config.schedules.schedule_generations} generations, but the run ends after "
+                f"{config.run.generations}, short of their end: see --schedule-generations"
             )
 
     def is_over(self) -> bool:
         """Tell whether the run, or this call's time, has come to its end."""
-        minutes = self._config.minutes
+        minutes = self._config.run.minutes
         is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
         state = self.checkpoint.state
-        return is_late or self._config.is_over(state.generation, state.env_steps)
+        return is_late or self._config.run.is_over(state.generation, state.env_steps)
 
     def add(self, report: GenerationReport, interruption: Interruption) -> None:
         """Write down a generation, evaluate where it is due, and put the checkpoint on its way."""
@@ -249,7 +260,7 @@ class _Session:
         self._tell_events(report.log)
         # `last` last: a run that dies before it does this generation, its evaluation and its other checkpoints again.
         best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
-        if state.generation == 1 or state.generation % self._config.evaluation_interval == 0:
+        if state.generation == 1 or state.generation % self._config.evaluation.evaluation_interval == 0:
             with interruption.at_once():
                 evaluation = self._evaluate(report)
             self._records.add_evaluation(evaluation)
@@ -265,7 +276,7 @@ class _Session:
             self._tell("on_evaluation", evaluation)
             self._generation_start = perf_counter()
             row["evaluation_s"] = round(self._generation_start - now, 4)
-        if state.generation % self._config.keep_checkpoints == 0:
+        if state.generation % self._config.evaluation.keep_checkpoints == 0:
             paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
         self._records.add_progress(row)
         self.checkpoint = Checkpoint(state=state, best=best, numbers=self.checkpoint.numbers)
@@ -274,8 +285,8 @@ class _Session:
 
     def _evaluate(self, report: GenerationReport) -> Row:
         """Return the row of `evaluation.csv` for the mean policies after this generation."""
-        seeds = evaluation_seeds(report.state, self._config.evaluation_episodes)
-        found = evaluate_levels(report.state.levels, seeds, self._backend, self._config.episodes_per_policy)
+        seeds = evaluation_seeds(report.state, self._config.evaluation.evaluation_episodes)
+        found = evaluate_levels(report.state.levels, seeds, self._backend, self._config.evolution.episodes_per_policy)
         return {
             "generation": report.state.generation,
             "env_steps": report.state.env_steps,

@@ -13,10 +13,10 @@ from typing import Any
 
 from shes.errors import CheckpointError, ConfigError
 from shes.es.level import LevelState, TrainState
-from shes.runs.config import TrainConfig
+from shes.runs.config import RunSettings, TrainConfig, method
 from shes.runs.folder import RunFolder
-from shes.runs.settings import flag
-from shes.training.build import build_task, controller_inputs, primitive_inputs
+from shes.settings import flag
+from shes.training.build import build_task, controller_inputs, primitive_inputs, primitive_layers
 
 __all__ = ["TRANSFERRED", "Transferred", "brought_settings", "transfer"]
 
@@ -26,6 +26,7 @@ _BROUGHT = {
     "primitive": ("goal_encoding", "clock_frequency", "hide_position", "symmetry"),
     "controller": ("controller_output", "controller_view", "hidden"),
 }
+"""Settings that a level was trained with, and that come with it."""
 _SUGGESTED = {
     "primitive": (),
     "controller": ("controller_interval", "goal_distance", "minimum_goal_distance"),
@@ -74,18 +75,21 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[TrainConfig, LevelSta
             f"{path} has no {level}: its levels are {', '.join(levels)}. Name a run with --{level} that trained "
             f"one: {trained_by}."
         )
-    told = Transferred(run=path, env=config.env, checkpoint=checkpoint, generation=state.generation)
+    told = Transferred(run=path, env=config.run.env, checkpoint=checkpoint, generation=state.generation)
     return config, levels[level], told
 
 
-def brought_settings(level: str, path: str, checkpoint: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+def brought_settings(
+    level: str, path: str, checkpoint: str, values: Mapping[str, Any], asked: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return the settings that a level of the run at `path` brings with it.
 
     Args:
         level: `primitive` or `controller`.
         path: The run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
-        asked: Settings that somebody asked for.
+        values: The settings of the run that it comes to, so far.
+        asked: Those among them that somebody asked for.
 
     Raises:
         RunFolderError: `path` is neither a run folder nor a shipped agent.
@@ -95,11 +99,13 @@ def brought_settings(level: str, path: str, checkpoint: str, asked: Mapping[str,
     if not isinstance(path, str) or not path:
         raise ConfigError(f"{level} must be the path of a run folder, got {path!r}. Set --{level}.")
     source, _, _ = _read(level, path, checkpoint)
-    brought: dict[str, Any] = {name: getattr(source, name) for name in _BROUGHT[level]}
+    theirs = source.settings
+    brought: dict[str, Any] = {name: theirs[name] for name in _BROUGHT[level]}
     if level == "primitive":
-        brought["primitive_hidden"] = source.hidden if source.primitive_hidden is None else source.primitive_hidden
-        is_plain = source.level_names == ("primitive",) and source.primitive_view == "observation"
-        brought["primitive_view"] = "proprioception" if is_plain else source.primitive_view
+        is_alone = method(RunSettings.of(values)) == "primitive"
+        brought["hidden" if is_alone else "primitive_hidden"] = primitive_layers(source)
+        is_plain = source.level_names == ("primitive",) and source.hierarchy.primitive_view == "observation"
+        brought["primitive_view"] = "proprioception" if is_plain else source.hierarchy.primitive_view
     for name in sorted(brought.keys() & asked.keys()):
         wanted = tuple(asked[name]) if isinstance(asked[name], list) else asked[name]
         if wanted != brought[name]:
@@ -107,7 +113,7 @@ def brought_settings(level: str, path: str, checkpoint: str, asked: Mapping[str,
                 f"{name} is {wanted!r}, but the {level} of {path} was trained with {brought[name]!r}. "
                 f"Leave {flag(name)} away: it comes with the {level}."
             )
-    return brought | {name: getattr(source, name) for name in _SUGGESTED[level] if name not in asked}
+    return brought | {name: theirs[name] for name in _SUGGESTED[level] if name not in asked}
 
 
 def transfer(config: TrainConfig, state: TrainState) -> tuple[TrainState, dict[str, Transferred]]:
@@ -122,10 +128,10 @@ def transfer(config: TrainConfig, state: TrainState) -> tuple[TrainState, dict[s
     """
     origins: dict[str, Transferred] = {}
     for name in TRANSFERRED:
-        path = getattr(config, name)
+        path = config.settings.get(name)
         if path is None:
             continue
-        source, level, told = _read(name, path, getattr(config, f"{name}_checkpoint"))
+        source, level, told = _read(name, path, config.settings[f"{name}_checkpoint"])
         _check_fit(name, path, source, config)
         levels = tuple(
             replace(each, theta=level.theta, statistics=level.statistics) if each.name == name else each
@@ -155,8 +161,8 @@ def _check_fit(level: str, path: str, source: TrainConfig, config: TrainConfig) 
     theirs, ours = layout(source), layout(config)
     if theirs != ours:
         raise ConfigError(
-            f"the {level} of {path} does not fit {config.env}.\n"
-            f"It was trained on {source.env}: {theirs}.\n"
+            f"the {level} of {path} does not fit {config.run.env}.\n"
+            f"It was trained on {source.run.env}: {theirs}.\n"
             f"Here there is: {ours}.\n"
             f"{advice}"
         )
@@ -167,15 +173,16 @@ def _primitive_layout(config: TrainConfig) -> str:
     inputs = primitive_inputs(config)
     task = build_task(config, 1, is_evaluation=False)
     task.close()
-    symmetry = "" if config.symmetry == "none" else f" ({config.symmetry} symmetry)"
+    kind = config.hierarchy.symmetry
+    symmetry = "" if kind == "none" else f" ({kind} symmetry)"
     return (
-        f"{len(inputs)} inputs{symmetry} ({', '.join(inputs)}) of specification {config.spec} and {task.action_size} "
-        f"controls of up to {task.control_limit:g}"
+        f"{len(inputs)} inputs{symmetry} ({', '.join(inputs)}) of specification {config.environment.spec} and "
+        f"{task.action_size} controls of up to {task.control_limit:g}"
     )
 
 
 def _controller_layout(config: TrainConfig) -> str:
     """Return what the controller of `config` observes and puts out, in words."""
     inputs = controller_inputs(config)
-    names = ", ".join(inputs)
-    return f"{len(inputs)} inputs ({names}) of specification {config.spec}, output {config.controller_output}"
+    told = f"specification {config.environment.spec}, output {config.hierarchy.controller_output}"
+    return f"{len(inputs)} inputs ({', '.join(inputs)}) of {told}"

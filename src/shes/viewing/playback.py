@@ -68,7 +68,7 @@ class Playback:
         config = folder.read_config()
         state = folder.load(checkpoint).state
         self.name = f"{checkpoint} (generation {state.generation})" if not checkpoint.isdecimal() else checkpoint
-        self.steps = steps or config.evaluation_horizon or config.horizon
+        self.steps = steps or config.evaluation_steps
         self._agent = Agent(config, state.levels)
         self._task = build_task(config, 1, is_evaluation=True)
         self._draws = state if seed is None else TrainState(seed=seed, generation=0, env_steps=0, levels=state.levels)

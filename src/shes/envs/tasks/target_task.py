@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
@@ -12,21 +13,41 @@ from shes.arrays import to_host
 from shes.drawing.markers import TARGET, Marker, ball, disc
 from shes.envs.bodies.body import Body
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.options import Place, TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
 from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["SUCCESS_DISTANCE_M", "TargetTask"]
+__all__ = ["SUCCESS_DISTANCE_M", "BlockOptions", "TargetOptions", "TargetTask"]
 
 SUCCESS_DISTANCE_M = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetOptions(TaskOptions):
+    """Options of a task with a target."""
+
+    target: Place | None = None
+    """A fixed target of training, in metres, in place of the task's own."""
+    evaluation_target: Place | None = None
+    """The target of evaluation, in metres, in place of the task's own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockOptions(TargetOptions):
+    """Options of a task with a target and a block."""
+
+    observe_block: bool | None = None
+    """Whether the block is observed; none leaves it to the specification (shes: yes, hiro: no)."""
 
 
 class TargetTask(Task):
     """A robot is to come within 5 m of a target; it is paid the negative distance."""
 
+    Options: ClassVar[type[TargetOptions]] = TargetOptions
+    options: TargetOptions
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     grid: ClassVar[Grid]
     """The world."""
@@ -53,7 +74,7 @@ class TargetTask(Task):
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
 
     @classmethod
-    def _check(cls, options: TaskOptions) -> None:
+    def _check(cls, options: TargetOptions) -> None:
         super()._check(options)
         for name in ("target", "evaluation_target"):
             place = getattr(options, name)
@@ -76,7 +97,7 @@ class TargetTask(Task):
         """Whether the block's place and velocity are observed."""
         if not self.block_axes:
             return False
-        asked = self.options.observe_block
+        asked = self.options.observe_block if isinstance(self.options, BlockOptions) else None
         return self.options.spec == "shes" if asked is None else asked
 
     @property
