@@ -117,7 +117,7 @@ def sample(
     learner = build_algorithm(config)
     assert isinstance(learner, EvolutionStrategy)
     design, plan = learner.design, learner.plan()
-    levels = learner.parameters(learner.start(config.seed))
+    levels = learner.parameters(learner.start(config.run.seed))
     generation = Generation(levels=levels, sigma=_SPREAD, episodes_per_policy=1, is_evaluation=False)
     seeds = stream(seed, Purpose.FRESH_EPISODES).integers(2**62, size=episodes).tolist()
     tasks = [

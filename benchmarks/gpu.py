@@ -185,7 +185,7 @@ def generations(device: str, size: Size, out: Path) -> None:
         found = list(itertools.islice(_timed(config), size.repeats + 1))[1:]  # the first one compiles
         names = [name for name in found[0] if found[0][name] is not None]
         row = {name: statistics.median(each[name] for each in found) for name in names}
-        policies = config.population_size
+        policies = config.evolution.population_size
         table.add(what=what, env=env, integrator=integrator, policies=policies, episodes=episodes, **row)
 
 
@@ -193,9 +193,9 @@ def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
     """Yield seconds of every generation, by part."""
     learner = build_algorithm(config)
     assert isinstance(learner, EvolutionStrategy)
-    opened = WarpDevice(config.device)
+    opened = WarpDevice(config.workers.device)
     with build_backend(config, learner.plan()) as backend:
-        for report in evolve(learner.start(config.seed), learner.settings, learner.table.on(opened.xp), backend):
+        for report in evolve(learner.start(config.run.seed), learner.settings, learner.table.on(opened.xp), backend):
             physics_s, policy_s, task_s = report.results.seconds.tolist()
             steps = int(report.results.steps.sum())
             yield {
@@ -208,7 +208,7 @@ def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
                 "update_s": report.update_s,
                 "env_steps_per_s": steps / (report.rollout_s + report.update_s),
                 "policy_and_task_share": (policy_s + task_s) / (report.rollout_s + report.update_s),
-                "weights_mb": 4e-6 * sum(learner.design.dims) * config.population_size,
+                "weights_mb": 4e-6 * sum(learner.design.dims) * config.evolution.population_size,
                 "free_bytes": opened.free_bytes(),
             }
 

@@ -59,7 +59,7 @@ def run(tmp_path_factory):
 
 
 def test_train_returns_the_run(run):
-    assert (run.generation, run.config.env, run.config.seed) == (2, "point-gather", 5)
+    assert (run.generation, run.config.run.env, run.config.run.seed) == (2, "point-gather", 5)
     assert run.best.generation in (1, 2)
     assert (run.path / "checkpoints" / "last.npz").is_file()
 
@@ -84,7 +84,7 @@ def check_that_a_loaded_agent_plays_as_evaluation_does(run):
     for number, seed in enumerate(seeds):
         task.reset(np.array([0]), [seed])
         agent.reset()
-        for _ in range(run.config.evaluation_horizon):
+        for _ in range(run.config.episodes.evaluation_horizon):
             action = agent.act(task.observe()[0])
             assert action.shape == (2,)
             task.step(np.array([0]), (action * task.control_limit)[None])

@@ -104,7 +104,7 @@ def test_a_shipped_agent_is_named_where_a_run_is_read(shes, agent, tiny_run):
         "--out",
         "run",
     )
-    assert RunFolder.open("run").read_config().primitive == agent
+    assert RunFolder.open("run").read_config().transfer.primitive == agent
     assert {path.name for path in Path().iterdir()} == {"curves.png", "run"}
 
 
@@ -150,15 +150,20 @@ def test_aliases_and_both_ways_to_write_a_value(shes, tmp_path):
     words = ["--preset=smoke", "--workers=2", f"--out={path}", "--hidden", "4", "3", "--sigma=0.5", "--generations=1"]
     shes("train", "point-gather", *words, "--population-size=4", "--horizon=5", "--backend=serial")
     config = RunFolder.open(path).read_config()
-    assert (config.preset, config.num_workers, config.hidden, config.sigma) == ("smoke", 2, (4, 3), 0.5)
+    assert (config.run.preset, config.workers.num_workers, config.networks.hidden, config.evolution.sigma) == (
+        "smoke",
+        2,
+        (4, 3),
+        0.5,
+    )
     shes("resume", path, "--workers", "3", "--generations", "2")
-    assert RunFolder.open(path).read_config().num_workers == 3
+    assert RunFolder.open(path).read_config().workers.num_workers == 3
 
 
 def test_switches_can_be_turned_off(shes, tmp_path):
     path = tmp_path / "run"
     shes("train", "point-gather", *TINY, "--generations", 1, "--no-minimum-goal-distance", "--out", path)
-    assert RunFolder.open(path).read_config().minimum_goal_distance is False
+    assert RunFolder.open(path).read_config().hierarchy.minimum_goal_distance is False
 
 
 def test_minutes_end_a_call_and_resume_goes_on(shes, tmp_path, tiny_run):
@@ -216,8 +221,12 @@ def test_flags_may_be_written_with_underscores_before_the_environment_and_none_i
     none = ["--evaluation-horizon", "none", "--backend", "serial"]
     shes("train", *words, *none, "--generations", 1, "--no-minimum-goal-distance", "--weight-decay=0", "--out", path)
     config = RunFolder.open(path).read_config()
-    assert (config.env, config.population_size, config.hidden) == ("point-gather", 4, (4, 3))
-    assert (config.evaluation_horizon, config.minimum_goal_distance, config.weight_decay) == (None, False, 0)
+    assert (config.run.env, config.evolution.population_size, config.networks.hidden) == ("point-gather", 4, (4, 3))
+    assert (
+        config.episodes.evaluation_horizon,
+        config.hierarchy.minimum_goal_distance,
+        config.evolution.weight_decay,
+    ) == (None, False, 0)
 
 
 # Ctrl-C.

@@ -19,6 +19,7 @@ from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.runs.config import TrainConfig
+from shes.settings import setting_fields
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -170,7 +171,7 @@ def test_an_environments_page_lists_what_it_observes_and_how_it_is_moved(site, p
     assert [row[1]["text"] for row in tables["index", "control"]] == list(task.body.controls)
     facts = {row[0]["text"]: row[1]["text"] for row in tables["Gymnasium", gymnasium_id(name)]}
     assert facts["Score"] == type(task).description.score
-    assert {row[0]["text"] for row in tables["argument", "default"]} == task.option_names()
+    assert {row[0]["text"] for row in tables["argument", "default"]} == setting_fields(task.Options).keys()
     assert (site / "environments" / f"{name}.png").stat().st_size > 1000
     assert f"{name}.html" in pages["environments/index.html"].links
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from shes.cli.commands import SUMMARIES
-from shes.runs.config import TrainConfig
-from shes.runs.settings import flag
+from shes.runs.config import known_settings
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -35,10 +34,8 @@ def test_python_example_runs(tmp_path, monkeypatch, capsys):
 
 
 def test_flags_and_commands_exist():
-    known = {flag(name) for name in TrainConfig.__dataclass_fields__}
-    known |= {
-        "--no-" + flag(name)[2:] for name, field in TrainConfig.__dataclass_fields__.items() if field.type == "bool"
-    }
+    known = {setting.flag for setting in known_settings().values()}
+    known |= {"--no-" + setting.flag[2:] for setting in known_settings().values() if setting.kind is bool}
     known |= {"--checkpoint", "--episodes", "--help", "--import", "--json", "--out", "--size", "--steps"}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README)) <= known
     assert set(re.findall(r"^shes ([a-z]+)", README, flags=re.MULTILINE)) <= set(SUMMARIES)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import inspect
 import io
-from dataclasses import MISSING, fields
 from math import isinf
 
 import gymnasium
 import numpy as np
 from PIL import Image
 
-from generate.fields import field_docs
 from generate.source import find, link
 from generate.tables import table
 from shes.drawing.renderer import CAMERAS
@@ -20,6 +18,7 @@ from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import FRAME_SKIP, Task
 from shes.envs.worlds import TIMESTEP_S
+from shes.settings import setting_fields
 
 
 def page_uri(name: str) -> str:
@@ -84,7 +83,7 @@ def environment_page(name: str) -> str:
             *_hiro(name, task),
             "## Arguments",
             f"What `gymnasium.make({gym[1:-1]!r}, ...)` takes, beside Gymnasium's own arguments:",
-            _arguments(type(task)),
+            _arguments(task),
             "And for its pictures `width` and `height` in pixels (480), and `camera`: `follow` (the default) or `top`.",
         ]
     )
@@ -134,14 +133,9 @@ def _hiro(name: str, task: Task) -> list[str]:
     ]
 
 
-def _arguments(kind: type[Task]) -> str:
-    docs = field_docs(TaskOptions)
-    rows = []
-    for field in fields(TaskOptions):
-        if field.name not in kind.option_names():
-            continue
-        default = field.default if field.default is not MISSING else field.default_factory()
-        rows.append((f"`{field.name}`", f"`{default!r}`", docs.get(field.name, "")))
+def _arguments(task: Task) -> str:
+    settings = [*setting_fields(task.Options).values(), *setting_fields(task.body.Options).values()]
+    rows = [(f"`{each.name}`", f"`{each.default!r}`", each.text) for each in settings]
     return table(["argument", "default", "meaning"], rows)
 
 

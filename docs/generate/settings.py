@@ -2,27 +2,55 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
-from generate.fields import field_docs
 from generate.tables import table
-from shes.runs.config import TrainConfig
-from shes.runs.settings import flag
+from shes.envs.registry import ENVIRONMENTS
+from shes.settings import Unasked, setting_fields
 from shes.training.presets import PRESETS, make_config
 
 
 def settings(page: str) -> str:
-    """Return the table of the settings of `train`: flag, presets, meaning."""
+    """Return a table of the settings of `train` for each room: flag, presets, meaning."""
     del page
-    docs = field_docs(TrainConfig)
     configs = [make_config("ant-gather", preset) for preset in PRESETS]
-    names = [field.name for field in fields(TrainConfig) if field.name not in ("env", "external", "preset")]
+    parts = []
+    for name, room in configs[0].rooms.items():
+        if name == "environment":
+            continue
+        rows = [
+            (f"`{each.flag}`", each.text, *(_shown(config.settings[each.name]) for config in configs))
+            for each in setting_fields(type(room)).values()
+            if each.name not in ("env", "external", "preset")
+        ]
+        parts += [f"### {_title(type(room))}", table(["flag", "meaning", *(f"`{name}`" for name in PRESETS)], rows)]
+    return "\n\n".join([*parts, "### Environment", _options()])
+
+
+def _options() -> str:
+    """Return the table of the options of all tasks."""
+    tasks: dict[str, list[str]] = {}
+    found = {}
+    for environment in ENVIRONMENTS.values():
+        for each in setting_fields(environment.options).values():
+            if not each.has(Unasked):
+                found[each.name] = each
+                tasks.setdefault(each.name, []).append(environment.task.name)
+    count = len(ENVIRONMENTS)
     rows = [
-        (f"`{flag(name)}`", docs.get(name, ""), *(_shown(getattr(config, name)) for config in configs))
-        for name in names
+        (
+            f"`{each.flag}`",
+            "every task" if len(tasks[name]) == count else ", ".join(dict.fromkeys(tasks[name])),
+            each.text,
+            _shown(each.default),
+        )
+        for name, each in found.items()
     ]
-    return table(["flag", "meaning", *(f"`{name}`" for name in PRESETS)], rows)
+    return table(["flag", "task", "meaning", "default"], rows)
+
+
+def _title(cls: type) -> str:
+    return (cls.__doc__ or "").partition(".")[0]
 
 
 def _shown(value: Any) -> str:

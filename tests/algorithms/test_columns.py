@@ -184,7 +184,7 @@ def test_the_numbers_of_a_primitive_on_branches_are_those_of_its_pairs():
 def generation_by_hand(path, config, number):
     """Return the state before generation `number` of a run, its signs [G, M, L] and its noise [L, G]."""
     state = runs.state(path, number - 1)
-    work = generation_work(state, build_algorithm(config).settings, config.noise_table_size)
+    work = generation_work(state, build_algorithm(config).settings, config.evolution.noise_table_size)
     return state, work.signs, work.noise_index
 
 

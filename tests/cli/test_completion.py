@@ -10,8 +10,7 @@ from shes.cli.commands import SUMMARIES
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
 from shes.runs import shipped
-from shes.runs.config import WITHOUT_FLAG, TrainConfig
-from shes.runs.settings import flag
+from shes.runs.config import TrainConfig
 
 ANTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("ant-")]
 POINTS = [name for name in sorted(ENVIRONMENTS) if name.startswith("point-")]
@@ -124,7 +123,8 @@ def test_other_shells_offer_shipped_agents_too(script, agents, shell):
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 def test_bash_offers_every_setting_once_the_environment_is_there(complete):
     (flags,) = complete("shes train ant-gather ")
-    assert {flag(name) for name in TrainConfig.__dataclass_fields__.keys() - WITHOUT_FLAG} <= set(flags)
+    config = TrainConfig.of(env="ant-gather")
+    assert {config.setting(name).flag for name in config.settings.keys() - {"env", "external"}} <= set(flags)
     assert "--num-workers" not in flags
 
 

@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -15,12 +14,17 @@ from shes.cli.options import options_in
 from shes.cli.parsing import parse
 from shes.cli.settings import setting_groups
 from shes.envs.registry import ENVIRONMENTS
-from shes.runs.config import EXECUTION_FIELDS, HEADINGS, WITHOUT_FLAG, TrainConfig
-from shes.runs.settings import flag
+from shes.runs.config import TrainConfig, execution_settings
+from shes.settings import flag as plain_flag
 from shes.training.presets import PRESETS, make_config
 from shes.viewing import plot, render
 
-SETTINGS = [field.name for field in fields(TrainConfig) if field.name not in WITHOUT_FLAG]
+CONFIG = TrainConfig.of(env="ant-gather")
+SETTINGS = [name for name in CONFIG.settings if name not in ("env", "external")]
+
+
+def flag(name):
+    return CONFIG.setting(name).flag if name in CONFIG.settings else plain_flag(name)
 
 
 @pytest.fixture
@@ -151,34 +155,22 @@ def test_train_shows_choices_and_types_as_people_write_them(shes):
     assert not re.search(r"--env(?!-steps)\b|--num-workers|\{None\}|\bSTR\b|\bNone\b", text)
 
 
-def test_every_setting_is_in_a_group_under_the_heading_of_its_section(shes):
-    groups = setting_groups(None, SETTINGS)
-    assert [group.heading for group in groups] == list(HEADINGS.values())
-    assert [option.name for option in options_in(groups)] == SETTINGS
-    headings = re.findall(r"^([a-z ,]+):$", shes("train", "--help"), re.MULTILINE)
-    assert headings == ["examples", "environment", *HEADINGS.values(), "everywhere"]
-
-
 @pytest.fixture(scope="module")
 def setting_options():
-    return options_in(setting_groups(None, SETTINGS))
-
-
-def written(setting, value):
-    """Return the words that give `setting` this value."""
-    if isinstance(value, bool):
-        return [flag(setting) if value else flag(setting).replace("--", "--no-")]
-    return [flag(setting), *(str(item) for item in (value if isinstance(value, tuple) else (value,)))]
+    return options_in(setting_groups(CONFIG))
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_value_of_every_setting_can_be_written_on_the_command_line(setting_options, preset):
-    config = make_config("ant-gather", preset)
-    values = {setting: getattr(config, setting) for setting in SETTINGS}
-    words = [word for setting, value in values.items() for word in written(setting, value)]
-    assert parse(setting_options, words, "train") == values
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_the_value_of_every_setting_can_be_written_on_the_command_line(setting_options, setting, preset):
+    options, value = setting_options, make_config("ant-gather", preset).settings[setting]
+    if isinstance(value, bool):
+        words = [flag(setting) if value else flag(setting).replace("--", "--no-")]
+    else:
+        words = [flag(setting), *(str(item) for item in (value if isinstance(value, tuple) else (value,)))]
+    assert parse(options, words, "train") == {setting: value}
 
 
 def test_resume_takes_the_settings_that_change_no_number():
     options = options_in(load_command("resume").groups_for([]))
-    assert {option.name for option in options} == {"run", *EXECUTION_FIELDS} - {"preset"}
+    assert {option.name for option in options} == {"run", *execution_settings()} - {"preset"}

@@ -7,7 +7,8 @@ from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.errors import WorkerError
-from shes.runs.settings import BACKENDS as NAMES
+from shes.runs.config import WorkerSettings
+from shes.settings import setting_fields
 from tests.backends.workers import ERRORS, Worker
 
 BACKENDS = {
@@ -18,7 +19,7 @@ BACKENDS = {
 
 
 def test_every_backend_of_the_settings_is_here():
-    assert {name.split(",")[0] for name in BACKENDS} == set(NAMES)
+    assert {name.split(",")[0] for name in BACKENDS} == set(setting_fields(WorkerSettings)["backend"].choices)
 
 
 @pytest.fixture(scope="module", params=BACKENDS)

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import gymnasium
 import pytest
 
-from shes.envs.gymnasium_ids import gymnasium_id
-from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.gymnasium.registration import gymnasium_id
+from shes.envs.registry import ENVIRONMENTS, find_environment, make_task
 
 
 class Variant(NamedTuple):
@@ -23,7 +22,7 @@ class Variant(NamedTuple):
 
     def options(self, **options):
         """Return options of this specification."""
-        return TaskOptions(spec=self.spec, **options)
+        return find_environment(self.name).options(spec=self.spec, **options)
 
     def make_task(self, num_episodes, **options):
         """Return `num_episodes` episodes of it."""

@@ -185,7 +185,7 @@ WORDS = {
     ),
     "novelty_of_a_primitive": (
         ["train", "point-flagrun", *TRAIN[2:], "--novelty", "ns"],
-        r"novelty is 'ns', but it concerns what the environment pays, and point-flagrun trains a primitive alone",
+        r"novelty is no setting of a run of point-flagrun with algorithm 'shes', got 'ns'\. Leave --novelty away",
     ),
     "halves_that_are_none": (
         [*TRAIN, "--perturbation", "one_to_many_halves", "--population-size", "10"],
@@ -193,19 +193,19 @@ WORDS = {
     ),
     "goals_of_a_flat_run": (
         [*TRAIN, "--algorithm", "es", "--goal-encoding", "angle"],
-        r"goal_encoding does nothing in a run of point-gather with algorithm 'es', whose one level is the policy",
+        r"goal_encoding is no setting of a run of point-gather with algorithm 'es', got 'angle'",
     ),
     "controller_of_a_primitive_alone": (
         ["train", "point-flagrun", *TRAIN[2:], "--controller-output", "one_hot"],
-        r"controller_output does nothing in a run of point-flagrun .*whose one level is the primitive; got 'one_hot'",
+        r"controller_output is no setting of a run of point-flagrun .*, got 'one_hot'",
     ),
     "freezing_nothing": (
         [*TRAIN, "--no-freeze-primitive"],
-        r"freeze_primitive is False, but no run is named whose primitive it would be\. Set --primitive RUN, or leave",
+        r"freeze_primitive does nothing with primitive None, got False\. Set --primitive, or leave --freeze-primitive",
     ),
     "checkpoint_of_no_primitive": (
         [*TRAIN, "--primitive-checkpoint", "last"],
-        r"primitive_checkpoint is 'last', but no run is named .*leave --primitive-checkpoint away",
+        r"primitive_checkpoint does nothing with primitive None.*leave --primitive-checkpoint away",
     ),
     "missing_primitive": (
         [*TRAIN, "--primitive", "gone"],
@@ -213,11 +213,11 @@ WORDS = {
     ),
     "nameless_primitive": (
         [*TRAIN, "--primitive="],
-        r"primitive must be the path of a run folder, got ''\. Set --prim",
+        r"primitive must be a name, e\.g\. --primitive ant-walker, got ''\. Set --prim",
     ),
     "flags_too_near": (
         ["train", "point-flagrun", *TRAIN[2:], "--goal-distance", "0.5"],
-        r"goal_range must be at least 1 m.*, got 0\.5\. Set --goal-distance",
+        r"goal_distance must be between 1 and 1000, got 0\.5\. Set --goal-distance",
     ),
     "hidden_layer_of_nothing": (
         [*TRAIN, "--primitive-hidden", "0"],
@@ -301,7 +301,7 @@ CONFIGS = {
     "empty": (lambda text: text[:0], r"config\.json cannot be read: "),
     "other_json": (lambda text: f"[{text}]", r"config\.json is not the record of a SHES run"),
     "other_format": (
-        lambda text: text.replace('"format": 1', '"format": 9'),
+        lambda text: text.replace('"format": 2', '"format": 9'),
         r"not the record of a SHES run of format 1",
     ),
     "no_settings": (

@@ -69,7 +69,7 @@ def test_workers_find_the_numbers_of_one_process(run, tmp_path, settings):
 
 
 def test_a_resumed_run_goes_on_as_if_it_had_never_stopped(run, tmp_path, stranger):
-    path = shes.train("car", out=tmp_path / "run", external=run.config.external, **{**TINY, "generations": 1}).path
+    path = shes.train("car", out=tmp_path / "run", external=run.config.run.external, **{**TINY, "generations": 1}).path
     shes.resume(path, generations=3)
     assert runs.differences(run.path, path) == []
 
@@ -168,7 +168,10 @@ def test_a_file_is_all_that_the_command_line_needs(tmp_path):
 def test_python_takes_the_file_too(tmp_path):
     (tmp_path / "own-maze.json").write_text('{"id": "shes/PointMaze-v0", "position": [0, 1]}')
     config = make_config(str(tmp_path / "own-maze.json"), "smoke")
-    assert (config.env, config.external) == ("own-maze", ExternalDescription(id="shes/PointMaze-v0", position=(0, 1)))
+    assert (config.run.env, config.run.external) == (
+        "own-maze",
+        ExternalDescription(id="shes/PointMaze-v0", position=(0, 1)),
+    )
 
 
 @pytest.mark.parametrize(
@@ -283,12 +286,12 @@ def test_the_mazes_of_gymnasium_robotics_train_from_python(robotics, tmp_path, n
     one, other = (shes.evaluate(whole.path, episodes=3, num_workers=number).summary() for number in (1, 2))
     assert one == other
     agent = shes.load(whole.path)
-    env = gymnasium.make(whole.config.external.id)
+    env = gymnasium.make(whole.config.run.external.id)
     observation, _ = env.reset(seed=1)
     action = agent.act(observation)
     assert (agent.observation_size, *action.shape) == size
     assert env.action_space.contains(action)
-    assert np.abs(agent.goal - observation["achieved_goal"]).max() <= agent.config.goal_distance + 1e-6
+    assert np.abs(agent.goal - observation["achieved_goal"]).max() <= agent.config.hierarchy.goal_distance + 1e-6
 
 
 @pytest.mark.extras

@@ -56,7 +56,7 @@ def interrupted_run(started):
 
 
 def test_ctrl_c_in_a_terminal_stops_with_a_checkpoint(interrupted_run):
-    assert RunFolder.open(interrupted_run).read_config().seed == KILLED["seed"]
+    assert RunFolder.open(interrupted_run).read_config().run.seed == KILLED["seed"]
 
 
 @pytest.mark.extras

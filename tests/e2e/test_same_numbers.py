@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import shes
+from shes.runs.config import known_settings
 from shes.runs.folder import RunFolder
-from shes.runs.settings import NAMES, choices
 from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
 
@@ -48,9 +48,10 @@ def reference(tmp_path_factory):
 
 
 # With 3 workers, 20 policies leave 2 over, which go out episode by episode.
-def test_workers_and_chunks_change_no_number(reference, tmp_path):
-    path = by_command(tmp_path / "run", episodes_per_policy=3, workers=3, chunk_size=7)
-    assert runs.differences(reference(3), path) == []
+@pytest.mark.parametrize(("episodes", "workers", "chunk_size"), [(1, 2, 7), (3, 3, 7)])
+def test_workers_and_chunks_change_no_number(reference, tmp_path, episodes, workers, chunk_size):
+    path = by_command(tmp_path / "run", episodes_per_policy=episodes, workers=workers, chunk_size=chunk_size)
+    assert runs.differences(reference(episodes), path) == []
 
 
 @pytest.mark.extras
@@ -79,9 +80,7 @@ def test_the_ant_has_the_same_numbers_on_one_and_three_workers(tmp_path):
 @pytest.mark.parametrize(
     "variant",
     [
-        pytest.param(
-            each, id="-".join(each), marks=pytest.mark.extras if each == ("point-push", "hiro") else pytest.mark.slow
-        )
+        pytest.param(each, id="-".join(each), marks=[] if each == ("point-push", "hiro") else [pytest.mark.slow])
         for each in VARIANTS
     ],
 )
@@ -140,10 +139,12 @@ def companions(name, choice):
     return {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {}), **scheduled}
 
 
+CHOICES = {name: each.choices for name, each in known_settings().items() if each.choices}
+
 BY_CHOICE = {
     f"{name}={choice}": {**companions(name, choice), name: choice}
-    for name in NAMES
-    for choice in choices(name)
+    for name, choices in CHOICES.items()
+    for choice in choices
     if name not in NO_CHOICES | OF_THE_ANT
 }
 BY_HAND = {
@@ -228,10 +229,10 @@ METHODS = [
     *((env, name, settings) for env, cases in BY_ENVIRONMENT.items() for name, settings in cases.items()),
 ]
 QUICK = {
-    ("point-maze", "everything"), ("ant-flagrun", "walker"), ("ant-gather", "walker"),
+    ("point-maze", "everything"), ("point-maze", "algorithm=es"), ("point-maze", "frozen"),
+    ("ant-flagrun", "walker"), ("ant-gather", "walker"),
 }  # fmt: skip
 """These share enough with the others for every day."""
-IN_EXTRAS = {("point-maze", "algorithm=es"), ("point-maze", "frozen")}
 SAME_AS_USUAL = {"integrator=euler", "integrator=implicitfast", "controller_output=heading_vector"}
 """Point Maze is Euler's already, and the point has no damping that an implicit step would treat otherwise.
 Its heading is always 0."""
@@ -247,18 +248,13 @@ def source(tmp_path_factory):
 @pytest.mark.parametrize(
     ("env", "settings"),
     [
-        pytest.param(
-            env,
-            settings,
-            id=f"{env}-{name}",
-            marks=() if (env, name) in QUICK else pytest.mark.extras if (env, name) in IN_EXTRAS else pytest.mark.slow,
-        )
+        pytest.param(env, settings, id=f"{env}-{name}", marks=[] if (env, name) in QUICK else [pytest.mark.slow])
         for env, name, settings in METHODS
     ],
 )
-def test_neither_workers_nor_a_resume_change_the_numbers_of_any_method(tmp_path, request, env, settings):
+def test_neither_workers_nor_a_resume_change_the_numbers_of_any_method(tmp_path, source, env, settings):
     if settings.get("primitive") == SOURCE:
-        settings = {**settings, "primitive": str(request.getfixturevalue("source"))}
+        settings = {**settings, "primitive": str(source)}
     one = runs.train_tiny(tmp_path / "one", env, **method(settings))
     two = runs.train_tiny(tmp_path / "two", env, **{**method(settings), "generations": 1})
     shes.resume(two, generations=3, backend="processes", num_workers=2, chunk_size=5)
@@ -287,7 +283,7 @@ def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
     field, _, choice = name.partition("=")
     others = {} if field in SCHEDULES else companions(field, choice)
     same = usual({name: value for name, value in others.items() if name != field})
-    is_usual = getattr(RunFolder.open(same).read_config(), field) == choice or name in SAME_AS_USUAL
+    is_usual = RunFolder.open(same).read_config().settings[field] == choice or name in SAME_AS_USUAL
     found = {each for each in runs.differences(same, path) if not each.endswith("/settings")}
     assert (not found) is is_usual
 
@@ -303,10 +299,9 @@ def test_a_primitive_alone_on_branches_leaves_episodes_that_go_on(tmp_path):
 
 def test_every_choice_of_every_name_is_compared():
     tried = {item for _, _, settings in METHODS for item in settings.items() if isinstance(item[1], str)}
-    every = {(name, choice) for name in NAMES if name not in NO_CHOICES for choice in choices(name)}
+    every = {(name, choice) for name in CHOICES if name not in NO_CHOICES for choice in CHOICES[name]}
     assert every <= tried
-    assert {name for name in NAMES if not choices(name)} <= NO_CHOICES
-    assert {(env, name) for env, name, _ in METHODS} >= QUICK | IN_EXTRAS
+    assert {(env, name) for env, name, _ in METHODS} >= QUICK
 
 
 def test_the_comparison_sees_every_kind_of_number(tiny_run):

@@ -171,7 +171,7 @@ def test_a_target_that_is_drawn_near_the_start_scores_at_the_end_alone(variant):
 
 @over(lambda name: name.endswith("-flagrun"), slow=is_ant_by_rk4)
 def test_no_goal_of_flagrun_is_drawn_within_a_metre(variant):
-    env = variant.make_vector(NUM_ENVS, goal_interval=1)
+    env = variant.make_vector(NUM_ENVS, controller_interval=1)
     distances = [env.reset(seed=0)[1]["distance"]]
     for _ in range(40):
         distances.append(env.step(env.action_space.sample() * 0)[4]["distance"])
@@ -217,7 +217,7 @@ def test_after_a_reset_the_new_target_is_observed_and_paid_for(variant, mode):
 
 @over(lambda name: name.endswith("-flagrun"), slow=is_ant_by_rk4)
 def test_a_goal_of_flagrun_is_observed_as_soon_as_it_moves(variant):
-    env = variant.make_vector(NUM_ENVS, goal_interval=4)
+    env = variant.make_vector(NUM_ENVS, controller_interval=4)
     task = task_of(env)
     observation, _ = env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-0.1, 0.1, (17, *env.action_space.shape))
@@ -238,7 +238,7 @@ def test_a_goal_of_flagrun_is_observed_as_soon_as_it_moves(variant):
 
 @over(lambda name: name.endswith("-flagrun"))
 def test_success_of_flagrun_is_of_the_goal_that_the_step_was_for_even_where_a_new_one_is_drawn(variant):
-    env, task = start(variant, reset_noise=0.0, goal_interval=5, max_episode_steps=5)
+    env, task = start(variant, reset_noise=0.0, controller_interval=5, max_episode_steps=5)
     assert not env.reset()[1]["success"]
     for step in range(1, 6):
         put(task, task.goal[0])

@@ -24,7 +24,7 @@ SHOWN = (
 
 def make_pair(variant):
     """Return a task with NumPy's arrays and the same on the device."""
-    interval = {"goal_interval": GOAL_INTERVAL} if variant.name.endswith("-flagrun") else {}
+    interval = {"controller_interval": GOAL_INTERVAL} if variant.name.endswith("-flagrun") else {}
     return [
         make_task(variant.name, NUM_EPISODES, variant.options(**interval), simulator)
         for simulator in (CpuSimulator, DeviceSimulator)

@@ -14,8 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.envs.registry import ENVIRONMENTS, make_task
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.registry import ENVIRONMENTS, find_environment, make_task
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.envs.worlds import INTEGRATORS
 from shes.sim.cpu import CpuSimulator
@@ -220,7 +219,7 @@ def crash(name, num_episodes, steps, seed, *, change=None, **options):
             change(model)
         return CpuSimulator(model, num_sims)
 
-    task = make_task(name, num_episodes, TaskOptions(**options), make_simulator)
+    task = make_task(name, num_episodes, find_environment(name).options(**options), make_simulator)
     ids, rng = np.arange(num_episodes), np.random.default_rng(seed)
     task.reset(ids, ids)
     start, direction = choose_starts(task, rng)
@@ -328,7 +327,7 @@ def play_randomly(name, num_episodes, steps, seed, **options):
 
     Returns the task and how long each episode was: to its end, or to a divergence, or all of it.
     """
-    task = make_task(name, num_episodes, TaskOptions(**options))
+    task = make_task(name, num_episodes, find_environment(name).options(**options))
     ids, rng = np.arange(num_episodes), np.random.default_rng(seed)
     task.reset(ids, ids)
     close = ids[::4]

@@ -7,8 +7,7 @@ steps the point gives up and goes on with the next.
 import numpy as np
 import pytest
 
-from shes.envs.registry import make_task
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.registry import find_environment, make_task
 from shes.envs.worlds import INTEGRATORS
 
 NEVER = 10_000
@@ -35,7 +34,7 @@ def steer(task, places):
 
 def follow(name, script, steps, **options):
     """Let five episodes follow `script`; return the task, and the step of the first success of each (0: none)."""
-    task = make_task(name, NUM_EPISODES, TaskOptions(evaluation=True, **options))
+    task = make_task(name, NUM_EPISODES, find_environment(name).options(evaluation=True, **options))
     ids = np.arange(NUM_EPISODES)
     task.reset(ids, ids)
     places = np.array([place[:2] for place in script], dtype=float)

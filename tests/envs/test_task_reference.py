@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from shes.envs.bodies.point import DAMPING, GEAR_N
-from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.registry import ENVIRONMENTS, find_environment, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 from tests.envs import reference_tasks
@@ -117,7 +117,7 @@ def compare(task, references, steps, draw, *, arrange=None, observe=None, seed=1
 
 def play(name, num_episodes, steps, draw=draw_lasting, *, arrange=None, observe=None, build=make_reference, **options):
     """Compare environment `name` with these options; `build` makes a reference of the task."""
-    task = make_task(name, num_episodes, TaskOptions(**options))
+    task = make_task(name, num_episodes, find_environment(name).options(**options))
     references = [build(task) for _ in range(num_episodes)]
     return compare(task, references, steps, draw, arrange=arrange, observe=observe)
 
@@ -231,7 +231,9 @@ def test_without_the_penalty_of_a_fall_the_hiro_gather_equals_its_reference():
 )
 @pytest.mark.parametrize("interval", [1, 3, 10])
 def test_with_any_interval_of_goals_flagrun_equals_its_reference(name, spec, interval):
-    play(name, 4, 24, spec=spec, goal_interval=interval, build=lambda task: make_reference(task, interval=interval))
+    play(
+        name, 4, 24, spec=spec, controller_interval=interval, build=lambda task: make_reference(task, interval=interval)
+    )
 
 
 def test_a_diverged_episode_equals_the_references():

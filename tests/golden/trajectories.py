@@ -29,7 +29,7 @@ STARTS_M = {"maze": (0.0, 3.0), "push": (0.0, 3.0), "fall": (8.0, 3.0)}
 """Where robots start, relative to where a reset puts them: 1 m before the wall or block."""
 START_SPEED_M_S = 2.0
 """How fast they fly toward it at first, along y."""
-OPTIONS = {"flagrun": {"goal_interval": 8}}
+OPTIONS = {"flagrun": {"controller_interval": 8}}
 """Options of a task: Flagrun's goals move within the stored steps."""
 
 

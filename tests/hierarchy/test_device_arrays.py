@@ -221,7 +221,7 @@ def test_branches_on_a_device_begin_and_end_as_on_the_cpu(name):
     learner, runs = build_algorithm(config), []
     table, plan = learner.table, learner.plan()
     for simulator, xp in ((CpuSimulator, np), (DeviceSimulator, strict_xp)):
-        state = learner.start(config.seed)
+        state = learner.start(config.run.seed)
         backend = SerialBackend(partial(BranchingWorker, plan, table.on(xp), simulator))
         reports = evolve(state, learner.settings, table.on(xp), backend)
         runs.append([next(reports) for _ in range(2)])

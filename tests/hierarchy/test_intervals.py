@@ -304,7 +304,7 @@ class Case:
         config = make_config(env, "smoke", settings)
         learner = build_algorithm(config)
         self.design, self.settings = learner.design, learner.settings
-        self.table, self.state, self.plan = learner.table, learner.start(config.seed), learner.plan()
+        self.table, self.state, self.plan = learner.table, learner.start(config.run.seed), learner.plan()
         self.backend = SerialBackend(partial(RolloutWorker, self.plan))
 
     def play(self, task, generation):

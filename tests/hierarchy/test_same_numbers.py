@@ -12,7 +12,6 @@ from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task
-from shes.envs.tasks.options import TaskOptions
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.novelty import NOVELTY_RULES, NS, NSR, NSRA, AuthorsNSRA
@@ -188,11 +187,11 @@ POINTS = {
 
 def _point_plan(of, table, chunk_size):
     env, design = of()
-    options = {"goal_interval": 8} if env == "point-flagrun" else {}
+    options = {"controller_interval": 8} if env == "point-flagrun" else {}
     return WorkerPlan(
         env=find_environment(env),
-        training=TaskOptions(**options),
-        evaluation=TaskOptions(evaluation=True, **options),
+        training=find_environment(env).options(**options),
+        evaluation=find_environment(env).options(evaluation=True, **options),
         design=design,
         noise_table=table.path,
         horizon=HORIZON,

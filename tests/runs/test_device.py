@@ -16,9 +16,9 @@ from shes.cli.commands import load_command
 from shes.cli.options import options_in
 from shes.envs.external.description import ExternalDescription
 from shes.errors import ConfigError
-from shes.runs.config import EXECUTION_FIELDS, TrainConfig
+from shes.runs.config import TrainConfig, WorkerSettings, execution_settings
 from shes.runs.device import check_asked_device, device_changes, device_facts
-from shes.runs.settings import choices
+from shes.settings import setting_fields
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp_device import DEVICES
 from shes.training.build import build_algorithm, build_backend
@@ -56,13 +56,14 @@ def record(path):
 
 
 def test_the_devices_are_the_cpu_and_those_of_warp():
-    assert choices("device") == ("cpu", *DEVICES)
+    choices = setting_fields(WorkerSettings)["device"].choices
+    assert choices == ("cpu", *DEVICES)
     of_evaluate = next(o for o in options_in(load_command("evaluate").groups_for([])) if o.name == "device")
-    assert of_evaluate.choices == choices("device")
+    assert of_evaluate.choices == choices
 
 
 def test_the_device_and_its_buffers_are_no_part_of_what_a_run_is():
-    assert {"device", "nconmax", "njmax"} <= EXECUTION_FIELDS
+    assert {"device", "nconmax", "njmax"} <= execution_settings().keys()
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -96,20 +97,20 @@ def test_what_does_nothing_on_the_device_is_refused_where_it_is_asked_for(asked,
 
 @pytest.mark.parametrize("asked", [{"backend": "serial"}, {"num_workers": 1}, {"num_workers": 0}, {"nconmax": None}])
 def test_what_changes_nothing_is_let_pass(asked):
-    assert make_config("point-gather", "smoke", {"device": "cuda", **asked}).device == "cuda"
+    assert make_config("point-gather", "smoke", {"device": "cuda", **asked}).workers.device == "cuda"
 
 
 def test_what_a_run_was_told_for_another_device_stays():
-    config = TrainConfig(env="point-gather", backend="processes", num_workers=4, device="cuda")
+    config = TrainConfig.of(env="point-gather", backend="processes", num_workers=4, device="cuda")
     check_asked_device(config, {"device": "cuda"})
-    check_asked_device(TrainConfig(env="point-gather", nconmax=9), {"device": "cpu"})
+    check_asked_device(TrainConfig.of(env="point-gather", nconmax=9), {"device": "cpu"})
 
 
 def test_an_environment_of_gymnasium_runs_on_the_cpu_alone(stand_in):
     description = ExternalDescription.from_dict({"id": "Ant-v5", "position": [0, 1]})
     message = r"device is 'cuda', but own-ant is Gymnasium's.* it runs on the CPU alone\. Set --device cpu"
     with pytest.raises(ConfigError, match=message):
-        TrainConfig(env="own-ant", external=description, device="cuda")
+        TrainConfig.of(env="own-ant", external=description, device="cuda")
 
 
 def test_a_device_that_is_not_there_is_an_error_before_there_is_a_folder(no_card, tmp_path):
@@ -150,7 +151,7 @@ def test_the_record_says_on_which_device_every_part_ran(stand_in, run_copy, tmp_
         (6, "Card 2"),
         (7, None),
     ]
-    assert found["config"]["device"] == "cpu"
+    assert found["config"]["workers"]["device"] == "cpu"
     assert heard == [
         f"not as before ({change}): numbers may differ from here on"
         for change in ("device cpu -> cuda", "card Card 1 -> Card 2", "device cuda -> cpu")
@@ -168,9 +169,9 @@ def test_a_run_of_a_version_that_knew_no_device_ran_on_the_cpu(stand_in, run_cop
     old = record(run_copy)
     del old["device"]
     for name in ("device", "nconmax", "njmax"):
-        del old["config"][name]
+        del old["config"]["workers"][name]
     (run_copy / "config.json").write_text(json.dumps(old))
-    assert shes.resume(run_copy, generations=5).config.device == "cpu"
+    assert shes.resume(run_copy, generations=5).config.workers.device == "cpu"
     assert record(run_copy)["resumed"][0]["device"] == {"name": "cpu"}
     assert "not as before" not in (run_copy / "log.txt").read_text()
 

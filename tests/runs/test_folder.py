@@ -34,8 +34,8 @@ def test_a_run_folder_has_the_files_of_the_design(tiny_run):
 
 def test_the_record_says_what_the_run_is_and_what_made_it(tiny_run):
     record = json.loads((tiny_run / "config.json").read_text())
-    assert record["config"]["env"] == "point-gather"
-    assert record["config"]["hidden"] == [4]
+    assert record["config"]["run"]["env"] == "point-gather"
+    assert record["config"]["networks"]["hidden"] == [4]
     assert record["versions"]["numpy"] == np.__version__
     assert set(record["versions"]) == {"python", "shes", "mujoco", "numpy"}
     assert record["machine"]["processor"]
@@ -57,7 +57,7 @@ def test_every_resume_is_recorded(run_copy):
     record = json.loads((run_copy / "config.json").read_text())
     assert [entry["generation"] for entry in record["resumed"]] == [4, 5]
     assert all("versions" in entry for entry in record["resumed"])
-    assert (record["config"]["generations"], record["config"]["keep_checkpoints"]) == (6, 3)
+    assert (record["config"]["run"]["generations"], record["config"]["evaluation"]["keep_checkpoints"]) == (6, 3)
 
 
 def test_a_new_folder_is_named_after_run_and_time_and_is_never_given_twice(monkeypatch, tmp_path):
@@ -129,7 +129,7 @@ def test_a_checkpoint_of_other_settings_is_refused_by_naming_them(run_copy):
 def test_a_setting_out_of_range_is_refused_by_naming_the_file(run_copy):
     config = run_copy / "config.json"
     record = json.loads(config.read_text())
-    record["config"]["horizon"] = -1
+    record["config"]["episodes"]["horizon"] = -1
     config.write_text(json.dumps(record))
     with pytest.raises(ConfigError, match=r"config\.json: horizon must be a whole number of at least 1, got -1"):
         RunFolder.open(run_copy).read_config()
@@ -139,7 +139,7 @@ def test_a_setting_out_of_range_is_refused_by_naming_the_file(run_copy):
 def test_settings_of_a_wrong_type_are_refused(run_copy, wrong):
     config = run_copy / "config.json"
     record = json.loads(config.read_text())
-    record["config"] |= wrong
+    record["config"]["run" if "env" in wrong else "networks"] |= wrong
     config.write_text(json.dumps(record))
     with pytest.raises((RunFolderError, ConfigError), match=r"config\.json"):
         RunFolder.open(run_copy).read_config()

@@ -449,11 +449,11 @@ def test_every_run_of_the_learning_study_ends_after_as_many_steps_and_evaluates_
     for scale, size in lessons.SCALES.items():
         for found in learning(scale, seeds=1).cells:
             config = cell_config(found, Path("study"))
-            assert config.env_steps == size.env_steps
-            between = config.evaluation_interval * generation_steps(config)
+            assert config.run.env_steps == size.env_steps
+            between = config.evaluation.evaluation_interval * generation_steps(config)
             assert size.evaluation_steps / 2 <= between <= 2 * size.evaluation_steps, found.name
             # Episodes that end early make more generations of as many steps: they must not come to their end first.
-            assert config.generations * config.population_size > size.env_steps
+            assert config.run.generations * config.evolution.population_size > size.env_steps
 
 
 def test_the_learning_study_has_its_variants_with_reasons_and_five_seeds():
@@ -471,7 +471,7 @@ def test_the_learning_study_has_its_variants_with_reasons_and_five_seeds():
 
 
 def test_a_piece_left_out_changes_that_piece_alone():
-    configs = {found.variant: cell_config(found, Path("study")).to_dict() for found in learning(seeds=1).cells}
+    configs = {found.variant: cell_config(found, Path("study")).settings for found in learning(seeds=1).cells}
     base = configs["base"]
     changed = {
         variant: {name for name, value in config.items() if value != base[name]} - {"evaluation_interval"}

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from shes.algorithms.evolution.populations import Settings
-from shes.algorithms.worker import WorkerPlan
+from shes.algorithms.evolution.worker import WorkerPlan
 from shes.envs.bodies.point import Point
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.errors import ShapeError
 from shes.es.level import TrainState
+from shes.es.noise import NoiseTable
 from shes.es.shaping import CentredRanks, PairRanks, ZScore
 from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.outputs import HeadingVectorOutput, VectorOutput
@@ -23,7 +24,7 @@ from shes.hierarchy.primitive import PrimitiveDesign
 from shes.hierarchy.rewards import MetresReward, ProgressReward
 from shes.hierarchy.views import ColumnsView, EgocentricView
 from shes.runs.config import TrainConfig
-from shes.training.build import build_algorithm
+from shes.training.build import build_design, build_plan, build_settings, build_state
 from shes.training.presets import make_config
 from tests.e2e.own_classes import Corner
 
@@ -31,7 +32,8 @@ from tests.e2e.own_classes import Corner
 def test_the_plan_carries_the_environment_and_not_its_name(monkeypatch):
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Corner))
     config = make_config("point-corner", "smoke")
-    plan = build_algorithm(config).plan()
+    design = build_design(config)
+    plan = build_plan(config, design, NoiseTable.open(config.evolution.noise_table_size))
     monkeypatch.delitem(ENVIRONMENTS, "point-corner")  # as in a worker process
     assert type(plan.env.make(1)) is Corner
     assert isinstance(plan.noise_table, Path)
@@ -42,13 +44,13 @@ class Shy(Corner):
         return super().observe()[:, :-1]
 
 
-def test_an_environment_that_observes_other_values_than_its_spec_names_is_refused(monkeypatch):
+def test_an_environment_that_observes_other_values_than_its_layout_names_is_refused(monkeypatch):
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Shy))
     message = (
-        r"'point-corner' must observe \[N, 6\], .*for 1 episode it observed \(1, 5\)\. Change observation_spec or obs"
+        r"'point-corner' must observe \[N, 6\], .*for 1 episode it observed \(1, 5\)\. Change its layout or its obs"
     )
     with pytest.raises(ShapeError, match=message):
-        build_algorithm(make_config("point-corner", "smoke"))
+        build_design(make_config("point-corner", "smoke"))
 
 
 # Where settings arrive ----------------------------------------------------------------------------------------------
@@ -67,8 +69,9 @@ class Built:
     @classmethod
     def of(cls, env, **settings):
         config = make_config(env, "smoke", settings)
-        learner = build_algorithm(config)
-        return cls(config, learner.design, learner.settings, learner.plan(), learner.start(config.seed))
+        design = build_design(config)
+        plan = build_plan(config, design, NoiseTable.open(config.evolution.noise_table_size))
+        return cls(config, design, build_settings(config), plan, build_state(config, design))
 
     @property
     def intervals(self) -> Any:
@@ -104,11 +107,11 @@ ARRIVALS = {
     ),
     "controller_interval": (
         7,
-        lambda b: (b.intervals.controller_interval, b.intervals.branch_steps, b.plan.branch_design.controller_interval),
+        lambda b: (b.intervals.interval_steps, b.intervals.branch_steps, b.plan.branch_design.decision_interval),
         (7, 14, 7),
         (25, 50, 25),
     ),
-    "goal_distance": (2.5, lambda b: (b.intervals.goal_distance, b.design.goal_distance), (2.5, 2.5), (4, 4)),
+    "goal_distance": (2.5, lambda b: (b.intervals.goal_range, b.design.goal_distance), (2.5, 2.5), (4, 4)),
     "horizon": (90, lambda b: (b.intervals.horizon, b.settings.horizon, b.plan.horizon), (90, 90, 90), (70, 70, 70)),
     "fall_price": (
         3.0, lambda b: (*(r.fall_price for r in b.rules), b.intervals.update.fall_price), (0, 3, 3), (0, 0, 0)

@@ -74,7 +74,7 @@ def test_every_environment_is_played_as_if_it_were_alone(tiny_run, observations)
 
 def test_a_goal_is_held_for_c_steps(tiny_run, observations):
     agent = load(tiny_run)
-    interval = agent.config.controller_interval
+    interval = agent.config.hierarchy.controller_interval
     assert interval == 25
     goals = []
     for seen in observations[:, 0]:
@@ -88,7 +88,7 @@ def test_a_goal_lies_about_the_robot(tiny_run, observations):
     agent = load(tiny_run)
     agent.act(observations[0, 0])
     offset = agent.goal[0] - observations[0, 0, :2]
-    distance = agent.config.goal_distance
+    distance = agent.config.hierarchy.goal_distance
     assert (np.abs(offset) <= distance + 1e-6).all()
     assert np.linalg.norm(offset) >= 1 - 1e-6
 
@@ -202,12 +202,12 @@ def played(tmp_path_factory):
 
 def gymnasium_env(config):
     """Return Gymnasium's environment under the conditions of the run's evaluation."""
-    goals = {"goal_interval": config.controller_interval, "goal_range": config.goal_distance}
+    goals = {name: config.settings.get(name) for name in ("controller_interval", "goal_distance")}
     return gymnasium.make(
-        gymnasium_id(config.env),
-        max_episode_steps=config.evaluation_horizon,
+        gymnasium_id(config.run.env),
+        max_episode_steps=config.episodes.evaluation_horizon,
         evaluation=True,
-        **(goals if config.env.endswith("flagrun") else {}),
+        **(goals if config.run.env.endswith("flagrun") else {}),
     )
 
 
@@ -245,12 +245,12 @@ def test_a_primitive_alone_reads_the_goal_that_its_environment_sets(played, kind
     env = gymnasium_env(agent.config)
     observation, _ = env.reset(seed=3)
     task, goals = env.unwrapped._adapter.task, set()
-    for _ in range(agent.config.evaluation_horizon):
+    for _ in range(agent.config.episodes.evaluation_horizon):
         action = agent.act(observation)
         np.testing.assert_allclose(agent.goal, task.goal, atol=1e-9)
         goals.add(tuple(task.goal[0]))
         observation = env.step(action)[0]
-    assert len(goals) == -(-agent.config.evaluation_horizon // agent.config.controller_interval)
+    assert len(goals) == -(-agent.config.episodes.evaluation_horizon // agent.config.hierarchy.controller_interval)
 
 
 @pytest.mark.parametrize("kind", ["flat with clock", "primitive with clock", "controller and clock"])

@@ -4,7 +4,7 @@ import pytest
 
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
-from shes.training.build import build_environment, build_options
+from shes.training.build import build_options
 from shes.training.presets import PRESETS, make_config
 
 PAPER = {
@@ -45,25 +45,25 @@ PAPER = {
 @pytest.mark.parametrize("name", PAPER)
 def test_the_paper_preset_has_the_numbers_of_table_one(env, name):
     is_pretraining = (name, env) in (("population_size", "ant-flagrun"), ("population_size", "point-flagrun"))
-    assert getattr(make_config(env, "paper"), name) == (256 if is_pretraining else PAPER[name])
+    assert make_config(env, "paper").settings.get(name, PAPER[name]) == (256 if is_pretraining else PAPER[name])
 
 
 @pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_the_paper_preset_steps_by_euler(env):
     config = make_config(env, "paper")
-    assert build_options(config, build_environment(config), is_evaluation=False).integrator == "euler"
+    assert build_options(config, is_evaluation=False).integrator == "euler"
 
 
 def test_the_paper_preset_evaluates_over_the_horizon_of_table_one():
     config = make_config("ant-gather", "paper")
-    assert (config.evaluation_horizon or config.horizon) == 500
+    assert (config.episodes.evaluation_horizon or config.episodes.horizon) == 500
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_every_preset_suits_every_environment(env, preset):
     config = make_config(env, preset)
-    assert (config.env, config.preset) == (env, preset)
+    assert (config.run.env, config.run.preset) == (env, preset)
 
 
 def test_the_presets_are_those_of_the_design():
@@ -72,15 +72,20 @@ def test_the_presets_are_those_of_the_design():
 
 def test_the_smoke_preset_is_small():
     config = make_config("ant-gather", "smoke")
-    steps = config.generations * config.population_size * config.episodes_per_policy * config.horizon
+    steps = (
+        config.run.generations
+        * config.evolution.population_size
+        * config.evolution.episodes_per_policy
+        * config.episodes.horizon
+    )
     assert steps <= 10_000
-    assert config.noise_table_size <= 1_000_000
+    assert config.evolution.noise_table_size <= 1_000_000
 
 
 def test_overrides_win_over_the_preset():
     config = make_config("point-gather", "paper", {"sigma": 0.5, "hidden": [8]})
-    assert (config.sigma, config.hidden, config.population_size) == (0.5, (8,), 1000)
-    assert make_config("point-gather", "smoke", {"hidden": 8}).hidden == (8,)
+    assert (config.evolution.sigma, config.networks.hidden, config.evolution.population_size) == (0.5, (8,), 1000)
+    assert make_config("point-gather", "smoke", {"hidden": 8}).networks.hidden == (8,)
 
 
 def test_wrong_names_are_refused():
@@ -99,11 +104,11 @@ def test_wrong_names_are_refused():
         ({"novelty_neighbours": 3}, "novelty_neighbours does nothing with novelty 'none'.*leave --novelty-neighbours"),
         (
             {"schedule_generations": 50},
-            "schedule_generations does nothing without a schedule, got 50.*--sigma-schedule.*leave",
+            "schedule_generations does nothing with learning_rate_schedule 'constant', .*, got 50.*leave --sched",
         ),
         (
             {"perturbation": "one_to_many", "algorithm": "es"},
-            "perturbation says how two levels.* the policy alone learns; got 'one_to_many'. Leave --perturbation away",
+            "perturbation is no setting of a run of point-gather with algorithm 'es', got 'one_to_many'. Leave --pert",
         ),
     ],
 )
@@ -135,7 +140,7 @@ def test_what_concerns_whole_episodes_is_refused_where_there_are_none(name, valu
     with pytest.raises(ConfigError, match=message):
         make_config("ant-flagrun", "laptop", {name: value})
     chosen = make_config("ant-flagrun", "laptop", {name: value, "primitive_estimate": "episode"})
-    assert getattr(chosen, name) == value
+    assert chosen.settings[name] == value
 
 
 def test_two_levels_of_which_branches_judge_one_do_not_share_the_population():
@@ -145,7 +150,7 @@ def test_two_levels_of_which_branches_judge_one_do_not_share_the_population():
 
 def test_options_of_a_shaping_may_concern_the_primitives():
     own = {"primitive_fitness_shaping": "top_fraction", "top_fraction": 0.3}
-    assert make_config("ant-gather", "laptop", own).top_fraction == 0.3
+    assert make_config("ant-gather", "laptop", own).evolution.top_fraction == 0.3
 
 
 @pytest.mark.parametrize(
@@ -156,4 +161,4 @@ def test_what_concerns_branches_is_refused_where_the_primitive_stays_as_it_is(na
     with pytest.raises(ConfigError, match=rf"{name} does nothing where the primitive stays as it is; got {value}"):
         make_config("ant-gather", "laptop", {"primitive": "ant-walker", name: value})
     learns_on = make_config("ant-gather", "laptop", {"primitive": "ant-walker", "freeze_primitive": False, name: value})
-    assert getattr(learns_on, name) == value
+    assert learns_on.settings[name] == value

@@ -90,7 +90,11 @@ def test_one_primitive_serves_every_task_of_its_robot_and_stays_as_it_was(ant_of
         tmp_path / "run", f"ant-{task}", primitive=str(ant), generations=2, population_size=2, spec=spec
     )
     config = RunFolder.open(path).read_config()
-    assert (config.primitive_view, config.primitive_hidden, config.hidden) == ("proprioception", (5,), (4,))
+    assert (config.hierarchy.primitive_view, config.hierarchy.primitive_hidden, config.networks.hidden) == (
+        "proprioception",
+        (5,),
+        (4,),
+    )
     brought = primitive(ant, "best")
     assert brought.statistics.count > 0
     assert len(brought.statistics.total) == 3 + ROBOT["ant"]
@@ -129,7 +133,8 @@ def test_the_controller_begins_as_it_would_without(plain, tmp_path):
 
 def test_a_primitive_brings_what_it_was_trained_with(point, tmp_path):
     path = runs.train_tiny(tmp_path / "run", primitive=str(point), generations=1)
-    record = json.loads((path / "config.json").read_text())["config"]
+    rooms = json.loads((path / "config.json").read_text())["config"]
+    record = {name: value for room in rooms.values() for name, value in room.items()}
     assert {name: record[name] for name in BROUGHT} == BROUGHT
     assert (record["primitive_hidden"], record["primitive_view"]) == ([3, 2], "proprioception")
     assert (record["primitive"], record["primitive_checkpoint"], record["freeze_primitive"]) == (
@@ -170,7 +175,10 @@ def test_what_agrees_with_the_primitive_may_be_said(point, tmp_path):
         tmp_path / "run", primitive=point, **BROUGHT, primitive_hidden=[3, 2], generations=1, controller_interval=5
     )
     config = RunFolder.open(path).read_config()
-    assert (config.primitive, config.controller_interval) == (str(point), 5)  # the interval is the controller's affair
+    assert (config.transfer.primitive, config.hierarchy.controller_interval) == (
+        str(point),
+        5,
+    )  # the interval is the controller's affair
 
 
 @pytest.mark.parametrize("checkpoint", ["last", "1"])
@@ -184,7 +192,11 @@ def test_the_command_line_brings_a_primitive(plain, tmp_path, capsys):
     words = ["train", "point-push", *runs.flags(**runs.TINY), "--generations", "1", "--out", str(tmp_path / "run")]
     assert main([*words, "--primitive", str(plain), "--primitive-checkpoint", "last", "--no-freeze-primitive"]) == 0
     config = RunFolder.open(tmp_path / "run").read_config()
-    assert (config.primitive, config.primitive_checkpoint, config.freeze_primitive) == (str(plain), "last", False)
+    assert (config.transfer.primitive, config.transfer.primitive_checkpoint, config.transfer.freeze_primitive) == (
+        str(plain),
+        "last",
+        False,
+    )
     assert same(primitive(tmp_path / "run", "0"), primitive(plain, "last"))
 
 
@@ -208,8 +220,11 @@ def test_a_walker_brings_its_view_and_its_symmetry(walker, tmp_path, task):
         controller_view="egocentric", generations=1, population_size=2,
     )  # fmt: skip
     config = RunFolder.open(path).read_config()
-    assert {name: getattr(config, name) for name in WALKER} == WALKER
-    assert (config.primitive_hidden, config.primitive_estimate) == ((5,), "episode")  # how it learned is its affair
+    assert {name: config.settings[name] for name in WALKER} == WALKER
+    assert (config.hierarchy.primitive_hidden, config.estimate.primitive_estimate) == (
+        (5,),
+        "episode",
+    )  # how it learned is its affair
     brought = primitive(walker, "best")
     assert brought.statistics.count > 0
     assert len(brought.statistics.total) == 3 + 2 + 25
@@ -253,7 +268,7 @@ def hierarchy(tmp_path_factory):
 def test_the_primitive_of_a_run_with_a_controller_serves_the_same_task(hierarchy, tmp_path):
     path = runs.train_tiny(tmp_path / "run", "point-push", primitive=str(hierarchy), generations=2)
     config = RunFolder.open(path).read_config()
-    assert (config.primitive_view, config.primitive_hidden) == ("observation", (3,))
+    assert (config.hierarchy.primitive_view, config.hierarchy.primitive_hidden) == ("observation", (3,))
     assert same(primitive(path, "last"), primitive(hierarchy, "best"))
 
 
@@ -380,7 +395,7 @@ def test_a_controller_brings_its_parameters_statistics_and_settings(steered, pla
     assert not same(controller(path, "last"), controller(steered, "last"))  # it learns on
     config = RunFolder.open(path).read_config()
     expected = {**BY_CONTROLLER, **FROM_CONTROLLER, "goal_distance": 3.0}
-    assert {name: getattr(config, name) for name in expected} == expected
+    assert {name: config.settings[name] for name in expected} == expected
     record = json.loads((path / "config.json").read_text())
     assert record["controller"] == {"run": str(steered), "env": "point-gather", "checkpoint": "last", "generation": 2}
     assert record["primitive"]["run"] == str(plain)
@@ -399,8 +414,12 @@ def test_a_controller_that_does_not_fit_is_refused(steered, plain, tmp_path):
     for message, env, settings in (
         (r"the controller of .* does not fit point-maze\.\nIt was trained on point-gather: ", "point-maze", {}),
         (r"has no controller: its levels are primitive\. Name a run", "point-gather", {"controller": str(plain)}),
-        (r"the levels primitive alone\. Leave --controller away", "point-flagrun", {}),
-        (r"the levels policy alone\. Leave --controller away", "point-gather", {"algorithm": "es"}),
+        (r"controller is no setting of a run of point-flagrun with .*Leave --controller away", "point-flagrun", {}),
+        (
+            r"controller is no setting of a run of point-gather with algorithm 'es'.*Leave --controller away",
+            "point-gather",
+            {"algorithm": "es"},
+        ),
     ):
         with pytest.raises(ConfigError, match=message):
             runs.train_tiny(tmp_path / "run", env, **{"controller": str(steered), **settings})

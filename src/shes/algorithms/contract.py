@@ -20,6 +20,7 @@ from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
+from shes.settings import Settings
 
 __all__ = ["Algorithm", "AnyState", "Report"]
 
@@ -70,6 +71,10 @@ class Algorithm(ABC, Generic[StateT]):
 
     The names mean something: `controller` sets goals, `primitive` reaches them, `policy` knows none.
     """
+
+    rooms: ClassVar[Mapping[str, type[Settings]]] = {}
+    """Its settings: rooms, dataclasses by name. Each setting becomes a flag of `shes train`, a line of its help, an
+    argument of `shes.train` and an entry of `config.json`; `problem.settings.ROOM.NAME` is its value."""
 
     def __init__(self, problem: Problem, design: AgentDesign) -> None:
         """Take `problem`, and the `design` of this learner's agents. A subclass is made from the problem alone.

@@ -8,7 +8,7 @@ from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.learners import SES, SHES, PrimitiveES
 from shes.registry import Registry, subclass_of
 
-__all__ = ["ALGORITHMS", "find_algorithm", "register_algorithm"]
+__all__ = ["ALGORITHMS", "find_algorithm", "learners", "register_algorithm"]
 
 ALGORITHMS: Registry[type[Algorithm[Any]]] = Registry(
     "algorithm",
@@ -51,3 +51,8 @@ def find_algorithm(name: str, *, sets_goals: bool = False) -> type[Algorithm[Any
     """
     found = ALGORITHMS.find(name)
     return _PRIMITIVE_ALONE.get(found, found) if sets_goals else found
+
+
+def learners() -> tuple[type[Algorithm[Any]], ...]:
+    """Return every learner, those too that stand in where the environment sets goals."""
+    return (*ALGORITHMS.values(), *_PRIMITIVE_ALONE.values())

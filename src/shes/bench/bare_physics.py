@@ -103,7 +103,7 @@ class _Recorder:
 
     def __init__(self, env: EnvironmentMaker) -> None:
         self._env = env
-        self.heeds, self.sets_goals = env.heeds, env.sets_goals
+        self.sets_goals = env.sets_goals
         self.models: list[mujoco.MjModel] = []
         self.episodes: list[Episode] = []
 

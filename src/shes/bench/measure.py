@@ -52,18 +52,18 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
     Raises:
         ConfigError: The environment is an external one, which has no bare loop.
     """
-    if config.external is not None:
+    if config.run.external is not None:
         raise ConfigError(
-            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.env}, which Gymnasium "
-            "makes. Name one of `shes envs` with a world of our own, e.g. ant-gather."
+            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.run.env}, which "
+            "Gymnasium makes. Name one of `shes envs` with a world of our own, e.g. ant-gather."
         )
     algorithm = _evolution_strategy(config)
-    plan, settings, state = algorithm.plan(), algorithm.settings, algorithm.start(config.seed)
+    plan, settings, state = algorithm.plan(), algorithm.settings, algorithm.start(config.run.seed)
     table = algorithm.table.on(algorithm.problem.xp)
     physics = record_generation(plan, state, settings, table.size)
     bare: list[float] = []
     whole: list[float] = []
-    is_alone = config.device == "cpu" and (config.backend == "serial" or config.workers == 1)
+    is_alone = config.workers.device == "cpu" and (config.workers.backend == "serial" or config.workers.count == 1)
     with (
         _on_one_core() if is_alone else nullcontext(),
         build_backend(config, plan) as backend,
@@ -80,12 +80,12 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
             before = after
         workers = backend.num_workers
     return {
-        "env": config.env,
-        "hidden": list(config.hidden),
+        "env": config.run.env,
+        "hidden": list(config.networks.hidden),
         "integrator": plan.training.integrator,
-        "population_size": config.population_size,
-        "episodes_per_policy": config.episodes_per_policy,
-        "device": config.device,
+        "population_size": config.evolution.population_size,
+        "episodes_per_policy": config.evolution.episodes_per_policy,
+        "device": config.workers.device,
         "num_workers": workers,
         "generations": len(whole),
         "env_steps_per_s": statistics.median(whole),
@@ -116,7 +116,9 @@ def _evolution_strategy(config: TrainConfig) -> EvolutionStrategy:
     """
     algorithm = build_algorithm(config)
     if not isinstance(algorithm, EvolutionStrategy):
-        raise ConfigError(f"bench measures evolution strategies, got {config.algorithm}. Set --algorithm shes or es.")
+        raise ConfigError(
+            f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm shes or es."
+        )
     return algorithm
 
 
@@ -137,11 +139,11 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
     """
     _refuse_device(config)
     algorithm = _evolution_strategy(config)
-    table, state = algorithm.table, algorithm.start(config.seed)
+    table, state = algorithm.table, algorithm.start(config.run.seed)
     settings = replace(algorithm.settings, perturbation=ManyToMany())  # all that learns, in one generation
     backend = SerialBackend(partial(RandomResults, _state_size(config, settings)))
     times: dict[str, list[float]] = defaultdict(list)
-    with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers, 8)) as pool:
+    with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers.count, 8)) as pool:
         reports, start = evolve(state, settings, table, backend, pool), perf_counter()
         while True:
             report = next(reports)
@@ -166,10 +168,10 @@ def _refuse_device(config: TrainConfig) -> None:
     Raises:
         ConfigError: `config` asks for one.
     """
-    if config.device != "cpu":
+    if config.workers.device != "cpu":
         raise ConfigError(
-            f"bench update measures the CPU, got device {config.device!r}. Leave --device away; the columns update_s "
-            "and rollout_s of a run's progress.csv tell of a device."
+            f"bench update measures the CPU, got device {config.workers.device!r}. Leave --device away; the columns "
+            "update_s and rollout_s of a run's progress.csv tell of a device."
         )
 
 

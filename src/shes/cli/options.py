@@ -5,15 +5,13 @@ Help, parser and shell completion all work from these, so that they cannot disag
 
 from __future__ import annotations
 
-import ast
-import inspect
-import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import MISSING, dataclass, fields
-from functools import cache
 from typing import Any, get_args, get_origin, get_type_hints
 
-__all__ = ["Group", "Option", "Shown", "field_texts", "options_in", "options_of", "shown_value"]
+from shes.settings import field_texts
+
+__all__ = ["Group", "Option", "Shown", "options_in", "options_of", "shown_value"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,19 +115,6 @@ def options_of(arguments: type) -> tuple[Option, ...]:
             )
         )
     return tuple(found)
-
-
-@cache
-def field_texts(cls: type) -> dict[str, str]:
-    """Return the docstrings under the fields of a dataclass, on one line each."""
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
-    assert isinstance(tree, ast.ClassDef)
-    texts: dict[str, str] = {}
-    for statement, follower in zip(tree.body, tree.body[1:], strict=False):
-        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
-            text = follower.value if isinstance(follower, ast.Expr) else None
-            texts[statement.target.id] = " ".join(str(text.value).split()) if isinstance(text, ast.Constant) else ""
-    return texts
 
 
 def shown_value(value: Any) -> str:

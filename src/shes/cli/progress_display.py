@@ -76,12 +76,14 @@ class ProgressDisplay:
         """Say what begins, and where it writes."""
         self.path, self._config = path, config
         self._start = monotonic()
-        workers = f"{num_workers} worker{'s' * (num_workers != 1)}" if config.backend != "serial" else "this process"
-        if config.device != "cpu":
-            workers = f"device {config.device}"
+        workers = (
+            f"{num_workers} worker{'s' * (num_workers != 1)}" if config.workers.backend != "serial" else "this process"
+        )
+        if config.workers.device != "cpu":
+            workers = f"device {config.workers.device}"
         after = f" after generation {generation}" if generation else ""
         self._console.print(
-            f"Training [bold]{config.env}[/bold] ({config.preset}) on {workers}{after}. "
+            f"Training [bold]{config.run.env}[/bold] ({config.run.preset}) on {workers}{after}. "
             f"Run folder: [cyan]{escape(str(path))}[/cyan]",
             highlight=False,
             soft_wrap=True,
@@ -91,7 +93,7 @@ class ProgressDisplay:
         """Show a generation."""
         self._row = row
         self._times.append(monotonic())
-        is_last = self._config is not None and self._config.is_over(row["generation"], row["env_steps"])
+        is_last = self._config is not None and self._config.run.is_over(row["generation"], row["env_steps"])
         if self._live is not None:
             self._live.update(self._view(), refresh=True)
         elif monotonic() - self._last_line >= _LINE_EVERY_S or is_last or row["generation"] == 1:
@@ -115,12 +117,14 @@ class ProgressDisplay:
         if config is None or len(self._times) < 2:
             return None
         pace = (self._times[-1] - self._times[0]) / (len(self._times) - 1)
-        left = pace * (config.generations - self._row["generation"])
-        if config.env_steps is not None:
-            generations = (config.env_steps - self._row["env_steps"]) / self._row["env_steps"] * self._row["generation"]
+        left = pace * (config.run.generations - self._row["generation"])
+        if config.run.env_steps is not None:
+            generations = (
+                (config.run.env_steps - self._row["env_steps"]) / self._row["env_steps"] * self._row["generation"]
+            )
             left = min(left, max(0.0, pace * generations))
-        if config.minutes is not None:
-            left = min(left, max(0.0, 60 * config.minutes - (monotonic() - self._start)))
+        if config.run.minutes is not None:
+            left = min(left, max(0.0, 60 * config.run.minutes - (monotonic() - self._start)))
         return left
 
     def _facts(self) -> list[tuple[str, str]]:
@@ -130,7 +134,7 @@ class ProgressDisplay:
         score = "-"
         if evaluation:
             score = f"{evaluation['score_mean']:.2f} ± {evaluation['score_std']:.2f}"
-        total = self._config.generations if self._config else 0
+        total = self._config.run.generations if self._config else 0
         names = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
         return [
             ("generation", f"{row['generation']} / {total}"),
@@ -157,14 +161,14 @@ class ProgressDisplay:
         course = _sparkline(self._scores, max(10, width - 22))
         if course:
             table.add_row("score so far", Text(course, style="green"))
-        total = self._config.generations if self._config else 1
+        total = self._config.run.generations if self._config else 1
         done = self._row["generation"]
         if self._config is not None:
             config, shares = self._config, [done / total]
-            if config.env_steps is not None:
-                shares.append(self._row["env_steps"] / config.env_steps)
-            if config.minutes is not None:
-                shares.append((monotonic() - self._start) / (60 * config.minutes))
+            if config.run.env_steps is not None:
+                shares.append(self._row["env_steps"] / config.run.env_steps)
+            if config.run.minutes is not None:
+                shares.append((monotonic() - self._start) / (60 * config.run.minutes))
             total, done = 1000, round(1000 * min(1.0, max(shares)))
         bar = Table.grid()  # ends the bar's line: alone, the bar does not
         bar.add_row(ProgressBar(total=total, completed=done, width=width))

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
-from dataclasses import fields
-from typing import Any, get_type_hints
+from collections.abc import Sequence
+from typing import Any
 
-from shes.cli.options import Group, Option, field_texts, shown_value
+from shes.cli.options import Group, Option, shown_value
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
-from shes.runs.config import HEADINGS, TrainConfig
-from shes.runs.settings import choices, flag
+from shes.runs.config import TrainConfig
+from shes.settings import Execution, Setting, Unasked, flag, setting_fields
 from shes.training.presets import PRESETS, make_config
+from shes.training.transfer import TRANSFERRED
 
 __all__ = ["DEFAULT_ENV", "asked_config", "environment_group", "make_asked_config", "setting_groups"]
 
@@ -21,26 +21,33 @@ DEFAULT_PRESET = "laptop"
 """Preset where none is named."""
 
 
-def setting_groups(config: TrainConfig | None, names: Container[str]) -> tuple[Group, ...]:
-    """Return options for the settings `names`, by heading; shown are the values of `config`, if there is one."""
-    kinds, texts = get_type_hints(TrainConfig), field_texts(TrainConfig)
-    grouped: dict[str, list[Option]] = {}
-    heading = ""
-    for field in fields(TrainConfig):
-        heading = HEADINGS.get(field.name, heading)
-        if field.name not in names:
-            continue
-        option = Option(
-            name=field.name,
-            kind=kinds[field.name],
-            text=texts[field.name],
-            flags=tuple(dict.fromkeys((flag(field.name), "--" + field.name.replace("_", "-")))),
-            choices=tuple(PRESETS) if field.name == "preset" else choices(field.name),
-            default="" if config is None else shown_value(getattr(config, field.name)),
-            is_run=field.name == "primitive",
-        )
-        grouped.setdefault(heading, []).append(option)
-    return tuple(Group(heading=heading, options=tuple(options)) for heading, options in grouped.items())
+def setting_groups(config: TrainConfig, *, only_execution: bool = False) -> tuple[Group, ...]:
+    """Return an option for each setting of `config`, by room, with its value; or for those that `resume` takes."""
+    groups: list[Group] = []
+    for room in config.rooms.values():
+        options = [
+            _option(setting, "" if only_execution else shown_value(getattr(room, setting.name)))
+            for setting in setting_fields(type(room)).values()
+            if setting.name not in ("env", "external") and not setting.has(Unasked)
+            if not only_execution or (setting.has(Execution) and setting.name != "preset")
+        ]
+        if options:
+            heading = (type(room).__doc__ or "").partition(".")[0].lower()
+            groups.append(Group(heading=heading, options=tuple(options)))
+    return tuple(groups)
+
+
+def _option(setting: Setting, default: str) -> Option:
+    kind = tuple[setting.item, ...] if setting.kind is tuple else setting.kind
+    return Option(
+        name=setting.name,
+        kind=kind | None if setting.is_optional else kind,
+        text=setting.text,
+        flags=tuple(dict.fromkeys((setting.flag, flag(setting.name)))),
+        choices=tuple(PRESETS) if setting.name == "preset" else setting.choices,
+        default=default,
+        is_run=setting.name in TRANSFERRED,
+    )
 
 
 def environment_group(*, is_required: bool) -> Group:
@@ -66,12 +73,12 @@ def asked_config(words: Sequence[str]) -> TrainConfig:
         UnknownNameError: There is no such preset.
     """
     env = next((word for word in words if word in ENVIRONMENTS or word in EXTERNAL_ENVIRONMENTS), DEFAULT_ENV)
-    preset = DEFAULT_PRESET
+    given = {"--preset": DEFAULT_PRESET, "--algorithm": "shes"}
     for word, follower in zip(words, [*words[1:], ""], strict=False):
         name, equals, value = word.partition("=")
-        if name == "--preset" and (value or follower):
-            preset = value if equals else follower
-    return make_config(env, preset)
+        if name in given and (value or follower):
+            given[name] = value if equals else follower
+    return make_config(env, given["--preset"], {"algorithm": given["--algorithm"]})
 
 
 def make_asked_config(values: dict[str, Any]) -> TrainConfig:

@@ -6,6 +6,7 @@ Environments of others, made by Gymnasium, have names too: `register_external_en
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 from shes.envs.bodies.ant import Ant
@@ -25,6 +26,7 @@ from shes.envs.tasks.push import Push
 from shes.envs.tasks.task import SimulatorFactory, Task
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, check_class, check_name_form
+from shes.settings import Settings
 from shes.sim.cpu import CpuSimulator
 
 __all__ = [
@@ -48,8 +50,8 @@ class EnvironmentMaker(Protocol):
     """What makes episodes of an environment, ours or another's. Worker processes are sent this, not a name."""
 
     @property
-    def heeds(self) -> frozenset[str]:
-        """Options that it heeds beside those that every environment of ours does."""
+    def options(self) -> type[TaskOptions]:
+        """The class of its options."""
         ...
 
     @property
@@ -75,20 +77,24 @@ class Environment(NamedTuple):
     task: type[Task]
 
     @property
-    def heeds(self) -> frozenset[str]:
-        """Options that it heeds beside those that every environment of ours does."""
-        return self.task.heeds
+    def options(self) -> type[TaskOptions]:
+        """The class of its task's options."""
+        return self.task.Options
 
     @property
     def sets_goals(self) -> bool:
         """Whether it tells the robot where to go, so that a primitive learns in it without a controller."""
         return self.task.sets_goals
 
+    def with_body_options(self, options: Settings) -> Environment:
+        """Return this environment with a body that has these options."""
+        return self._replace(body=partial(self.body, options))  # type: ignore[arg-type] - it makes bodies, as a class
+
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> Task:
         """Return `num_episodes` episodes of this environment."""
-        return self.task(self.body(), num_episodes, TaskOptions() if options is None else options, simulator)
+        return self.task(self.body(), num_episodes, self.options() if options is None else options, simulator)
 
 
 def _check_environment(kind: str, environment: Environment) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -15,10 +14,11 @@ from shes.drawing.drawer import Drawer, Picture, Window
 from shes.drawing.renderer import check_camera
 from shes.drawing.rendering import make_drawer, open_window
 from shes.envs.observation_spec import bounds
-from shes.envs.registry import make_task
+from shes.envs.registry import Environment, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
+from shes.settings import Settings, setting_fields
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
@@ -50,9 +50,12 @@ class TaskAdapter:
         if render_mode is not None and render_mode not in render_modes:
             raise UnknownNameError("render_mode", str(render_mode), render_modes)
         self._render_mode = render_mode
-        task_options, self._picture = _split_options(options)
-        threads = min(num_threads, num_envs)
-        self.task = make_task(name, num_envs, task_options, partial(CpuSimulator, num_threads=threads))
+        environment = find_environment(name)
+        of_task, of_body, self._picture = _split_options(environment, options)
+        if of_body is not None:
+            environment = environment.with_body_options(of_body)
+        simulator = partial(CpuSimulator, num_threads=min(num_threads, num_envs))
+        self.task = environment.make(num_envs, of_task, simulator)
         low, high = bounds(self.task.observation_spec)
         self.observation_space = Box(low, high, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)
@@ -168,18 +171,21 @@ def _as_numbers(actions: ArrayLike) -> F64Array:
     return given.astype(np.float64)
 
 
-def _split_options(options: Mapping[str, Any]) -> tuple[TaskOptions, dict[str, Any]]:
-    """Return the options of the task and those of its pictures.
+def _split_options(
+    environment: Environment, options: Mapping[str, Any]
+) -> tuple[TaskOptions, Settings | None, dict[str, Any]]:
+    """Return the options of the task, of its body, and those of its pictures.
 
     Raises:
         ConfigError: An option is unknown or out of range.
         UnknownNameError: A name is not known.
     """
-    of_task = [field.name for field in fields(TaskOptions)]
+    task, body = environment.options, environment.body.Options
+    names = {*setting_fields(task), *setting_fields(body), *_PICTURE_DEFAULTS}
     for name in options:
-        if name not in of_task and name not in _PICTURE_DEFAULTS:
-            known = nearest_first(name, [*of_task, *_PICTURE_DEFAULTS])
+        if name not in names:
+            known = nearest_first(name, names)
             raise ConfigError(f"the environment has no option {name!r}. Options: {', '.join(known)}.")
     picture = {name: options.get(name, default) for name, default in _PICTURE_DEFAULTS.items()}
     check_camera(picture["camera"])
-    return TaskOptions(**{name: value for name, value in options.items() if name in of_task}), picture
+    return task.of(options), body.of(options) if setting_fields(body) else None, picture

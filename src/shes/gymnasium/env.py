@@ -27,7 +27,8 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
         Args:
             name: Name in the registry, e.g. `ant-gather`.
             render_mode: `rgb_array`, `human` or None.
-            options: Fields of `TaskOptions`; `width`, `height` and `camera` (`follow` or `top`) of the pictures.
+            options: Options of the task and its body, as in `MazeOptions`; `width`, `height` and `camera` (`follow` or
+                `top`) of the pictures.
 
         Raises:
             UnknownNameError: `name`, `render_mode` or another name is not known.

@@ -66,7 +66,8 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             render_mode: `rgb_array` or None.
             autoreset_mode: When an episode that has ended begins anew: `NextStep`, `SameStep` or `Disabled`.
             num_threads: Threads that share the physics; 0 is one for every core. Never changes a number.
-            options: Fields of `TaskOptions`; `width`, `height` and `camera` (`follow` or `top`) of the pictures.
+            options: Options of the task and its body, as in `MazeOptions`; `width`, `height` and `camera` (`follow` or
+                `top`) of the pictures.
 
         Raises:
             UnknownNameError: `name`, `render_mode` or another name is not known.

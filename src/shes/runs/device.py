@@ -10,7 +10,6 @@ import numpy as np
 
 from shes.errors import ConfigError
 from shes.runs.config import TrainConfig
-from shes.runs.settings import flag
 from shes.sim.warp_device import WarpDevice
 
 __all__ = ["array_module", "check_asked_device", "device_changes", "device_facts"]
@@ -25,13 +24,13 @@ def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
     Raises:
         ConfigError: There is one.
     """
-    device = config.device
+    device = config.workers.device
     if device == "cpu":
         for name in ("nconmax", "njmax"):
             if asked.get(name) is not None:
                 raise ConfigError(
                     f"{name} is {asked[name]!r}, but the CPU's physics has no fixed buffers. "
-                    f"Set --device, or leave {flag(name)} away."
+                    f"Set --device, or leave --{name} away."
                 )
         return
     backend, workers = asked.get("backend", "serial"), asked.get("num_workers", 0)

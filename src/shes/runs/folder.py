@@ -6,14 +6,14 @@ import fcntl
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs.checkpoint import Checkpoint, load_checkpoint
-from shes.runs.config import TrainConfig, in_words_of_today
+from shes.runs.config import TrainConfig
 from shes.runs.device import device_changes
 from shes.runs.provenance import provenance
 from shes.runs.shipped import find_run, shipped_hint, shipped_name
@@ -21,7 +21,7 @@ from shes.storage import storage_errors, write_atomically
 
 __all__ = ["RunFolder", "new_folder"]
 
-_FORMAT = 1
+_FORMAT = 2
 
 
 def new_folder(config: TrainConfig) -> Path:
@@ -30,7 +30,7 @@ def new_folder(config: TrainConfig) -> Path:
     Raises:
         StorageError: It cannot be made.
     """
-    name = f"{config.env}-{config.preset}-seed{config.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    name = f"{config.run.env}-{config.run.preset}-seed{config.run.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     number = 1
     while True:
         path = Path("runs") / (name if number == 1 else f"{name}-{number}")
@@ -152,7 +152,13 @@ class RunFolder:
         Raises:
             StorageError: It cannot be written.
         """
-        record = {"format": _FORMAT, "config": config.to_dict(), **origins, **provenance(config.device), "resumed": []}
+        record = {
+            "format": _FORMAT,
+            "config": config.to_dict(),
+            **origins,
+            **provenance(config.workers.device),
+            "resumed": [],
+        }
         self.write_record(record)
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
@@ -161,7 +167,7 @@ class RunFolder:
         Versions are compared with those that the run began with, the device with that of the part before.
         """
         record = self.read_record()
-        here, began = provenance(config.device), record.get("versions", {})
+        here, began = provenance(config.workers.device), record.get("versions", {})
         changes = [
             f"{name} {began.get(name)} -> {now}" for name, now in here["versions"].items() if began.get(name) != now
         ]
@@ -190,8 +196,8 @@ class RunFolder:
         checkpoint, config = load_checkpoint(path), self.read_config()
         mine = config.numbers()
         # Settings that came after the checkpoint was written have their defaults, which change nothing.
-        missing = {field.name: field.default for field in fields(TrainConfig) if field.name in mine}
-        checkpoint = replace(checkpoint, numbers={**missing, **in_words_of_today(checkpoint.numbers)})
+        missing = {name: config.setting(name).default for name in mine if name not in checkpoint.numbers}
+        checkpoint = replace(checkpoint, numbers={**missing, **checkpoint.numbers})
         if checkpoint.numbers != mine:
             keys = sorted(mine.keys() | checkpoint.numbers.keys())
             other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]

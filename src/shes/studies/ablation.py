@@ -228,8 +228,8 @@ def _design(horizon: int, size: _Scale) -> StudyDesign:
 def _base(env: str, size: _Scale) -> dict[str, Any]:
     """Return the settings of a base, those that are swept or scaled among them even where they are the preset's."""
     settings = {**_BASES[env], **size.settings}
-    config = make_config(env, "laptop", settings)
-    return {**{name: getattr(config, name) for name in SWEPT}, **settings}
+    there = make_config(env, "laptop", settings).settings
+    return {**{name: there[name] for name in SWEPT}, **settings}
 
 
 def _swept(base: Mapping[str, Any], name: str, factor: float) -> dict[str, Any]:

@@ -144,22 +144,23 @@ def cell_steps(cell: Cell, episodes: int) -> int:
     config = make_config(
         cell.env, cell.preset, {name: value for name, value in cell.settings.items() if name not in _TRANSFER}
     )
-    per_generation, generations = generation_steps(config), config.generations
-    if config.env_steps is not None:
-        generations = min(generations, math.ceil(config.env_steps / per_generation))
+    per_generation, generations = generation_steps(config), config.run.generations
+    if config.run.env_steps is not None:
+        generations = min(generations, math.ceil(config.run.env_steps / per_generation))
     training = generations * per_generation
-    evaluations = 1 + generations // config.evaluation_interval
-    evaluated = evaluations * config.evaluation_episodes + (len(CHECKPOINTS) + 1) * episodes
-    return training + evaluated * (config.evaluation_horizon or config.horizon)
+    evaluations = 1 + generations // config.evaluation.evaluation_interval
+    evaluated = evaluations * config.evaluation.evaluation_episodes + (len(CHECKPOINTS) + 1) * episodes
+    return training + evaluated * config.evaluation_steps
 
 
 def generation_steps(config: TrainConfig) -> int:
     """Return the environment steps of a generation, if no episode and no branch ends before its time."""
-    episodes = config.population_size * config.episodes_per_policy * config.horizon
-    if config.primitive_estimate != "interval" or not config.learns[-1]:
+    evolution = config.evolution
+    episodes = evolution.population_size * evolution.episodes_per_policy * config.episodes.horizon
+    if not config.is_branched or not config.learns[-1]:
         return episodes
-    pairs = config.primitive_population_size or config.population_size
-    branches = pairs * config.intervals * config.controller_interval
+    pairs = config.settings.get("primitive_population_size") or evolution.population_size
+    branches = pairs * config.estimate.intervals * config.hierarchy.controller_interval
     return branches if config.level_names == ("primitive",) else episodes + branches
 
 
@@ -184,7 +185,7 @@ def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
     else:
         _check_settings(cell, folder, config)
         last = folder.load("last")
-        if not config.is_over(last.generation, last.env_steps):
+        if not config.run.is_over(last.generation, last.env_steps):
             resume(path)
     summary = _summarise(cell, folder, episodes)
     write_atomically(_summary_path(path), partial(_dump, summary))
@@ -234,9 +235,9 @@ def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
     wanted, there = (
         {
             **settings.numbers(),
-            "generations": settings.generations,
-            "env_steps": settings.env_steps,
-            "primitive": settings.primitive is not None,
+            "generations": settings.run.generations,
+            "env_steps": settings.run.env_steps,
+            "primitive": settings.settings.get("primitive") is not None,
         }
         for settings in (config, folder.read_config())
     )

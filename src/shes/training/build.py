@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from shes.algorithms.contract import Algorithm
+from shes.algorithms.evolution.rooms import EvolutionSettings
 from shes.algorithms.problem import Problem
-from shes.algorithms.registry import find_algorithm
 from shes.algorithms.worker import RolloutWorker, WorkerPlan, simulator_factory
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
@@ -21,7 +21,7 @@ from shes.envs.registry import EnvironmentMaker, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError
 from shes.runs.checkpoint import restore
-from shes.runs.config import TrainConfig
+from shes.runs.config import TrainConfig, learner
 from shes.runs.folder import RunFolder
 from shes.sim.warp_device import is_out_of_memory
 
@@ -45,52 +45,41 @@ def build_environment(config: TrainConfig) -> EnvironmentMaker:
         MissingExtraError: It comes with a package that is not installed.
         ConfigError: It is not as it is described.
     """
-    return find_environment(config.env) if config.external is None else ExternalEnvironment.find(config.external)
+    if config.run.external is not None:
+        return ExternalEnvironment.find(config.run.external)
+    env = find_environment(config.run.env)
+    return env.with_body_options(config.body) if "body" in config else env
 
 
-def build_options(config: TrainConfig, env: EnvironmentMaker, *, is_evaluation: bool) -> TaskOptions:
+def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
     """Return the options of the environment in training or in evaluation."""
-    random_controller: dict[str, Any] = {
-        "goal_interval": config.controller_interval,
-        "goal_range": config.goal_distance,
-    }
-    return TaskOptions(
-        spec=config.spec,
-        integrator=config.integrator,
-        reset_noise=config.evaluation_reset_noise if is_evaluation else config.reset_noise,
-        evaluation=is_evaluation,
-        target_sampling=config.target_sampling,
-        target=config.target,
-        evaluation_target=config.evaluation_target,
-        observe_block=config.observe_block,
-        fall_penalty=config.fall_penalty,
-        **(random_controller if env.sets_goals else {}),
-    )
+    noise = config.episodes.evaluation_reset_noise if is_evaluation else config.environment.reset_noise
+    return replace(config.environment, reset_noise=noise, evaluation=is_evaluation)
 
 
 def build_task(config: TrainConfig, num_episodes: int, *, is_evaluation: bool) -> EpisodeBatch:
     """Return the environment of `config` for `num_episodes` episodes."""
     env = build_environment(config)
-    return env.make(num_episodes, build_options(config, env, is_evaluation=is_evaluation))
+    return env.make(num_episodes, build_options(config, is_evaluation=is_evaluation))
 
 
 def build_problem(config: TrainConfig) -> Problem:
     """Return the environment of `config`, and what a learner is to know of the run."""
-    env = build_environment(config)
+    workers = config.workers
     return Problem(
-        name=config.env,
-        env=env,
-        training=build_options(config, env, is_evaluation=False),
-        evaluation=build_options(config, env, is_evaluation=True),
-        horizon=config.horizon,
-        evaluation_horizon=config.evaluation_horizon or config.horizon,
+        name=config.run.env,
+        env=build_environment(config),
+        training=build_options(config, is_evaluation=False),
+        evaluation=build_options(config, is_evaluation=True),
+        horizon=config.episodes.horizon,
+        evaluation_horizon=config.evaluation_steps,
         settings=config,
-        noise_table_size=config.noise_table_size,
-        num_threads=config.workers,
-        chunk_size=config.chunk_size,
-        device=config.device,
-        nconmax=config.nconmax,
-        njmax=config.njmax,
+        noise_table_size=config.settings.get("noise_table_size", EvolutionSettings.noise_table_size),
+        num_threads=workers.count,
+        chunk_size=workers.chunk_size,
+        device=workers.device,
+        nconmax=workers.nconmax,
+        njmax=workers.njmax,
     )
 
 
@@ -102,7 +91,7 @@ def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
     """
     problem = build_problem(config)
     made_from: Callable[[Problem], Algorithm[Any]] = cast(
-        "Any", find_algorithm(config.algorithm, sets_goals=problem.env.sets_goals)
+        "Any", learner(config.run)
     )  # an algorithm is made from the problem alone: `register_algorithm` checks it
     return made_from(problem)
 
@@ -132,7 +121,7 @@ def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> Ope
     """
     folder = RunFolder.open(run)
     loaded = folder.load(checkpoint)
-    config = replace(folder.read_config(), **execution)
+    config = folder.read_config().having(**execution)
     algorithm = build_algorithm(config)
     state = restore(loaded, algorithm.from_arrays, folder.checkpoint_path(checkpoint))
     return OpenedRun(folder=folder, config=config, algorithm=algorithm, state=state)
@@ -146,17 +135,18 @@ def check_device(config: TrainConfig) -> None:
         ConfigError: There is no card, its driver is too old, versions do not go together, the world needs the CPU, or
             there is not the memory for one.
     """
-    if config.device == "cpu":
+    workers = config.workers
+    if workers.device == "cpu":
         return
     env = build_environment(config)
-    simulator = simulator_factory(config.device, config.nconmax, config.njmax)
+    simulator = simulator_factory(workers.device, workers.nconmax, workers.njmax)
     try:
-        env.make(1, build_options(config, env, is_evaluation=False), simulator).close()
+        env.make(1, build_options(config, is_evaluation=False), simulator).close()
     except (MemoryError, RuntimeError) as error:
         if not is_out_of_memory(error):
             raise
         raise ConfigError(
-            f"device {config.device} has too little memory for a single episode ({error}). See what else uses it, set "
+            f"device {workers.device} has too little memory for a single episode ({error}). See what else uses it, set "
             "--nconmax or --njmax lower, or use --device cpu."
         ) from error
 
@@ -164,6 +154,6 @@ def check_device(config: TrainConfig) -> None:
 def build_backend(config: TrainConfig, plan: WorkerPlan) -> Backend:
     """Start the workers; a device has one, in this process."""
     factory = partial(RolloutWorker, plan)
-    if config.backend == "serial" or config.device != "cpu":
+    if config.workers.backend == "serial" or config.workers.device != "cpu":
         return SerialBackend(factory)
-    return ProcessesBackend(factory, config.workers)
+    return ProcessesBackend(factory, config.workers.count)

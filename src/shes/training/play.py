@@ -72,7 +72,7 @@ class Agent:
             rows, is_single = self._reader.rows(observation, self.num_envs)
         except ShapeError as error:
             raise ShapeError(
-                f"{error} This agent was trained on {self.config.env}; load it with num_envs=... for several."
+                f"{error} This agent was trained on {self.config.run.env}; load it with num_envs=... for several."
             ) from error
         if not np.isfinite(rows).all():
             raise PolicyError(

@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from shes.envs.external.description import is_description_file, read_description
-from shes.envs.registry import find_environment
 from shes.errors import ConfigError, UnknownNameError
-from shes.es.novelty import NOVELTY_RULES
-from shes.runs.config import TrainConfig, check_fields
+from shes.runs.config import RunSettings, TrainConfig, check_names, rooms_of
 from shes.runs.device import check_asked_device
-from shes.runs.settings import SCHEDULED, flag
 from shes.runs.shipped import run_text
+from shes.settings import Needs, setting_fields
 from shes.training.transfer import TRANSFERRED, brought_settings
 
 __all__ = ["PRESETS", "make_config"]
@@ -36,7 +34,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "evaluation_episodes": 10,
         "noise_table_size": 250_000_000,
     },
-    # Learns visibly on a few cores: the defaults of TrainConfig.
+    # Learns visibly on a few cores: the defaults of the settings.
     "laptop": {"evaluation_horizon": 500},
     # Seconds: to see that everything works, not to learn.
     "smoke": {
@@ -124,179 +122,97 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
 
     Raises:
         UnknownNameError: `preset` or `env` is not known.
-        ConfigError: A setting is unknown or out of range, or a file holds no description.
+        ConfigError: A setting is unknown, out of range or without effect, or a file holds no description.
     """
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError("preset", str(preset), PRESETS, "Set --preset.")
-    overrides = dict(overrides or {})
-    check_fields(overrides)
+    asked = dict(overrides or {})
     if is_description_file(env):
         path = Path(env)
-        env, overrides["external"] = path.stem, read_description(path)
+        env, asked["external"] = path.stem, read_description(path)
     for name in ("hidden", "primitive_hidden"):
-        if isinstance(overrides.get(name), int):
-            overrides[name] = (overrides[name],)
+        if isinstance(asked.get(name), int):
+            asked[name] = (asked[name],)
     for name in TRANSFERRED:
-        if isinstance(overrides.get(name), Path):
-            overrides[name] = run_text(overrides[name])
-    has_walker = preset == "laptop" and overrides.get("algorithm", "shes") == "shes"
-    own = _WALKERS.get(env, {}) if has_walker else {}
-    values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **own, **overrides}
+        if isinstance(asked.get(name), Path):
+            asked[name] = run_text(asked[name])
+    identity = {"env": env, "preset": preset}
+    values = {**identity, **_preset_values(env, preset, asked), **asked}
+    check_names(values)
     for level in TRANSFERRED:
         if values.get(level) is not None:
             checkpoint = values.get(f"{level}_checkpoint", "best")
-            values.update(brought_settings(level, values[level], checkpoint, overrides))
-    config = TrainConfig(env=env, preset=preset, **values)
-    check_asked_device(config, overrides)
-    _refuse_unheeded(config, overrides)
+            values.update(brought_settings(level, values[level], checkpoint, values, asked))
+    config = TrainConfig(values)
+    check_asked_device(config, asked)
+    _refuse_idle(config, asked)
     return config
 
 
-_OF_CONTROLLERS = frozenset(
-    {
-        "controller_output",
-        "controller_view",
-        "controller_weight_decay",
-        "minimum_goal_distance",
-        "primitive_hidden",
-        "primitive_learning_rate",
-        "primitive_population_size",
-        "primitive_sigma",
-    }
-)
-"""Settings that concern two levels only."""
-_OF_PRIMITIVES = frozenset(
-    {
-        "controller_interval",
-        "fall_price",
-        "goal_distance",
-        "goal_encoding",
-        "hide_position",
-        "intervals",
-        "primitive_estimate",
-        "primitive_fitness_shaping",
-        "primitive_reward",
-        "primitive_view",
-        "symmetry",
-    }
-    | _OF_CONTROLLERS
-)
-"""Settings that concern goals."""
-_OF_TRANSFER = {
-    "controller_checkpoint": "controller",
-    "freeze_primitive": "primitive",
-    "primitive_checkpoint": "primitive",
-}
-"""Settings of a transferred level, and the setting that says where it is from."""
-_OF_RANDOM_CONTROLLERS = frozenset({"controller_interval", "goal_distance"})
-"""Settings of goals that an environment heeds which sets them itself."""
+def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what `preset` sets of the settings that a run of `env` has."""
+    run = {name: asked[name] for name in ("algorithm",) if name in asked}
+    classes = rooms_of(RunSettings.of({"env": env, **run}))
+    has_walker = preset == "laptop" and run.get("algorithm", "shes") == "shes"
+    own = _WALKERS.get(env, {}) if has_walker else {}
+    values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **own}
+    return {name: values[name] for cls in classes.values() for name in setting_fields(cls) if name in values}
 
-_OF_BRANCHES = frozenset(
-    {
-        "fall_price",
-        "intervals",
-        "primitive_fitness_shaping",
-        "primitive_learning_rate",
-        "primitive_population_size",
-        "primitive_sigma",
-    }
-)
-"""Settings of a primitive that is judged by intervals, if it learns."""
-_OF_EPISODES = frozenset(
-    {"common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction"}
-)
+
+_OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction")
 """Settings of whole episodes: a primitive alone that is judged by intervals has none."""
 
-_NEEDS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "momentum": ("optimizer", ("sgd", "clipup")),
-    "intervals": ("primitive_estimate", ("interval",)),
-    "primitive_fitness_shaping": ("primitive_estimate", ("interval",)),
-    "primitive_learning_rate": ("primitive_estimate", ("interval",)),
-    "primitive_population_size": ("primitive_estimate", ("interval",)),
-    "primitive_sigma": ("primitive_estimate", ("interval",)),
-    "symmetry": ("primitive_view", ("egocentric",)),
-    "novelty_neighbours": ("novelty", tuple(NOVELTY_RULES)),
-    "rank_ties": ("fitness_shaping", ("centred_rank", "top_fraction")),
-    "top_fraction": ("fitness_shaping", ("top_fraction",)),
-}
-"""Settings that concern some choices of another one only."""
 
-
-def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
-    """Refuse settings that somebody asked for, and that would do nothing in this run.
+def _refuse_idle(config: TrainConfig, asked: Mapping[str, Any]) -> None:
+    """Refuse settings that somebody asked for, and that do nothing beside the others.
 
     Raises:
         ConfigError: There is one.
     """
-    _refuse_unheeded_levels(config, overrides)
-    for name, level in sorted(_OF_TRANSFER.items()):
-        if getattr(config, level) is None and name in overrides:
-            raise ConfigError(
-                f"{name} is {overrides[name]!r}, but no run is named whose {level} it would be. "
-                f"Set --{level} RUN, or leave {flag(name)} away."
-            )
-    _refuse_unheeded_estimate(config, overrides)
-    for name, (other, needed) in _NEEDS.items():
-        has_other = getattr(config, other) in needed
-        if other == "fitness_shaping" and config.primitive_estimate == "interval" and config.learns[-1]:
-            has_other |= config.primitive_fitness_shaping in needed
-        if name in overrides and not has_other:
-            raise ConfigError(
-                f"{name} does nothing with {other} {getattr(config, other)!r}, got {overrides[name]!r}. "
-                f"Set {flag(other)} to {' or '.join(needed)}, or leave {flag(name)} away."
-            )
-    if "schedule_generations" in overrides and not config.has_schedule:
-        kinds = ", ".join(flag(kind) for kind, _ in SCHEDULED.values())
+    for name in asked:
+        setting = config.setting(name)
+        if not setting.needs or _is_heeded(config, setting.needs):
+            continue
+        needed = [each for each in setting.needs if each.other in config.settings]
+        there = ", ".join(f"{each.other} {config.settings[each.other]!r}" for each in needed)
+        fixes = ", or ".join(f"{config.setting(each.other).flag}{_one_of(each.values)}" for each in needed[:1])
         raise ConfigError(
-            f"schedule_generations does nothing without a schedule, got {overrides['schedule_generations']!r}. "
-            f"Set one of {kinds}, or leave --schedule-generations away."
+            f"{name} does nothing with {there}, got {asked[name]!r}. Set {fixes}, or leave {setting.flag} away."
         )
-    if "perturbation" in overrides and sum(config.by_episodes) == 1:
+    if config.is_branched and not config.learns[-1]:
+        for name in setting_fields(type(config.estimate)):
+            if name in asked and name != "primitive_estimate":
+                raise ConfigError(
+                    f"{name} does nothing where the primitive stays as it is; got {asked[name]!r}. "
+                    f"Leave {config.setting(name).flag} away, or set --no-freeze-primitive."
+                )
+    if config.is_branched and config.level_names == ("primitive",):
+        for name in _OF_EPISODES:
+            if name in asked:
+                raise ConfigError(
+                    f"{name} does nothing in a run of {config.run.env} whose primitive is judged by intervals: it "
+                    f"concerns whole episodes; got {asked[name]!r}. "
+                    f"Leave {config.setting(name).flag} away, or set --primitive-estimate episode."
+                )
+    if "perturbation" in asked and sum(config.by_episodes) == 1:
         (learning,) = (name for name, learns in zip(config.level_names, config.by_episodes, strict=True) if learns)
         told = "learns" if sum(config.learns) == 1 else "is judged by whole episodes"
         raise ConfigError(
             f"perturbation says how two levels share the population, but in this run the {learning} alone {told}; got "
-            f"{overrides['perturbation']!r}. Leave --perturbation away."
+            f"{asked['perturbation']!r}. Leave --perturbation away."
         )
 
 
-def _refuse_unheeded_levels(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
-    """Refuse settings that somebody asked for, and that concern a level that this run does not have.
-
-    This comes before the other checks: their advice is for runs that have the level.
-
-    Raises:
-        ConfigError: There is one.
-    """
-    unheeded = frozenset[str]()
-    if config.level_names == ("primitive",):
-        unheeded = _OF_CONTROLLERS | {"controller_checkpoint"}
-    elif config.level_names == ("policy",):
-        sets_goals = config.external is None and find_environment(config.env).sets_goals
-        unheeded = (_OF_PRIMITIVES | _OF_TRANSFER.keys()) - (_OF_RANDOM_CONTROLLERS if sets_goals else frozenset())
-    for name in sorted(unheeded & set(overrides)):
-        raise ConfigError(
-            f"{name} does nothing in a run of {config.env} with algorithm {config.algorithm!r}, whose one level is the "
-            f"{config.level_names[0]}; got {overrides[name]!r}. Leave {flag(name)} away."
-        )
+def _is_heeded(config: TrainConfig, needs: tuple[Needs, ...]) -> bool:
+    """Tell whether one of the settings that are needed has a value that is, and does something itself."""
+    for need in needs:
+        if need.other not in config.settings:
+            continue
+        value, others = config.settings[need.other], config.setting(need.other).needs
+        if (value in need.values if need.values else value is not None) and (not others or _is_heeded(config, others)):
+            return True
+    return False
 
 
-def _refuse_unheeded_estimate(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
-    """Refuse settings that somebody asked for, and that the way in which the primitive is judged does not heed.
-
-    Raises:
-        ConfigError: There is one.
-    """
-    if config.level_names == ("primitive",) and config.primitive_estimate == "interval":
-        for name in sorted(_OF_EPISODES & set(overrides)):
-            raise ConfigError(
-                f"{name} does nothing in a run of {config.env} whose primitive is judged by intervals: it concerns "
-                f"whole episodes; got {overrides[name]!r}. "
-                f"Leave {flag(name)} away, or set --primitive-estimate episode."
-            )
-    if "primitive" in config.level_names and not config.learns[-1]:
-        for name in sorted(_OF_BRANCHES & set(overrides)):
-            raise ConfigError(
-                f"{name} does nothing where the primitive stays as it is; got {overrides[name]!r}. "
-                f"Leave {flag(name)} away, or set --no-freeze-primitive."
-            )
+def _one_of(values: tuple[str, ...]) -> str:
+    return f" to {' or '.join(values)}" if values else ""

@@ -128,7 +128,7 @@ def _describe(
     told = [field.name for field in fields(FreshEvaluation) if field.name != "seed"]
     return ShippedAgent(
         description=description,
-        env=config.env,
+        env=config.run.env,
         commands=tuple(commands),
         cores=_cores(config, run),
         hours=round(progress["wall_time_s"][-1] / 3600, 3),
@@ -224,9 +224,9 @@ def _rounded(cell: str) -> str:
 
 def _cores(config: TrainConfig, run: RunFolder) -> int:
     """Return the cores that a run had: one for each of its workers."""
-    if config.backend == "serial" or config.device != "cpu":
+    if config.workers.backend == "serial" or config.workers.device != "cpu":
         return 1
-    return config.num_workers or run.read_record()["machine"]["cores"]
+    return config.workers.num_workers or run.read_record()["machine"]["cores"]
 
 
 def main(words: Sequence[str] | None = None) -> int:

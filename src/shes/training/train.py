@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Mapping
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
@@ -14,11 +15,10 @@ from shes.algorithms.contract import Algorithm, Report
 from shes.backends.backend import Backend
 from shes.errors import ConfigError
 from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, restore, save_checkpoint
-from shes.runs.config import EXECUTION_FIELDS, TrainConfig, check_fields
+from shes.runs.config import TrainConfig, execution_settings, known_settings
 from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
-from shes.runs.settings import flag
 from shes.runs.tables import Records, Row, read_csv
 from shes.training.build import build_algorithm, build_backend, check_device
 from shes.training.evaluate import evaluate_state, evaluation_seeds
@@ -73,7 +73,7 @@ def train(
         preset: `paper`, `laptop` or `smoke`.
         out: The run folder, which must not hold a run yet; a new one below `runs/` if none.
         listener: Hears of the progress.
-        settings: Any field of `TrainConfig`, e.g. `seed=0, num_workers=4`.
+        settings: Any setting by name, e.g. `seed=0, num_workers=4`.
 
     Raises:
         UnknownNameError: An environment, preset or other name is not known.
@@ -92,7 +92,7 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     check_robot(config)
     algorithm = build_algorithm(config)
     algorithm.plan()  # what can be wrong with the noise table, or with a transfer, shows before there is a folder
-    state, origins = transfer(algorithm, algorithm.start(config.seed))
+    state, origins = transfer(algorithm, algorithm.start(config.run.seed))
     folder = RunFolder.create(new_folder(config) if out is None else _path(out))
     with folder.lock():
         checkpoint = Checkpoint(arrays=algorithm.to_arrays(state), best=Best(), numbers=config.numbers())
@@ -131,27 +131,20 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
     """
     folder = RunFolder.open(path)
     stored = folder.read_config()
-    check_fields(settings)
-    for name in settings:
-        if name not in EXECUTION_FIELDS - {"preset"}:
-            allowed = ", ".join(flag(field) for field in sorted(EXECUTION_FIELDS - {"preset"}))
-            raise ConfigError(
-                f"{flag(name)} would change the numbers of the run; resume takes {allowed}. "
-                "Start another run to change it."
-            )
-    config = replace(stored, **{"minutes": None, **settings})
+    _refuse_other_numbers(settings)
+    config = stored.having(**{"minutes": None, **settings})
     check_asked_device(config, settings)
     check_device(config)
     with folder.lock():
         checkpoint = folder.load("last")
         done, steps = checkpoint.generation, checkpoint.env_steps
-        if config.is_over(done, steps):
-            is_long = done >= config.generations
-            made, end = (done, config.generations) if is_long else (steps, config.env_steps)
+        if config.run.is_over(done, steps):
+            is_long = done >= config.run.generations
+            made, end = (done, config.run.generations) if is_long else (steps, config.run.env_steps)
             raise ConfigError(
                 f"the run has made {made} {'generations' if is_long else 'environment steps'}, and is to end after "
                 f"{end}. To go on: shes resume {shlex.quote(str(path))} "
-                f"{flag('generations' if is_long else 'env_steps')} {2 * made}"
+                f"{'--generations' if is_long else '--env-steps'} {2 * made}"
             )
         algorithm = build_algorithm(config)
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
@@ -163,6 +156,24 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
             if listener is not None:
                 listener.on_event(event)
         return _go_on(folder, algorithm, state, checkpoint, listener)
+
+
+def _refuse_other_numbers(settings: Mapping[str, Any]) -> None:
+    """Refuse settings that would make another run of the one to resume.
+
+    Raises:
+        ConfigError: There is one.
+    """
+    execution, known = execution_settings(), known_settings()
+    allowed = ", ".join(sorted(each.flag for name, each in execution.items() if name != "preset"))
+    for name in settings:
+        if name not in known:
+            raise ConfigError(f"unknown setting {name!r}. resume takes {allowed}.")
+        if name not in execution or name == "preset":
+            raise ConfigError(
+                f"{known[name].flag} would change the numbers of the run; resume takes {allowed}. "
+                "Start another run to change it."
+            )
 
 
 def _go_on(
@@ -178,7 +189,7 @@ def _go_on(
         backend = stack.enter_context(build_backend(config, algorithm.plan()))
         session = _Session(folder, algorithm, checkpoint, records, writer, backend, listener)
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
-        on_device = "" if config.device == "cpu" else f" on device {config.device}"
+        on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
         logger.info("begins after generation %d with %d workers%s", state.generation, backend.num_workers, on_device)
         session.check_schedules()
         while not session.is_over() and not interruption.is_requested:
@@ -218,18 +229,18 @@ class _Session:
     def check_schedules(self) -> None:
         """Say so where the run ends before its schedules do."""
         config = self._config
-        if config.has_schedule and config.generations < config.schedule_generations:
+        if config.has_schedule and config.run.generations < config.schedules.schedule_generations:
             self._tell_event(
-                f"the schedules take {config.schedule_generations} generations, but the run ends after "
-                f"{config.generations}, short of their end: see --schedule-generations"
+                f"the schedules take {config.schedules.schedule_generations} generations, but the run ends after "
+                f"{config.run.generations}, short of their end: see --schedule-generations"
             )
 
     def is_over(self) -> bool:
         """Tell whether the run, or this call's time, has come to its end."""
-        minutes = self._config.minutes
+        minutes = self._config.run.minutes
         is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
         last = self.checkpoint
-        return is_late or self._config.is_over(last.generation, last.env_steps)
+        return is_late or self._config.run.is_over(last.generation, last.env_steps)
 
     def add(self, report: Report[Any], interruption: Interruption) -> None:
         """Write down a generation, evaluate where it is due, and put the checkpoint on its way."""
@@ -248,7 +259,7 @@ class _Session:
         self._tell_events(list(report.log))
         # `last` last: a run that dies before it does this generation, its evaluation and its other checkpoints again.
         best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
-        if state.generation == 1 or state.generation % self._config.evaluation_interval == 0:
+        if state.generation == 1 or state.generation % self._config.evaluation.evaluation_interval == 0:
             with interruption.at_once():
                 evaluation = self._evaluate(state)
             self._records.add_evaluation(evaluation)
@@ -264,7 +275,7 @@ class _Session:
             self._tell("on_evaluation", evaluation)
             self._generation_start = perf_counter()
             row["evaluation_s"] = round(self._generation_start - now, 4)
-        if state.generation % self._config.keep_checkpoints == 0:
+        if state.generation % self._config.evaluation.keep_checkpoints == 0:
             paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
         self._records.add_progress(row)
         arrays = self._algorithm.to_arrays(state)
@@ -274,7 +285,7 @@ class _Session:
 
     def _evaluate(self, state: Any) -> Row:
         """Return the row of `evaluation.csv` for the agent of `state`."""
-        seeds = evaluation_seeds(state.seed, state.generation, self._config.evaluation_episodes)
+        seeds = evaluation_seeds(state.seed, state.generation, self._config.evaluation.evaluation_episodes)
         found = evaluate_state(self._algorithm, state, seeds, self._backend)
         return {
             "generation": state.generation,

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from shes.algorithms.contract import Algorithm
+from shes.algorithms.evolution.designs import primitive_layers
 from shes.algorithms.evolution.learners import EvolutionStrategy
 from shes.errors import CheckpointError, ConfigError
 from shes.es.level import LevelState
-from shes.runs.config import TrainConfig
+from shes.runs.config import RunSettings, TrainConfig, learner
 from shes.runs.folder import RunFolder
-from shes.runs.settings import flag
+from shes.settings import flag
 from shes.training.build import OpenedRun, build_task, open_run
 
 __all__ = ["TRANSFERRED", "Transferred", "brought_settings", "check_robot", "transfer"]
@@ -28,6 +29,7 @@ _BROUGHT = {
     "primitive": ("goal_encoding", "clock_frequency", "hide_position", "symmetry"),
     "controller": ("controller_output", "controller_view", "hidden"),
 }
+"""Settings that a level was trained with, and that come with it."""
 _SUGGESTED = {
     "primitive": (),
     "controller": ("controller_interval", "goal_distance", "minimum_goal_distance"),
@@ -73,7 +75,7 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState
             f"{path} has no {level}: its levels are {', '.join(opened.algorithm.level_names)}. Name a run with "
             f"--{level} that trained one: {trained_by}."
         )
-    told = Transferred(run=path, env=opened.config.env, checkpoint=checkpoint, generation=opened.state.generation)
+    told = Transferred(run=path, env=opened.config.run.env, checkpoint=checkpoint, generation=opened.state.generation)
     return opened, levels[level], told
 
 
@@ -84,14 +86,17 @@ def _checkpoint_names(folder: RunFolder) -> list[str]:
     return [f"{int(stem.removeprefix(prefix))}" if stem.startswith(prefix) else stem for stem in stems]
 
 
-def brought_settings(level: str, path: str, checkpoint: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+def brought_settings(
+    level: str, path: str, checkpoint: str, values: Mapping[str, Any], asked: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return the settings that a level of the run at `path` brings with it.
 
     Args:
         level: `primitive` or `controller`.
         path: The run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
-        asked: Settings that somebody asked for.
+        values: The settings of the run that it comes to, so far.
+        asked: Those among them that somebody asked for.
 
     Raises:
         RunFolderError: `path` is neither a run folder nor a shipped agent.
@@ -101,11 +106,13 @@ def brought_settings(level: str, path: str, checkpoint: str, asked: Mapping[str,
     if not isinstance(path, str) or not path:
         raise ConfigError(f"{level} must be the path of a run folder, got {path!r}. Set --{level}.")
     source = _read(level, path, checkpoint)[0].config
-    brought: dict[str, Any] = {name: getattr(source, name) for name in _BROUGHT[level]}
+    theirs = source.settings
+    brought: dict[str, Any] = {name: theirs[name] for name in _BROUGHT[level]}
     if level == "primitive":
-        brought["primitive_hidden"] = source.hidden if source.primitive_hidden is None else source.primitive_hidden
-        is_plain = source.level_names == ("primitive",) and source.primitive_view == "observation"
-        brought["primitive_view"] = "proprioception" if is_plain else source.primitive_view
+        is_alone = learner(RunSettings.of(values)).level_names == ("primitive",)
+        brought["hidden" if is_alone else "primitive_hidden"] = primitive_layers(source)
+        is_plain = source.level_names == ("primitive",) and source.hierarchy.primitive_view == "observation"
+        brought["primitive_view"] = "proprioception" if is_plain else source.hierarchy.primitive_view
     for name in sorted(brought.keys() & asked.keys()):
         wanted = tuple(asked[name]) if isinstance(asked[name], list) else asked[name]
         if wanted != brought[name]:
@@ -113,7 +120,7 @@ def brought_settings(level: str, path: str, checkpoint: str, asked: Mapping[str,
                 f"{name} is {wanted!r}, but the {level} of {path} was trained with {brought[name]!r}. "
                 f"Leave {flag(name)} away: it comes with the {level}."
             )
-    return brought | {name: getattr(source, name) for name in _SUGGESTED[level] if name not in asked}
+    return brought | {name: theirs[name] for name in _SUGGESTED[level] if name not in asked}
 
 
 def check_robot(config: TrainConfig) -> None:
@@ -124,17 +131,18 @@ def check_robot(config: TrainConfig) -> None:
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: The primitive that `config` names was trained with another robot.
     """
-    if config.primitive is None:
+    path = config.settings.get("primitive")
+    if path is None:
         return
-    source = _read("primitive", config.primitive, config.primitive_checkpoint)[0].config
+    source = _read("primitive", path, config.transfer.primitive_checkpoint)[0].config
     (their_robot, theirs), (our_robot, ours) = _robot(source), _robot(config)
     # What an external robot is like, only the layouts can tell; but it has no egocentric view.
-    is_known = None not in (their_robot, our_robot) or source.primitive_view == "egocentric"
+    is_known = None not in (their_robot, our_robot) or source.hierarchy.primitive_view == "egocentric"
     if is_known and their_robot != our_robot:
         raise ConfigError(
-            f"the primitive of {config.primitive} does not fit {config.env}: it was trained on {source.env} for "
-            f"{theirs}, but {config.env} has {ours}. Name a primitive of the same robot with --primitive, or leave it "
-            "away."
+            f"the primitive of {path} does not fit {config.run.env}: it was trained on {source.run.env} for "
+            f"{theirs}, but {config.run.env} has {ours}. Name a primitive of the same robot with --primitive, or "
+            "leave it away."
         )
 
 
@@ -160,10 +168,10 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Tran
     origins: dict[str, Transferred] = {}
     config = algorithm.problem.settings
     for name in TRANSFERRED:
-        path = getattr(config, name)
+        path = config.settings.get(name)
         if path is None or not isinstance(algorithm, EvolutionStrategy):
             continue
-        source, level, told = _read(name, path, getattr(config, f"{name}_checkpoint"))
+        source, level, told = _read(name, path, config.settings[f"{name}_checkpoint"])
         assert isinstance(source.algorithm, EvolutionStrategy)
         _check_fit(name, path, source.algorithm, algorithm)
         state, origins[name] = algorithm.with_level(state, name, level), told
@@ -200,15 +208,16 @@ def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionS
 def _primitive_spec(algorithm: EvolutionStrategy) -> str:
     """Return what the primitive observes and controls, in words."""
     inputs, task, settings = algorithm.inputs("primitive"), algorithm.problem.sample(), algorithm.problem.settings
-    symmetry = "" if settings.symmetry == "none" else f" ({settings.symmetry} symmetry)"
+    kind = settings.hierarchy.symmetry
+    symmetry = "" if kind == "none" else f" ({kind} symmetry)"
     return (
-        f"{len(inputs)} inputs{symmetry} ({', '.join(inputs)}) of specification {settings.spec} and {task.action_size} "
-        f"controls of up to {task.control_limit:g}"
+        f"{len(inputs)} inputs{symmetry} ({', '.join(inputs)}) of specification {settings.environment.spec} and "
+        f"{task.action_size} controls of up to {task.control_limit:g}"
     )
 
 
 def _controller_spec(algorithm: EvolutionStrategy) -> str:
     """Return what the controller observes and puts out, in words."""
     inputs, settings = algorithm.inputs("controller"), algorithm.problem.settings
-    names = ", ".join(inputs)
-    return f"{len(inputs)} inputs ({names}) of specification {settings.spec}, output {settings.controller_output}"
+    told = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
+    return f"{len(inputs)} inputs ({', '.join(inputs)}) of {told}"

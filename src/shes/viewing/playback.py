@@ -65,7 +65,7 @@ class Playback:
         opened = open_run(run, checkpoint)
         config, state = opened.config, opened.state
         self.name = f"{checkpoint} (generation {state.generation})" if not checkpoint.isdecimal() else checkpoint
-        self.steps = steps or config.evaluation_horizon or config.horizon
+        self.steps = steps or config.evaluation_steps
         self._agent = Agent(opened)
         self._task = opened.algorithm.problem.make_task(is_evaluation=True)
         self._state, self._seed = state, seed

@@ -106,7 +106,7 @@ def _groups(folders: list[RunFolder]) -> list[_Group]:
     for folder in folders:
         config = folder.read_config()
         settings = {name: value for name, value in config.numbers().items() if name != "seed"}
-        found.setdefault(json.dumps([config.preset, settings], sort_keys=True), []).append(folder)
+        found.setdefault(json.dumps([config.run.preset, settings], sort_keys=True), []).append(folder)
     names = [_name(members[0].read_config()) for members in found.values()]
     groups: list[_Group] = []
     for number, (name, members) in enumerate(zip(names, found.values(), strict=True)):
@@ -150,4 +150,4 @@ def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> _Curve:
 
 
 def _name(config: TrainConfig) -> str:
-    return f"{config.env} {config.preset}"
+    return f"{config.run.env} {config.run.preset}"

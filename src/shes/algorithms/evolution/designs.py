@@ -20,6 +20,7 @@ from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
 from shes.hierarchy.views import ColumnsView, EgocentricView, View
 from shes.policies.mlp import MLP
+from shes.settings import flag
 
 __all__ = [
     "branch_design",
@@ -35,7 +36,7 @@ def flat_design(problem: Problem) -> FlatDesign:
     """Return the design of one policy without goals."""
     task, settings = problem.sample(), problem.settings
     inputs = _clock_size(settings) + task.observation_size
-    return FlatDesign(policy=MLP(inputs, settings.hidden, task.action_size), **_acting(settings, task))
+    return FlatDesign(policy=MLP(inputs, settings.networks.hidden, task.action_size), **_acting(settings, task))
 
 
 def primitive_design(problem: Problem) -> PrimitiveDesign:
@@ -54,13 +55,13 @@ def hierarchical_design(problem: Problem) -> HierarchicalDesign:
         ConfigError: There is no position to hide, or nobody knows how to look at this robot from its own frame.
     """
     task, settings = problem.sample(), problem.settings
-    output, view = make_controller_output(settings.controller_output), _controller_view(settings, task)
+    output, view = make_controller_output(settings.hierarchy.controller_output), _controller_view(settings, task)
     return HierarchicalDesign(
-        controller=MLP(view.size(task.observation_size), settings.hidden, output.size),
+        controller=MLP(view.size(task.observation_size), settings.networks.hidden, output.size),
         controller_output=output,
         controller_view=view,
-        goal_distance=settings.goal_distance,
-        has_minimum_goal_distance=settings.minimum_goal_distance,
+        goal_distance=settings.hierarchy.goal_distance,
+        has_minimum_goal_distance=settings.hierarchy.minimum_goal_distance,
         **_reaching(settings, task),
     )
 
@@ -68,39 +69,47 @@ def hierarchical_design(problem: Problem) -> HierarchicalDesign:
 def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
     """Return what the level that acts is made of, whatever it is called."""
     clock = None
-    if settings.clock_frequency is not None:
-        clock = Clock(frequency_hz=settings.clock_frequency, step_s=task.step_s)
+    if settings.networks.clock_frequency is not None:
+        clock = Clock(frequency_hz=settings.networks.clock_frequency, step_s=task.step_s)
     return {"control_limit": task.control_limit, "clock": clock}
 
 
 def branch_design(settings: Any, design: AgentDesign) -> BranchDesign | None:
     """Return what acts in branches beside a controller, by the `design` of the run's agent; None without branches."""
-    if settings.primitive_estimate != "interval" or not isinstance(design, HierarchicalDesign):
+    if not settings.is_branched or not isinstance(design, HierarchicalDesign):
         return None
     shared = {field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)}
-    return BranchDesign(num_goals=settings.intervals, **shared)
+    return BranchDesign(num_goals=settings.estimate.intervals, **shared)
 
 
 def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
     """Return what an agent of `settings` is made of that concerns its primitive."""
-    encoding, view = make_goal_encoding(settings.goal_encoding), primitive_view(settings, task)
-    hidden = settings.hidden if settings.primitive_hidden is None else settings.primitive_hidden
+    hierarchy = settings.hierarchy
+    encoding, view = make_goal_encoding(hierarchy.goal_encoding), primitive_view(settings, task)
     return {
         "primitive": MLP(
-            encoding.size + _clock_size(settings) + view.size(task.observation_size), hidden, task.action_size
+            encoding.size + _clock_size(settings) + view.size(task.observation_size),
+            primitive_layers(settings),
+            task.action_size,
         ),
         "primitive_view": view,
         "symmetry": _symmetry(settings, task),
         "goal_encoding": encoding,
-        "primitive_reward": make_primitive_reward(settings.primitive_reward),
-        "controller_interval": settings.controller_interval,
+        "primitive_reward": make_primitive_reward(hierarchy.primitive_reward),
+        "controller_interval": hierarchy.controller_interval,
         **_acting(settings, task),
     }
 
 
+def primitive_layers(settings: Any) -> tuple[int, ...]:
+    """Return the hidden layers of the primitive of `settings`."""
+    own = settings.hierarchy.primitive_hidden if len(settings.level_names) > 1 else None
+    return settings.networks.hidden if own is None else own
+
+
 def _clock_size(settings: Any) -> int:
     """Return the number of the clock's features."""
-    return 0 if settings.clock_frequency is None else Clock.size
+    return 0 if settings.networks.clock_frequency is None else Clock.size
 
 
 def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
@@ -109,13 +118,14 @@ def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
     Raises:
         ConfigError: The robot of `task` has none that is known.
     """
-    if settings.symmetry == "none":
+    kind = settings.hierarchy.symmetry
+    if kind == "none":
         return None
-    group = None if task.robot is None else task.robot.symmetry(is_mirrored=settings.symmetry == "dihedral")
+    group = None if task.robot is None else task.robot.symmetry(is_mirrored=kind == "dihedral")
     if group is None:
         robot = "an external robot" if task.robot is None else f"the {task.robot.name}"
         raise ConfigError(
-            f"symmetry is {settings.symmetry!r}, but nobody has told what symmetry {robot} of {settings.env} has. "
+            f"symmetry is {kind!r}, but nobody has told what symmetry {robot} of {settings.run.env} has. "
             "Leave --symmetry away, or name an environment of the ant."
         )
     return group
@@ -128,10 +138,11 @@ def _egocentric(settings: Any, task: EpisodeBatch, setting: str, others: Sequenc
         ConfigError: Nobody knows how to look at this robot from its own frame.
     """
     if task.robot is None or not task.robot.egocentric:
-        whose = f"{settings.env} is Gymnasium's" if task.robot is None else f"{settings.env} has the {task.robot.name}"
+        env = settings.run.env
+        whose = f"{env} is Gymnasium's" if task.robot is None else f"{env} has the {task.robot.name}"
         raise ConfigError(
             f"{setting} is 'egocentric', but {whose}: what its robot looks like from its own frame is not known. "
-            f"Set --{setting.replace('_', '-')} to another one."
+            f"Set {flag(setting)} to another one."
         )
     return EgocentricView(task.robot, task.proprioception.tolist(), others)
 
@@ -142,7 +153,7 @@ def _controller_view(settings: Any, task: EpisodeBatch) -> View:
     Raises:
         ConfigError: Nobody knows how to look at this robot from its own frame.
     """
-    if settings.controller_view == "observation":
+    if settings.hierarchy.controller_view == "observation":
         return ColumnsView()
     others = sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
     return _egocentric(settings, task, "controller_view", others)
@@ -155,21 +166,22 @@ def primitive_view(settings: Any, task: EpisodeBatch) -> View:
         ConfigError: Its position is to be hidden, and it sees none; or nobody knows how to look at this robot from its
             own frame.
     """
-    if settings.primitive_view == "egocentric":
-        if settings.hide_position:
+    hierarchy = settings.hierarchy
+    if hierarchy.primitive_view == "egocentric":
+        if hierarchy.hide_position:
             raise ConfigError(
                 "hide_position: an egocentric view shows no absolute position that could be hidden. "
                 "Leave --hide-position away."
             )
         return _egocentric(settings, task, "primitive_view")
-    sees_all = settings.primitive_view == "observation" and settings.level_names != ("primitive",)
+    sees_all = hierarchy.primitive_view == "observation" and settings.level_names != ("primitive",)
     view = (task.primitive_view if sees_all else task.proprioception).tolist()
-    if not settings.hide_position:
+    if not hierarchy.hide_position:
         return ColumnsView(view)
     hidden = [column for column in view if column in task.position_columns]
     if not hidden:
         raise ConfigError(
-            f"hide_position: a primitive in {settings.env} sees no absolute position that could be hidden. "
+            f"hide_position: a primitive in {settings.run.env} sees no absolute position that could be hidden. "
             "Leave --hide-position away."
         )
     return ColumnsView([column for column in view if column not in hidden])
@@ -178,10 +190,9 @@ def primitive_view(settings: Any, task: EpisodeBatch) -> View:
 def primitive_inputs(problem: Problem) -> tuple[str, ...]:
     """Return what each input of the primitive is called, in order."""
     task, settings = problem.sample(), problem.settings
-    features = [f"goal {settings.goal_encoding} {i}" for i in range(make_goal_encoding(settings.goal_encoding).size)]
-    clock = (
-        [] if settings.clock_frequency is None else [f"clock {x} {settings.clock_frequency} Hz" for x in ("sin", "cos")]
-    )
+    encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
+    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding).size)]
+    clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
     return (*features, *clock, *primitive_view(settings, task).names(task.observation_names))
 
 

@@ -22,6 +22,7 @@ from shes.algorithms.evolution.designs import (
     primitive_design,
     primitive_inputs,
 )
+from shes.algorithms.evolution.rooms import PRIMITIVE_ROOMS, SES_ROOMS, SHES_ROOMS
 from shes.algorithms.evolution.settings import make_settings, make_state
 from shes.algorithms.problem import Problem
 from shes.algorithms.worker import WorkerPlan
@@ -29,6 +30,7 @@ from shes.backends.backend import Backend
 from shes.errors import CheckpointError
 from shes.es.level import LevelParameters, LevelState, TrainState
 from shes.hierarchy.agent import AgentDesign
+from shes.settings import Settings
 
 __all__ = ["SES", "SHES", "EvolutionStrategy", "PrimitiveES"]
 
@@ -97,7 +99,7 @@ class EvolutionStrategy(Algorithm[TrainState]):
     @property
     def episodes_in_lockstep(self) -> int:
         """Episodes of a policy that share a matmul: those that its fitness is the mean of."""
-        return self.problem.settings.episodes_per_policy
+        return self.problem.settings.evolution.episodes_per_policy
 
     def plan(self) -> WorkerPlan:
         """Return what every worker needs to know once."""
@@ -120,6 +122,7 @@ class SHES(EvolutionStrategy):
     """A controller that sets goals and a primitive that reaches them, evolved together. Source: SHES paper."""
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
+    rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
 
     def _make_design(self, problem: Problem) -> AgentDesign:
         return hierarchical_design(problem)
@@ -129,6 +132,7 @@ class PrimitiveES(EvolutionStrategy):
     """A primitive alone, where the environment sets the goals. Source: SHES paper, section II-D."""
 
     level_names: ClassVar[tuple[str, ...]] = ("primitive",)
+    rooms: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_ROOMS
 
     def _make_design(self, problem: Problem) -> AgentDesign:
         return primitive_design(problem)
@@ -138,6 +142,7 @@ class SES(EvolutionStrategy):
     """One policy without goals. Source: Salimans et al. 2017."""
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
+    rooms: ClassVar[Mapping[str, type[Settings]]] = SES_ROOMS
 
     def _make_design(self, problem: Problem) -> AgentDesign:
         return flat_design(problem)

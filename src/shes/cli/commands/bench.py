@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from shes.cli.command import Command
@@ -28,10 +28,9 @@ class Arguments:
 
 def _groups(words: Sequence[str]) -> tuple[Group, ...]:
     from shes.cli.settings import asked_config, environment_group, setting_groups
-    from shes.runs.config import WITHOUT_FLAG
 
     config = asked_config(words)
-    settings = setting_groups(config, {field.name for field in fields(config)} - WITHOUT_FLAG)
+    settings = setting_groups(config)
     name, seconds, json = options_of(Arguments)
     where = environment_group(is_required=False).options
     return (Group(heading="what to measure", options=(name, *where, seconds, json)), *settings)

@@ -52,7 +52,7 @@ class Arguments:
 def _run(values: dict[str, Any]) -> int:
     from shes.cli.output import print_facts
     from shes.errors import ConfigError, UnknownNameError
-    from shes.runs.config import TrainConfig
+    from shes.runs.config import WorkerSettings
     from shes.studies.comparison import compare
     from shes.studies.figures import draw_figures
     from shes.studies.index import STUDIES
@@ -73,7 +73,7 @@ def _run(values: dict[str, Any]) -> int:
     chosen = choose(study, given.only or ())
     check_study(study, out)
     left = {cell.name for cell in cells_left(chosen, out)}
-    workers = TrainConfig(env="point-gather", num_workers=given.workers).workers
+    workers = WorkerSettings(num_workers=given.workers).count
     failed: list[Outcome] = []
     outcomes = run_study(chosen, out, num_workers=workers)
     with _Progress(chosen, left, workers, is_silent=given.json) as progress, closing(outcomes):

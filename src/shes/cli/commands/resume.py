@@ -21,19 +21,18 @@ class Arguments:
 
 def _groups(words: Sequence[str] = ()) -> tuple[Group, ...]:
     del words  # its help shows no values: they are the run's own
-    from shes.cli.settings import setting_groups
-    from shes.runs.config import EXECUTION_FIELDS
+    from shes.cli.settings import asked_config, setting_groups
 
-    settings = setting_groups(None, EXECUTION_FIELDS - {"preset"})
+    settings = setting_groups(asked_config([]), only_execution=True)
     return (Group(heading="run folder", options=options_of(Arguments)), *settings)
 
 
 def _explain_unknown(flag: str) -> str | None:
     """Say why a flag of `train` is none of `resume`."""
-    from shes.runs.config import TrainConfig
+    from shes.runs.config import known_settings
 
     name = flag.removeprefix("--").removeprefix("no-").replace("-", "_")
-    if name not in TrainConfig.__dataclass_fields__:
+    if name not in known_settings():
         return None
     allowed = ", ".join(sorted(option.flags[0] for option in options_in(_groups()) if option.flags))
     return f"{flag} would change the numbers of the run; resume takes {allowed}. Start another run to change it."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +21,9 @@ class Arguments:
 
 def _groups(words: Sequence[str]) -> tuple[Group, ...]:
     from shes.cli.settings import asked_config, environment_group, setting_groups
-    from shes.runs.config import WITHOUT_FLAG
 
     config = asked_config(words)
-    run, *others = setting_groups(config, {field.name for field in fields(config)} - WITHOUT_FLAG)
+    run, *others = setting_groups(config)
     run = Group(heading=run.heading, options=(*run.options, *options_of(Arguments)))
     return (environment_group(is_required=True), run, *others)
 
@@ -34,7 +33,7 @@ def _notes(words: Sequence[str]) -> str:
 
     config = asked_config(words)
     return (
-        f"The values shown are those of the preset {config.preset!r} for {config.env}; "
+        f"The values shown are those of the preset {config.run.preset!r} for {config.run.env}; "
         f"`shes train ENV --preset NAME --help` shows others."
     )
 

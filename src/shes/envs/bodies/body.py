@@ -10,6 +10,7 @@ import mujoco
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.observation_spec import ObservationElement
 from shes.errors import ConfigError
+from shes.settings import Settings
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Body"]
@@ -19,6 +20,8 @@ class Body(ABC):
     """A robot. Its coordinates come first in the model's qpos and qvel."""
 
     name: ClassVar[str]
+    Options: ClassVar[type[Settings]] = Settings
+    """Its options: a subclass of `Settings` whose fields are flags of training. It is made from an object of it."""
     pose: ClassVar[tuple[ObservationElement, ...]]
     """Its generalised coordinates, qpos."""
     velocity: ClassVar[tuple[ObservationElement, ...]]
@@ -33,6 +36,10 @@ class Body(ABC):
     """Where the torso's unit quaternion stands in qpos, if there is one."""
     egocentric: ClassVar[tuple[ObservationElement, ...]] = ()
     """Its state with nothing of the world in it but gravity: what `write_egocentric` writes; empty if not told."""
+
+    def __init__(self, options: Settings | None = None) -> None:
+        """Make the robot, with options of class `Options`; their defaults if none."""
+        self.options = self.Options() if options is None else options
 
     @property
     def num_qpos(self) -> int:

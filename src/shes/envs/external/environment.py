@@ -57,9 +57,9 @@ class ExternalEnvironment:
     """Time of a step by the environment's own word (`render_fps`), in seconds; 0.1 if it says nothing."""
 
     @property
-    def heeds(self) -> frozenset[str]:
-        """Return no option: they are of our own environments."""
-        return frozenset()
+    def options(self) -> type[TaskOptions]:
+        """The class of its options: it has none of its own."""
+        return TaskOptions
 
     @property
     def sets_goals(self) -> bool:

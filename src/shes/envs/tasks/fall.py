@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from shes.envs.tasks.target_task import TargetTask
+from shes.envs.tasks.target_task import BlockOptions, TargetTask
 from shes.envs.worlds import FALL, WALL_HEIGHT_M, Grid
 
 __all__ = ["Fall"]
@@ -17,7 +17,7 @@ class Fall(TargetTask):
     """
 
     name: ClassVar[str] = "fall"
-    heeds: ClassVar[frozenset[str]] = frozenset({"target", "evaluation_target", "observe_block"})
+    Options: ClassVar[type[BlockOptions]] = BlockOptions
     grid: ClassVar[Grid] = FALL
     ground_m: ClassVar[float] = WALL_HEIGHT_M
     block_axes: ClassVar[str] = "yz"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import mujoco
 import numpy as np
@@ -13,18 +14,29 @@ from shes.envs.bodies.body import Body
 from shes.envs.markers import TARGET, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.body_reader import BodyReader
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.options import FURTHEST_M, TaskOptions
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskDescription
 from shes.envs.worlds import GATHER, add_grid, empty_world
+from shes.settings import Ge, Le
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["Flagrun"]
+__all__ = ["Flagrun", "FlagrunOptions"]
 
 NEAR_M = 1.0
 """Goals are drawn at least this far away; nearer to one is worth 1 more in each step."""
 DISTANCE_SCALE = 0.001
 _GOALS_AT_ONCE = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlagrunOptions(TaskOptions):
+    """Options of Flagrun: its random controller has the settings of a controller that learns."""
+
+    controller_interval: Annotated[int, Ge(1)] = 25
+    """Control steps that a goal is held."""
+    goal_distance: Annotated[float, Ge(NEAR_M), Le(FURTHEST_M)] = 4.0
+    """A goal is drawn within this of the robot along each axis, in metres."""
 
 
 class FlagrunReader(BodyReader):
@@ -51,7 +63,8 @@ class Flagrun(Task):
     name: ClassVar[str] = "flagrun"
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     sets_goals: ClassVar[bool] = True
-    heeds: ClassVar[frozenset[str]] = frozenset({"goal_interval", "goal_range"})
+    Options: ClassVar[type[FlagrunOptions]] = FlagrunOptions
+    options: FlagrunOptions
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="1 - d/d_c, where d is the distance to the goal and d_c what it was when the goal was drawn; "
         "1 more where d is below 1 m",
@@ -161,7 +174,7 @@ class Flagrun(Task):
 
     def _draw_goals(self, episode: int) -> None:
         """Draw where the next goals of an episode are from the robot: the numbers of drawing one after another."""
-        rng, half_width, count = self._rngs[episode], self.options.goal_range, 0
+        rng, half_width, count = self._rngs[episode], self.options.goal_distance, 0
         assert rng is not None, "an episode draws goals from its reset on"
         self._num_used[episode] = 0
         while count < _GOALS_AT_ONCE:
@@ -177,7 +190,7 @@ class Flagrun(Task):
         np.less(self._distance, NEAR_M, out=self._is_near)
         reward = 1 - self._distance / self._start_distance + self._is_near
         self._host_time += 1
-        due = np.flatnonzero((self._host_time % self.options.goal_interval == 0) & self._has_begun)
+        due = np.flatnonzero((self._host_time % self.options.controller_interval == 0) & self._has_begun)
         if len(due):
             self._move_goals(due)
         return reward

@@ -6,6 +6,7 @@ Source: environment specification, Tasks and Gather details. `shes` is the SHES 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
@@ -22,7 +23,7 @@ from shes.errors import ConfigError
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["Gather"]
+__all__ = ["Gather", "GatherOptions"]
 
 NUM_OBJECTS = 8
 """Objects of each kind: food, poison."""
@@ -45,6 +46,22 @@ FOOD_REWARD, POISON_REWARD = 1.0, -1.0
 """Reward of an object of each kind."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class GatherOptions(TaskOptions):
+    """Options of Gather."""
+
+    fall_penalty: bool = True
+    """hiro: whether the step of a fall pays -10 in place of its pickups."""
+
+    def check(self) -> None:
+        """Refuse to leave out a penalty that this specification does not have."""
+        if self.spec == "shes" and not self.fall_penalty:
+            raise ConfigError(
+                "gather has a penalty for falls in specification hiro alone, got fall_penalty False with shes. "
+                "Leave --no-fall-penalty away, or set --spec hiro."
+            )
+
+
 class Gather(Task):
     """Eight pieces of food (+1) and eight of poison (-1) between walls.
 
@@ -56,7 +73,8 @@ class Gather(Task):
 
     name: ClassVar[str] = "gather"
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
-    heeds: ClassVar[frozenset[str]] = frozenset({"fall_penalty"})
+    Options: ClassVar[type[GatherOptions]] = GatherOptions
+    options: GatherOptions
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="+1 for each piece of food and -1 for each piece of poison collected; hiro: -10 in the step of a fall",
         ends="when the robot falls over (the ant: its torso leaves heights of 0.2 to 1.0 m; the point cannot); "
@@ -81,16 +99,6 @@ class Gather(Task):
         self._offset: F64Array = xp.zeros(self._places.shape)
         self._squared_distance: F64Array = xp.zeros(self.present.shape)
         self._observation: F64Array = xp.zeros((n, self.observation_size))
-
-    @classmethod
-    def check_options(cls, options: TaskOptions) -> None:
-        """Refuse to leave out a penalty that this specification does not have."""
-        super().check_options(options)
-        if options.spec == "shes" and not options.fall_penalty:
-            raise ConfigError(
-                "gather has a penalty for falls in specification hiro alone, got fall_penalty False with shes. "
-                "Leave --no-fall-penalty away, or set --spec hiro."
-            )
 
     @classmethod
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:

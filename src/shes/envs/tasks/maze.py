@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from shes.envs.tasks.options import TARGET_SAMPLINGS, TaskOptions
-from shes.envs.tasks.target_task import TargetTask
+from shes.envs.tasks.target_task import TargetOptions, TargetTask
 from shes.envs.worlds import MAZE, Grid, is_free
 from shes.errors import ConfigError
 from shes.types import F64Array
 
-__all__ = ["Maze"]
+__all__ = ["Maze", "MazeOptions"]
 
 SQUARE_M = (-4.0, 20.0)
 """Range of both coordinates of training's targets."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MazeOptions(TargetOptions):
+    """Options of Maze."""
+
+    target_sampling: Literal["square", "free_cells"] = "square"
+    """Training's targets are uniform in the square [-4, 20] x [-4, 20] m that covers walls too, or there in free_cells
+    only."""
+
+    def check(self) -> None:
+        """Refuse a way to draw targets where one is fixed."""
+        if self.target is not None and self.target_sampling != "square":
+            raise ConfigError(
+                f"target {self.target} fixes training's target, so target_sampling {self.target_sampling!r} does "
+                "nothing. Leave --target or --target-sampling away."
+            )
 
 
 class Maze(TargetTask):
@@ -27,20 +44,11 @@ class Maze(TargetTask):
     """
 
     name: ClassVar[str] = "maze"
-    heeds: ClassVar[frozenset[str]] = frozenset({"target_sampling", "target", "evaluation_target"})
+    Options: ClassVar[type[MazeOptions]] = MazeOptions
+    options: MazeOptions
     grid: ClassVar[Grid] = MAZE
     own_target: ClassVar[tuple[float, ...]] = (0.0, 16.0)
     target_scale: ClassVar[float] = 0.01
-
-    @classmethod
-    def check_options(cls, options: TaskOptions) -> None:
-        """Refuse a way to draw targets where one is fixed."""
-        super().check_options(options)
-        if options.target is not None and options.target_sampling != TARGET_SAMPLINGS[0]:
-            raise ConfigError(
-                f"target {options.target} fixes training's target, so target_sampling {options.target_sampling!r} does "
-                "nothing. Leave --target or --target-sampling away."
-            )
 
     def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
         """Draw x and y together."""

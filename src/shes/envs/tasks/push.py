@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from shes.envs.tasks.target_task import TargetTask
+from shes.envs.tasks.target_task import BlockOptions, TargetTask
 from shes.envs.worlds import PUSH, Grid
 
 __all__ = ["Push"]
@@ -18,7 +18,7 @@ class Push(TargetTask):
     """
 
     name: ClassVar[str] = "push"
-    heeds: ClassVar[frozenset[str]] = frozenset({"target", "evaluation_target", "observe_block"})
+    Options: ClassVar[type[BlockOptions]] = BlockOptions
     grid: ClassVar[Grid] = PUSH
     block_axes: ClassVar[str] = "xy"
     own_target: ClassVar[tuple[float, ...]] = (0.0, 19.0)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -12,21 +13,41 @@ from shes.arrays import to_host
 from shes.envs.bodies.body import Body
 from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.options import Place, TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
 from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["SUCCESS_DISTANCE_M", "TargetTask"]
+__all__ = ["SUCCESS_DISTANCE_M", "BlockOptions", "TargetOptions", "TargetTask"]
 
 SUCCESS_DISTANCE_M = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetOptions(TaskOptions):
+    """Options of a task with a target."""
+
+    target: Place | None = None
+    """A fixed target of training, in metres, in place of the task's own."""
+    evaluation_target: Place | None = None
+    """The target of evaluation, in metres, in place of the task's own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockOptions(TargetOptions):
+    """Options of a task with a target and a block."""
+
+    observe_block: bool | None = None
+    """Whether the block is observed; none leaves it to the specification (shes: yes, hiro: no)."""
 
 
 class TargetTask(Task):
     """A robot is to come within 5 m of a target; it is paid the negative distance."""
 
+    Options: ClassVar[Any] = TargetOptions
+    options: Any
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     grid: ClassVar[Grid]
     """The world."""
@@ -53,7 +74,7 @@ class TargetTask(Task):
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
 
     @classmethod
-    def check_options(cls, options: TaskOptions) -> None:
+    def check_options(cls, options: Any) -> None:
         """Refuse targets with another number of coordinates than the task's own."""
         super().check_options(options)
         for name in ("target", "evaluation_target"):
@@ -77,7 +98,7 @@ class TargetTask(Task):
         """Whether the block's place and velocity are observed."""
         if not self.block_axes:
             return False
-        asked = self.options.observe_block
+        asked = self.options.observe_block if isinstance(self.options, BlockOptions) else None
         return self.options.spec == "shes" if asked is None else asked
 
     @property

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -22,7 +22,7 @@ from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.worlds import TIMESTEP_S
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import UnknownNameError
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
@@ -44,8 +44,6 @@ VELOCITY_CLIP = 10.0
 """Generalised velocities are observed clipped to this, in m/s and rad/s."""
 TIME_SCALE = 0.001
 """Control steps are observed times this, but for the hiro Gather."""
-
-_COMMON_OPTIONS = frozenset({"spec", "integrator", "reset_noise", "evaluation"})
 
 SimulatorFactory = Callable[[mujoco.MjModel, int], Simulator]
 
@@ -76,16 +74,19 @@ class Task(EpisodeBatch):
     """Specifications that there are of this task."""
     sets_goals: ClassVar[bool] = False
     """Whether it tells the robot where to go, so that a primitive learns in it without a controller."""
-    heeds: ClassVar[frozenset[str]] = frozenset()
-    """Names of the options that this task heeds, beside those that every task does."""
+    Options: ClassVar[Any] = TaskOptions
+    """Its options: a subclass of `TaskOptions` where it has its own beside those of every task."""
 
     def __init__(
         self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
     ) -> None:
         """Build the world for `body` and `num_episodes` simulations of it."""
+        if not isinstance(options, self.Options):
+            options = self.Options(**vars(options))
         self.check_options(options)
         self.body = body
-        self.options = options
+        self.options: Any = options
+        """Its options, of class `Options`; a subclass with its own says so in its annotations."""
         self.num_episodes = num_episodes
         self.sim = simulator(self.build_world(body, options).compile(), num_episodes)
         self.time: IntArray = self.xp.zeros(num_episodes, dtype=np.int64)
@@ -125,28 +126,15 @@ class Task(EpisodeBatch):
         self.sim.check_buffers()
 
     @classmethod
-    def option_names(cls) -> frozenset[str]:
-        """Return the names of the options that this task has."""
-        return _COMMON_OPTIONS | cls.heeds
-
-    @classmethod
-    def check_options(cls, options: TaskOptions) -> None:
-        """Refuse options that this task has not.
+    def check_options(cls, options: Any) -> None:
+        """Refuse options that this task cannot have; where its class of options cannot tell by itself.
 
         Raises:
             UnknownNameError: There is no such specification of it.
-            ConfigError: An option that it does not heed is set.
+            ConfigError: A value does not fit.
         """
         if options.spec not in cls.specs:
             raise UnknownNameError(f"specification of {cls.name}", options.spec, cls.specs, "Set --spec.")
-        for field in fields(TaskOptions):
-            if field.name in cls.option_names() or getattr(options, field.name) == field.default:
-                continue
-            heeded = ", ".join(sorted(cls.option_names()))
-            raise ConfigError(
-                f"{cls.name} has no {field.name}, got {getattr(options, field.name)!r}. Its options: {heeded}. "
-                f"Leave --{field.name.replace('_', '-')} away."
-            )
 
     @classmethod
     @abstractmethod

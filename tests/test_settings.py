@@ -1,0 +1,145 @@
+"""Settings told once: the annotation of a field says what it may be, and the error says so."""
+
+from dataclasses import FrozenInstanceError, dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+import pytest
+
+from shes.envs.registry import ENVIRONMENTS
+from shes.errors import ConfigError, UnknownNameError
+from shes.runs.config import known_settings
+from shes.settings import (
+    Choices,
+    Example,
+    Ge,
+    Gt,
+    Le,
+    Lt,
+    Settings,
+    Shown,
+    field_texts,
+    out_of_range,
+    setting_fields,
+)
+
+NAMES = {"near": 1}
+
+
+@dataclass(frozen=True, kw_only=True)
+class EveryKind(Settings):
+    """Of every kind one."""
+
+    whole: Annotated[int, Ge(2)] = 2
+    """A text
+    of two lines."""
+    seed: Annotated[int, Ge(0), Lt(2**63)] = 0
+    positive: Annotated[float, Gt(0)] = 1.0
+    zero: Annotated[float, Ge(0)] = 0.0
+    share: Annotated[float, Ge(0), Le(1)] = 1.0
+    open_share: Annotated[float, Gt(0), Lt(1)] = 0.5
+    momentum: Annotated[float, Ge(0), Lt(1)] = 0.5
+    word: Literal["one", "two"] = "one"
+    name: Annotated[str, Choices(NAMES, "Register it.")] = "near"
+    path: Annotated[str, Example("runs/a")] | None = None
+    switch: bool = True
+    maybe: bool | None = None
+    layers: Annotated[tuple[int, ...], Ge(1), Example("64 64"), Shown(flag="--net")] = (8,)
+    place: Annotated[tuple[float, ...], Ge(-9), Le(9), Example("0 8")] | None = None
+
+
+NOT_NUMBERS = ["1", True, None, float("nan"), float("inf"), [1], 1j]
+WRONG = {
+    "whole": (r"a whole number of at least 2", [1, 2.0, *NOT_NUMBERS]),
+    "seed": (r"a whole number of at least 0 and less than 2\*\*63", [-1, 2**63, 1.0]),
+    "positive": (r"a positive number", [0, -0.1, *NOT_NUMBERS]),
+    "zero": (r"zero or a positive number", [-0.1, *NOT_NUMBERS]),
+    "share": (r"between 0 and 1", [-0.1, 1.1, *NOT_NUMBERS]),
+    "open_share": (r"more than 0 and less than 1", [0, 1, *NOT_NUMBERS]),
+    "momentum": (r"at least 0 and less than 1", [-0.1, 1, *NOT_NUMBERS]),
+    "word": (r"one of one, two", [1, None, ["one"], b"one"]),
+    "name": (r"one of near", [3, None]),
+    "path": (r"a name, e\.g\. --path runs/a", ["", 3, True]),
+    "switch": (r"true or false", [1, 0, "no", None, np.array(True), []]),
+    "maybe": (r"true or false", ["no", 0.0]),
+    "layers": (r"positive whole numbers, e\.g\. --net 64 64", [(0,), (8, -1), (8.5,), ("8",), (True,), 8, "8 8", None]),
+    "place": (
+        r"numbers between -9 and 9, e\.g\. --place 0 8",
+        [5, "ab", ("0", "1"), [[1], [2, 3]], {0: 1}, (True, 1), (0, None), (0, np.nan), (9.1, 0), (), np.zeros((2, 1))],
+    ),
+}
+
+
+def test_every_kind_of_setting_is_checked_here():
+    assert WRONG.keys() == setting_fields(EveryKind).keys()
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_value_out_of_range_is_refused_with_what_is_allowed_and_the_flag(name):
+    allowed, values = WRONG[name]
+    flag = setting_fields(EveryKind)[name].flag
+    for value in values:
+        with pytest.raises(ConfigError, match=rf"^{name} must be {allowed}, got .*\. Set {flag}\.$"):
+            EveryKind(**{name: value})
+
+
+@pytest.mark.parametrize(("name", "wrong"), [("word", "onee"), ("name", "neat")])
+def test_an_unknown_name_is_refused_with_the_nearest(name, wrong):
+    right = getattr(EveryKind(), name)
+    with pytest.raises(
+        UnknownNameError, match=rf"unknown {name} '{wrong}'\. Did you mean '{right}'\? .*Set --{name}\."
+    ):
+        EveryKind(**{name: wrong})
+
+
+def test_a_registry_may_grow(monkeypatch):
+    with pytest.raises(UnknownNameError, match=r"Set --name\. Register it\."):
+        EveryKind(name="far")
+    monkeypatch.setitem(NAMES, "far", 2)
+    assert EveryKind(name="far").name == "far"
+    assert setting_fields(EveryKind)["name"].choices == ("near", "far")
+
+
+def test_values_of_numpy_become_those_of_python():
+    given = {
+        "whole": np.int32(7), "positive": np.float32(0.5), "switch": np.False_, "layers": [np.int64(4)],
+        "place": np.array([8.0, 3.5]), "word": np.str_("two"),
+    }  # fmt: skip
+    made = EveryKind(**given)
+    plain = {"whole": 7, "positive": 0.5, "switch": False, "layers": (4,), "place": (8.0, 3.5), "word": "two"}
+    assert made == EveryKind(**plain)
+    assert {name: type(getattr(made, name)) for name in plain} == {name: type(value) for name, value in plain.items()}
+    assert type(EveryKind(positive=2).positive) is float
+    assert [type(each) for each in EveryKind(place=[1, 2]).place] == [float, float]
+
+
+def test_what_may_be_none_is_and_no_layer_is_a_choice():
+    assert EveryKind(maybe=None, place=None, layers=[]).layers == ()
+
+
+def test_settings_cannot_be_changed():
+    with pytest.raises(FrozenInstanceError):
+        EveryKind().whole = 3  # type: ignore[misc]
+
+
+def test_the_docstring_under_a_field_is_its_text():
+    assert field_texts(EveryKind)["whole"] == "A text of two lines."
+    assert setting_fields(EveryKind)["whole"].text == "A text of two lines."
+
+
+def test_errors_of_other_checks_have_the_same_form():
+    assert str(out_of_range("num_envs", 3, "even")) == "num_envs must be even, got 3. Set --num-envs."
+
+
+def test_every_setting_of_the_package_says_what_it_is_for_and_has_a_default_that_is_allowed():
+    for name, setting in known_settings().items():
+        assert setting.text.endswith("."), name
+        if name not in ("env", "external"):
+            assert setting.checked(setting.default) == setting.default, name
+
+
+def test_a_flag_stands_for_one_setting():
+    settings = known_settings().values()
+    assert len({each.flag for each in settings}) == len(settings)
+    tasks = {each.options for each in ENVIRONMENTS.values()}
+    assert not {name for task in tasks for name in setting_fields(task)} & {"env", "seed", "sigma"}
