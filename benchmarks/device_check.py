@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from statistics import NormalDist
 
 import numpy as np
+from scipy import stats
 
 from shes.algorithms.evolution.learners import EvolutionStrategy
 from shes.envs.registry import find_environment
@@ -27,11 +28,10 @@ from shes.types import F64Array
 __all__ = [
     "ALPHA",
     "POWER",
-    "Comparison",
+    "DeviceComparison",
     "compare_samples",
     "compare_with_cpu",
     "detectable_shift",
-    "kolmogorov_smirnov",
     "sample",
 ]
 
@@ -52,7 +52,7 @@ _MEASURES: dict[str, Callable[[EpisodeResults], float]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class DeviceComparison:
     """One measure of a task's episodes, on the CPU and on a device."""
 
     env: str
@@ -79,7 +79,7 @@ class Comparison:
 
 def compare_with_cpu(
     env: str, simulator: SimulatorFactory, *, spec: str = "shes", episodes: int = 1000, horizon: int = 500
-) -> list[Comparison]:
+) -> list[DeviceComparison]:
     """Return how `episodes` of `env` on `simulator` compare with as many others on the CPU, measure by measure.
 
     Args:
@@ -99,7 +99,7 @@ def compare_with_cpu(
 
 def compare_samples(
     env: str, spec: str, on_cpu: dict[str, F64Array], on_device: dict[str, F64Array]
-) -> list[Comparison]:
+) -> list[DeviceComparison]:
     """Return how two samples of `env` compare, measure by measure."""
     return [_compare(env, spec, measure, on_cpu[measure], on_device[measure]) for measure in on_cpu]
 
@@ -140,13 +140,14 @@ def sample(
     return {name: np.array([measure(found[i]) for i in range(episodes)]) for name, measure in _MEASURES.items()}
 
 
-def _compare(env: str, spec: str, measure: str, cpu: F64Array, device: F64Array) -> Comparison:
+def _compare(env: str, spec: str, measure: str, cpu: F64Array, device: F64Array) -> DeviceComparison:
     std = float(cpu.std(ddof=1))
     difference = float(device.mean() - cpu.mean())
-    error = float(np.sqrt(cpu.var(ddof=1) / len(cpu) + device.var(ddof=1) / len(device)))
-    p_shift = 2 * NormalDist().cdf(-abs(difference) / error) if error else float(difference == 0)
-    distance, p_distance = kolmogorov_smirnov(cpu, device)
-    return Comparison(
+    is_constant = std == 0 == device.std(ddof=1)  # Welch's test divides by both
+    p_shift = float(difference == 0) if is_constant else float(stats.ttest_ind(device, cpu, equal_var=False).pvalue)
+    # Ties, as those of episodes that all last to their end, make the p of distributions too large.
+    distance, p_distance = stats.ks_2samp(cpu, device)
+    return DeviceComparison(
         env=env,
         spec=spec,
         measure=measure,
@@ -156,26 +157,9 @@ def _compare(env: str, spec: str, measure: str, cpu: F64Array, device: F64Array)
         cpu_std=std,
         shift=difference / std if std else difference,
         p_shift=p_shift,
-        distance=distance,
-        p_distance=p_distance,
+        distance=float(distance),
+        p_distance=float(p_distance),
     )
-
-
-def kolmogorov_smirnov(first: F64Array, second: F64Array) -> tuple[float, float]:
-    """Return the largest difference of the empirical distributions of `first` [N] and `second` [M], and its p.
-
-    The p is the asymptotic one with Stephens' correction (1970), good from some 20 values on; ties make it too large.
-    """
-    values = np.concatenate([first, second])
-    below = [np.searchsorted(np.sort(each), values, side="right") / len(each) for each in (first, second)]
-    distance = float(np.abs(below[0] - below[1]).max())
-    root = np.sqrt(len(first) * len(second) / (len(first) + len(second)))
-    scaled = (root + 0.12 + 0.11 / root) * distance
-    if scaled < 0.3:  # the series converges slowly where it is 1 to six digits
-        return distance, 1.0
-    k = np.arange(1, 101)
-    p = 2 * np.sum((-1.0) ** (k - 1) * np.exp(-2 * (k * scaled) ** 2))
-    return distance, float(np.clip(p, 0, 1))
 
 
 def detectable_shift(episodes: int, tests: int = 1) -> float:

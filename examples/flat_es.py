@@ -18,7 +18,7 @@ POLICIES, EPISODES, STEPS, GENERATIONS = 60, 2, 100, 30
 def play(task: Task, mlp: MLP, policies: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Return the mean return [P] of `policies` [P, D], each on the same episodes, drawn by `seeds` [E]."""
     everyone = np.arange(task.num_episodes)
-    _, high = bounds(task.layout)
+    _, high = bounds(task.observation_spec)
     scale = np.where(np.isfinite(high), high, 10.0)  # positions, in metres, reach 12
     task.reset(everyone, np.tile(seeds, len(policies)))
     for _ in range(STEPS):

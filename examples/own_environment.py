@@ -20,14 +20,14 @@ class Beacon(Task):
         self.beacon = np.zeros((num_episodes, 2))
 
     @classmethod
-    def build_spec(cls, body, options):
+    def build_world(cls, body, options):
         spec = empty_world(cls.name, options.integrator)
         body.add_to(spec)
         return spec
 
     @property
-    def layout(self):
-        return self._robot_layout() + elements(["beacon_x", "beacon_y"], "{} from the robot", "m")
+    def observation_spec(self):
+        return self.robot_elements() + elements(["beacon_x", "beacon_y"], "{} from the robot", "m")
 
     def observe(self):
         return np.hstack([self.sim.qpos, np.clip(self.sim.qvel, -10, 10), self.beacon - self.position])
@@ -44,10 +44,10 @@ class Beacon(Task):
     def success(self):
         return (self.distance < 1) & ~self.diverged
 
-    def _reset_features(self, ids, rngs):
+    def reset_features(self, ids, rngs):
         self.beacon[ids] = [rng.uniform(-5, 5, 2) for rng in rngs]
 
-    def _update_features(self):
+    def update_features(self):
         return np.exp(-self.distance)
 
 

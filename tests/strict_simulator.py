@@ -38,6 +38,6 @@ class DeviceSimulator(Simulator):
         assert isinstance(states, np.ndarray)
         self._cpu.set_states(ids, states)
 
-    def _advance(self, ids, nstep):
+    def advance(self, ids, nstep):
         assert isinstance(ids, np.ndarray)
         self._cpu.step(ids, nstep)

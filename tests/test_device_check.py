@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from benchmarks.device_check import ALPHA, POWER, compare_with_cpu, detectable_shift, kolmogorov_smirnov
+from benchmarks.device_check import ALPHA, POWER, compare_with_cpu, detectable_shift
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import UnknownNameError
 from shes.sim.cpu import CpuSimulator
@@ -29,22 +29,6 @@ def smallest_p(comparisons):
 
 def corrected_alpha(comparisons):
     return ALPHA / (2 * len(comparisons))
-
-
-def test_the_distance_of_two_samples_is_that_of_their_distribution_functions():
-    first, second = np.array([1.0, 2, 3, 4]), np.array([3.5, 4.5, 5, 6, 7])
-    distance, _ = kolmogorov_smirnov(first, second)
-    assert distance == pytest.approx(0.8)  # at 4: all of four against one of five
-    assert kolmogorov_smirnov(first, first) == (0.0, 1.0)
-
-
-def test_the_p_of_a_distance_is_kolmogorovs():
-    # Q(1) = 0.26999967, Q(1.5) = 0.02221796 (tables of the limiting distribution)
-    n = 100_000
-    for scaled, p in ((1.0, 0.26999967), (1.5, 0.02221796)):
-        shift = scaled / math.sqrt(n / 2)
-        grid = (np.arange(n) + 0.5) / n
-        assert kolmogorov_smirnov(grid, grid + shift)[1] == pytest.approx(p, rel=0.02)
 
 
 def test_the_power_is_as_stated():

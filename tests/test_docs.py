@@ -15,7 +15,7 @@ import pytest
 
 import shes
 from shes.cli.commands import SUMMARIES
-from shes.envs.gymnasium.registration import gymnasium_id
+from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.runs.config import TrainConfig
@@ -164,9 +164,9 @@ def test_an_environments_page_lists_what_it_observes_and_how_it_is_moved(site, p
     tables = {tuple(cell["text"] for cell in table[0][:2]): table[1:] for table in page.tables}
     observed = [table[1:] for table in page.tables if table[0][1]["text"] == "name"]
     for spec, rows in zip(task.specs, observed, strict=True):
-        layout = make_task(name, 1, TaskOptions(spec=spec)).layout
-        assert [row[1]["text"] for row in rows] == [element.name for element in layout]
-        assert [row[0]["text"] for row in rows] == [str(i) for i in range(len(layout))]
+        elements = make_task(name, 1, TaskOptions(spec=spec)).observation_spec
+        assert [row[1]["text"] for row in rows] == [element.name for element in elements]
+        assert [row[0]["text"] for row in rows] == [str(i) for i in range(len(elements))]
     assert [row[1]["text"] for row in tables["index", "control"]] == list(task.body.controls)
     facts = {row[0]["text"]: row[1]["text"] for row in tables["Gymnasium", gymnasium_id(name)]}
     assert facts["Score"] == type(task).description.score

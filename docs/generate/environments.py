@@ -15,7 +15,7 @@ from generate.fields import field_docs
 from generate.source import find, link
 from generate.tables import table
 from shes.drawing.renderer import CAMERAS
-from shes.envs.gymnasium.registration import MAX_EPISODE_STEPS, gymnasium_id
+from shes.envs.gymnasium_ids import MAX_EPISODE_STEPS, gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import FRAME_SKIP, Task
@@ -113,7 +113,7 @@ def _actions(task: Task) -> str:
 def _observations(task: Task) -> str:
     rows = [
         (i, f"`{each.name}`", each.meaning, each.unit, _bound(each.low), _bound(each.high))
-        for i, each in enumerate(task.layout)
+        for i, each in enumerate(task.observation_spec)
     ]
     return table(["index", "name", "meaning", "unit", "low", "high"], rows, numbers=["index", "low", "high"])
 

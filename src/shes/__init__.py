@@ -63,7 +63,7 @@ _HOMES = {
 # Gymnasium knows the environments as soon as SHES is imported; worker processes do without.
 if "shes.backends.process_worker" not in sys.orig_argv:
     try:
-        from shes.envs.gymnasium.registration import register_all
+        from shes.envs.registry import register_in_gymnasium
     except RuntimeError as error:  # MuJoCo refuses to be imported with a MUJOCO_GL that it does not know
         if "MUJOCO_GL" not in str(error):
             raise
@@ -71,8 +71,8 @@ if "shes.backends.process_worker" not in sys.orig_argv:
 
         raise ConfigError(f"{error}. Unset MUJOCO_GL to let SHES choose, or set it to egl, osmesa or off.") from error
 
-    register_all()
-    del register_all
+    register_in_gymnasium()
+    del register_in_gymnasium
 
 
 def __getattr__(name: str) -> Any:

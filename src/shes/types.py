@@ -1,7 +1,9 @@
 """Array types shared by every room. Shapes are written in docstrings as `[axis, axis]`.
 
-Axes: P policies, E episodes of a policy, N = P * E simulations, L levels, D parameters, O observation, A action,
-G mirrored groups, M members of a group.
+Axes: n members of the population, G mirrored groups, M members of a group, L levels, D parameters of a policy; P lanes
+at work at once, R rows of a lane (its episodes), N = P * R episodes in lockstep; E episodes of a member, K episodes of
+a task or an evaluation; O observed values, V values of a view, A controls, J goals in a row, T turns and mirror images
+of a robot, S numbers of a whole physics state; H and W pixels.
 """
 
 from __future__ import annotations

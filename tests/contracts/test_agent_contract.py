@@ -12,7 +12,7 @@ import pytest
 
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
-from shes.hierarchy.agent import Agent
+from shes.hierarchy.agent import AgentBatch
 from tests.hierarchy.designs import ACTIONS, INTERVAL, OBSERVED, every_design
 
 DESIGNS = every_design()
@@ -98,7 +98,7 @@ def _play_alone(design, member, steps=STEPS):
         controls = _act(agent, _together([seen]))
         # Every third step ends where the goal is.
         at = agent.goal if agent.goal is not None and agent.clock[0] % 3 == 0 else seen.position
-        reward = agent.internal_reward(at.copy())
+        reward = agent.intrinsic_reward(at.copy())
         played.append((controls.tobytes(), reward.tobytes(), agent.goals_reached.tolist()))
     return played
 
@@ -109,9 +109,9 @@ def test_a_design_knows_its_levels(design):
     assert design.dims == tuple(policy.num_params for policy in design.policies)
     assert design.observation_sizes == tuple(policy.sizes[0] for policy in design.policies)
     assert design.policies[-1].sizes[-1] == ACTIONS  # the level that acts every step comes last
-    assert design.internal_level is None or names[design.internal_level] == "primitive"
-    assert design.internal_level in (None, len(names) - 1)
-    assert design.decision_interval >= 1
+    assert design.intrinsic_level is None or names[design.intrinsic_level] == "primitive"
+    assert design.intrinsic_level in (None, len(names) - 1)
+    assert design.controller_interval >= 1
     assert design.decision_size == (design.policies[0].sizes[-1] if len(names) == 2 else 0)
     assert design.clock_size == (0 if design.clock is None else 2)
 
@@ -125,13 +125,13 @@ def test_a_design_travels_to_another_process(design):
 
 def test_an_agent_has_room_for_all_its_policies(design):
     agent = design.make(3, EPISODES)
-    assert isinstance(agent, Agent)
-    assert (agent.num_lanes, agent.num_episodes) == (3, EPISODES)
+    assert isinstance(agent, AgentBatch)
+    assert (agent.num_lanes, agent.rows_per_lane) == (3, EPISODES)
     assert [theta.shape for theta in agent.theta] == [(3, dim) for dim in design.dims]
     assert {theta.dtype for theta in agent.theta} == {np.dtype(np.float32)}
     assert [moments.total.shape for moments in agent.moments] == [(6, size) for size in design.observation_sizes]
     assert (agent.clock.shape, agent.goals_reached.shape) == ((3,), (6,))
-    assert (agent.goal is None) == (design.internal_level is None)
+    assert (agent.goal is None) == (design.intrinsic_level is None)
     assert agent.goal is None or agent.goal.shape == (6, 2)
 
 
@@ -165,7 +165,7 @@ def test_an_episode_does_not_depend_on_those_before_it_in_its_lane(design):
     agent.is_recording = True
     for seen in zip(_script(5), _script(6), strict=True):
         _act(agent, _together(seen))
-        agent.internal_reward(agent.goal if agent.goal is not None else np.zeros((4, 2)))
+        agent.intrinsic_reward(agent.goal if agent.goal is not None else np.zeros((4, 2)))
     for level, theta in enumerate(_thetas(design, 3)):
         agent.theta[level][1] = theta
     agent.start(np.array([1]))
@@ -173,7 +173,7 @@ def test_an_episode_does_not_depend_on_those_before_it_in_its_lane(design):
     assert not agent.goals_reached[EPISODES:].any()
     assert all(not m.count[EPISODES:].any() and not m.total[EPISODES:].any() for m in agent.moments)
     assert all(not m.total_squares[EPISODES:].any() for m in agent.moments)
-    if design.internal_level is not None:
+    if design.intrinsic_level is not None:
         assert agent.goals_reached[:EPISODES].all()  # the other lane goes on
     assert agent.moments[-1].count[:EPISODES].tolist() == [STEPS] * EPISODES
     fresh = _agent(design, [3])
@@ -227,7 +227,7 @@ def test_acting_changes_none_of_its_arguments(design):
         for array in arrays.values():
             array.flags.writeable = False
         _act(agent, arrays, **noise)
-        agent.internal_reward(arrays["position"])
+        agent.intrinsic_reward(arrays["position"])
         assert all(np.array_equal(arrays[name], array) for name, array in before.items())
 
 
@@ -315,7 +315,7 @@ def test_goals_are_held_for_the_interval_and_are_those_that_count(design):
     for seen in script:
         _act(agent, _together([seen]))
         held.append(None if agent.goal is None else agent.goal.copy())
-    if design.internal_level is None:
+    if design.intrinsic_level is None:
         assert held == [None] * STEPS
         return
     for step, goal in enumerate(held):
@@ -336,9 +336,9 @@ def test_every_goal_is_reached_once_at_most(design):
         if agent.goal is not None:
             near[0] = agent.goal[0]  # the first episode is where its goal is, the others never
         for place in (near, far, near):
-            agent.internal_reward(place)
+            agent.intrinsic_reward(place)
         history.append(agent.goals_reached.tolist())
-    reached = design.internal_level is not None
+    reached = design.intrinsic_level is not None
     assert history == [[(1 + step // INTERVAL) * reached, 0, 0, 0] for step in range(STEPS)]
 
 
@@ -346,10 +346,10 @@ def test_an_agent_that_pays_nobody_pays_nothing(design):
     agent = _agent(design, [0])
     seen = _script(0)[0]
     _act(agent, _together([seen]))
-    paid = agent.internal_reward(seen.position + 0.3)
+    paid = agent.intrinsic_reward(seen.position + 0.3)
     assert paid.shape == (EPISODES,)
     assert np.isfinite(paid).all()
-    assert paid.any() == (design.internal_level is not None)
+    assert paid.any() == (design.intrinsic_level is not None)
 
 
 def test_play_does_not_depend_on_what_another_agent_of_the_design_did(design):

@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
 
 import shes  # registers
-from shes.envs.gymnasium.registration import MAX_EPISODE_STEPS
+from shes.envs.gymnasium_ids import MAX_EPISODE_STEPS
 from shes.errors import ConfigError, PolicyError, ShapeError, ShesError, UnknownNameError
 from tests.contracts.variants import over_variants
 
@@ -67,7 +67,7 @@ def test_spaces_are_those_of_the_task(variant):
     assert env.action_space == gymnasium.spaces.Box(-1, 1, (task.action_size,), np.float32)
     for shown in rollout(env, draw_actions(env, 60), seed=3):
         assert shown[0] in env.observation_space
-    assert {element.name for element in task.layout}.__len__() == task.observation_size
+    assert {element.name for element in task.observation_spec}.__len__() == task.observation_size
 
 
 def test_an_episode_is_the_tasks_with_that_seed(variant):

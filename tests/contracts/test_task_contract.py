@@ -300,7 +300,7 @@ def test_a_diverged_episode_earns_nothing_and_does_not_score(variant):
 
 def test_a_diverged_episode_earns_nothing_whatever_the_task_pays(variant):
     body, kind = ENVIRONMENTS[variant.name]
-    generous = type("Generous", (kind,), {"_update_features": lambda self: np.ones(self.num_episodes)})
+    generous = type("Generous", (kind,), {"update_features": lambda self: np.ones(self.num_episodes)})
     task = generous(body(), 3, variant.options())
     task.reset(np.arange(3), range(3))
     task.sim.qvel[1, 0] = 1e12

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from shes.drawing.flat_renderer import FlatRenderer
-from shes.drawing.markers import FOOD, GOAL, ROBOT, ball, disc, line
-from shes.drawing.renderer import make_renderer
+from shes.drawing.rendering import make_renderer
+from shes.envs.markers import FOOD, GOAL, ROBOT, ball, disc, line
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.errors import ConfigError, UnknownNameError
 
@@ -28,7 +28,7 @@ def is_colored(picture, x, y, color, renderer):
 def make(name="ant-gather"):
     task = make_task(name, 1)
     task.reset(np.array([0]), [1])
-    return task, FlatRenderer(task.build_spec(task.body, task.options).compile(), SIZE, SIZE)
+    return task, FlatRenderer(task.build_world(task.body, task.options).compile(), SIZE, SIZE)
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
@@ -83,4 +83,4 @@ def test_a_camera_that_there_is_not_is_refused():
 def test_a_size_out_of_range_is_refused(size):
     task, _ = make()
     with pytest.raises(ConfigError, match="must be 16 to 2048 pixels"):
-        make_renderer(lambda: task.build_spec(task.body, task.options), *size)
+        make_renderer(lambda: task.build_world(task.body, task.options), *size)

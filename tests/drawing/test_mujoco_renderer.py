@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from shes.drawing.markers import FOOD, GOAL, ROBOT, ball, disc, line
 from shes.drawing.mujoco_renderer import MujocoRenderer
 from shes.drawing.opengl import find_opengl
 from shes.drawing.renderer import between
 from shes.drawing.scenery import decorate
+from shes.envs.markers import FOOD, GOAL, ROBOT, ball, disc, line
 from shes.envs.registry import ENVIRONMENTS, make_task
 
 SIZE = 200
@@ -20,7 +20,7 @@ def make(name="ant-gather"):
         pytest.skip("there is no OpenGL here (EGL or OSMesa)")
     task = make_task(name, 1)
     task.reset(np.array([0]), [1])
-    return task, MujocoRenderer(task.build_spec(task.body, task.options), SIZE, SIZE, found)
+    return task, MujocoRenderer(task.build_world(task.body, task.options), SIZE, SIZE, found)
 
 
 def share(picture, color):
@@ -78,8 +78,8 @@ def test_the_camera_follows_the_robot():
 
 def test_looks_are_for_a_copy_and_change_nothing_that_a_robot_in_the_open_feels():
     task = make_task("ant-gather", 1)
-    plain = task.build_spec(task.body, task.options).compile()
-    pretty = decorate(task.build_spec(task.body, task.options)).compile()
+    plain = task.build_world(task.body, task.options).compile()
+    pretty = decorate(task.build_world(task.body, task.options)).compile()
     assert (plain.nq, plain.nv, plain.nu, plain.ngeom) == (pretty.nq, pretty.nv, pretty.nu, pretty.ngeom)
     states = []
     for model in (plain, pretty):
@@ -93,8 +93,8 @@ def test_looks_are_for_a_copy_and_change_nothing_that_a_robot_in_the_open_feels(
 
 def test_walls_are_drawn_low_and_stand_where_they_stood():
     task = make_task("ant-gather", 1)
-    plain = task.build_spec(task.body, task.options).compile()
-    pretty = decorate(task.build_spec(task.body, task.options)).compile()
+    plain = task.build_world(task.body, task.options).compile()
+    pretty = decorate(task.build_world(task.body, task.options)).compile()
     walls = [i for i in range(plain.ngeom) if plain.geom(i).name.startswith("wall")]
     assert walls
     for wall in walls:

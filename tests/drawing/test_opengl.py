@@ -10,7 +10,7 @@ import pytest
 
 from shes.drawing import opengl
 from shes.drawing.flat_renderer import FlatRenderer
-from shes.drawing.renderer import make_renderer
+from shes.drawing.rendering import make_renderer
 from shes.envs.registry import make_task
 from shes.errors import ConfigError
 
@@ -94,7 +94,7 @@ def test_switched_off_it_is_not_said_to_be_missing(works, monkeypatch, caplog):
     monkeypatch.setenv("MUJOCO_GL", "off")
     task = make_task("point-gather", 1)
     with caplog.at_level(logging.WARNING, logger="shes.drawing"):
-        make_renderer(lambda: task.build_spec(task.body, task.options), 64, 64)
+        make_renderer(lambda: task.build_world(task.body, task.options), 64, 64)
     assert "MUJOCO_GL is off" in caplog.text
     assert "apt" not in caplog.text
 
@@ -112,7 +112,7 @@ def test_without_opengl_the_picture_is_flat_and_the_packages_are_named(works, ca
     works()
     task = make_task("point-gather", 1)
     with caplog.at_level(logging.WARNING, logger="shes.drawing"):
-        renderer = make_renderer(lambda: task.build_spec(task.body, task.options), 64, 64)
+        renderer = make_renderer(lambda: task.build_world(task.body, task.options), 64, 64)
     assert isinstance(renderer, FlatRenderer)
     assert "libegl1" in caplog.text
     assert "libosmesa6" in caplog.text

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from shes.drawing import viewer as viewer_module
-from shes.drawing.markers import FOOD, ball
 from shes.drawing.viewer import Viewer
+from shes.envs.markers import FOOD, ball
 from shes.envs.registry import make_task
 from shes.errors import ConfigError
 
@@ -58,7 +58,7 @@ def windows(monkeypatch):
 def start():
     task = make_task("point-gather", 1)
     task.reset(np.array([0]), [1])
-    return task, Viewer(task.build_spec(task.body, task.options), 0.003)
+    return task, Viewer(task.build_world(task.body, task.options), 0.003)
 
 
 def test_a_step_is_shown_as_a_smooth_movement_with_markers(windows):
@@ -103,7 +103,7 @@ def test_without_a_screen_the_error_names_the_other_way(monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     task = make_task("point-gather", 1)
     with pytest.raises(ConfigError, match=r"no screen to open a window on.*shes render RUN --out walk.mp4"):
-        Viewer(task.build_spec(task.body, task.options), 0.1)
+        Viewer(task.build_world(task.body, task.options), 0.1)
 
 
 @pytest.mark.render

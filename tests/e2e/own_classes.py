@@ -29,14 +29,14 @@ class Corner(Task):
     )
 
     @classmethod
-    def build_spec(cls, body, options):
+    def build_world(cls, body, options):
         spec = empty_world(cls.name, options.integrator)
         body.add_to(spec)
         return spec
 
     @property
-    def layout(self):
-        return self._robot_layout() + elements(["corner_x", "corner_y"], "{} from the robot", "m")
+    def observation_spec(self):
+        return self.robot_elements() + elements(["corner_x", "corner_y"], "{} from the robot", "m")
 
     @property
     def distance(self):
@@ -58,14 +58,14 @@ class Corner(Task):
         velocity = np.clip(self.sim.qvel, -10, 10)
         return np.concatenate([self.sim.qpos, velocity, self.corner - self.position], axis=1)
 
-    def _reset_features(self, ids, rngs):
+    def reset_features(self, ids, rngs):
         if not hasattr(self, "corner"):
             self.corner = np.zeros((self.num_episodes, 2))
             self.before = np.zeros(self.num_episodes)
         self.corner[ids] = [CORNERS_M[rng.integers(4)] for rng in rngs]
         self.before[ids] = self.distance[ids]
 
-    def _update_features(self):
+    def update_features(self):
         before, self.before = self.before, self.distance
         return before - self.before
 

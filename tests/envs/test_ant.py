@@ -35,7 +35,7 @@ def heading(*quaternions):
 
 def test_the_model_equals_the_hand_written_one():
     reference = mujoco.MjModel.from_xml_string(ant_gather_xml())
-    assert model_differences(Gather.build_spec(Ant(), TaskOptions()).compile(), reference) == []
+    assert model_differences(Gather.build_world(Ant(), TaskOptions()).compile(), reference) == []
 
 
 def test_the_comparison_of_models_sees_every_kind_of_difference():
@@ -54,11 +54,11 @@ def test_the_comparison_of_models_sees_every_kind_of_difference():
     ):
         assert old in ant_gather_xml()
         changed = mujoco.MjModel.from_xml_string(ant_gather_xml().replace(old, new))
-        assert model_differences(Gather.build_spec(Ant(), TaskOptions()).compile(), changed), new
+        assert model_differences(Gather.build_world(Ant(), TaskOptions()).compile(), changed), new
 
 
 def test_numbers_of_the_ant():
-    model = Gather.build_spec(Ant(), TaskOptions()).compile()
+    model = Gather.build_world(Ant(), TaskOptions()).compile()
     assert (model.nq, model.nv, model.nu) == (15, 14, 8)
     assert model.opt.timestep == 0.02
     assert model.qpos0[2] == 0.75
@@ -71,7 +71,7 @@ def test_numbers_of_the_ant():
 
 
 def test_the_ant_does_not_collide_with_itself():
-    model = Gather.build_spec(Ant(), TaskOptions()).compile()
+    model = Gather.build_world(Ant(), TaskOptions()).compile()
     data = mujoco.MjData(model)
     data.qpos[2] = 3.0
     data.qpos[7:] = [0.5, 1.2, -0.5, -1.2, 0.5, -1.2, -0.5, 1.2]

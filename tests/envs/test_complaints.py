@@ -14,8 +14,7 @@ import pytest
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.point import FallingPoint, Point
-from shes.envs.gymnasium.registration import register_all
-from shes.envs.registry import ENVIRONMENTS, Environment
+from shes.envs.registry import ENVIRONMENTS, Environment, register_in_gymnasium
 from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun
 from shes.envs.tasks.gather import Gather
@@ -75,7 +74,7 @@ def put(task, place):
 
 def seen(task, observation, *names):
     """Return the observed values of these names."""
-    places = [element.name for element in task.layout]
+    places = [element.name for element in task.observation_spec]
     return np.array([observation[..., places.index(name)] for name in names]).T
 
 
@@ -398,7 +397,7 @@ def test_there_is_no_hiro_id_of_a_task_without_that_specification(monkeypatch):
     monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Corner))
-    register_all()
+    register_in_gymnasium()
     assert "shes/PointCorner-v0" in gymnasium.registry
     assert "shes/PointCornerHiro-v0" not in gymnasium.registry
 
@@ -418,14 +417,14 @@ def test_a_change_of_the_physics_fails_with_advice(variant, monkeypatch):
     """As an upgrade would: here every physics step is one per cent shorter, and the stored version is another."""
     check_golden(variant)
     kind = type(variant.make_task(1))
-    build = kind.build_spec
+    build = kind.build_world
 
     def build_otherwise(body, options):
         spec = build(body, options)
         spec.option.timestep *= 0.99
         return spec
 
-    monkeypatch.setattr(kind, "build_spec", staticmethod(build_otherwise))
+    monkeypatch.setattr(kind, "build_world", staticmethod(build_otherwise))
     monkeypatch.setattr(mujoco, "__version__", "99.0.0")
     with pytest.raises(AssertionError, match=r"moves differently with MuJoCo 99\.0\.0.*python -m tests\.golden"):
         check_golden(variant)
@@ -435,7 +434,7 @@ def test_a_change_of_the_physics_fails_with_advice(variant, monkeypatch):
 def test_a_change_of_contact_margins_fails_with_advice(variant, monkeypatch):
     """MuJoCo 4.0 changed how the margins of two geoms combine."""
     kind = type(variant.make_task(1))
-    build = kind.build_spec
+    build = kind.build_world
 
     def build_otherwise(body, options):
         spec = build(body, options)
@@ -443,6 +442,6 @@ def test_a_change_of_contact_margins_fails_with_advice(variant, monkeypatch):
             geom.margin /= 2
         return spec
 
-    monkeypatch.setattr(kind, "build_spec", staticmethod(build_otherwise))
+    monkeypatch.setattr(kind, "build_world", staticmethod(build_otherwise))
     with pytest.raises(AssertionError, match="no longer moves as its golden trajectory says"):
         check_golden(variant)

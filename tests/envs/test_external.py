@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from shes.drawing.rendering import make_drawer, open_window
 from shes.envs.bodies.point import Point
 from shes.envs.external.description import ExternalDescription, read_description
 from shes.envs.external.environment import ExternalEnvironment
@@ -434,17 +435,15 @@ def test_options_of_our_own_environments_are_refused(option, flag):
 
 def test_without_pictures_there_is_a_clear_error():
     task = start(1, id="tests/Silent-v0")
-    with pytest.raises(
-        ConfigError, match=r"Silent-v0 has no render mode 'rgb_array', so there is no picture of it\. It "
-    ):
-        task.make_drawer(64, 64)
-    with pytest.raises(ConfigError, match=r"no render mode 'human', so there is no window of it\. It has none\."):
-        task.open_window()
+    with pytest.raises(ConfigError, match=r"Silent-v0 has no render mode 'rgb_array', so it cannot be drawn so\. It "):
+        make_drawer(task, 64, 64)
+    with pytest.raises(ConfigError, match=r"no render mode 'human', so it cannot be drawn so\. It has none\."):
+        open_window(task)
 
 
 def test_a_picture_that_fails_is_a_clear_error():
     task = start(1, id="tests/Dark-v0")
-    task.make_drawer(64, 64)
+    make_drawer(task, 64, 64)
     task.reset(np.array([0]), [1])
     with pytest.raises(ConfigError, match=r"tests/Dark-v0 cannot be drawn: RuntimeError: no lamp"):
         task.pose(0)

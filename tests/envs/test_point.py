@@ -20,7 +20,7 @@ def start(num_episodes=1):
 
 def test_the_model_equals_the_hand_written_one_but_for_what_cannot_act():
     reference = mujoco.MjModel.from_xml_string(point_gather_xml(gear=GEAR_N, damping=DAMPING))
-    model = Gather.build_spec(Point(), TaskOptions()).compile()
+    model = Gather.build_world(Point(), TaskOptions()).compile()
     cannot_act = (
         "opt.gravity",  # the slides are horizontal
         "geom_contype",  # of the floor, which the sphere never reaches
@@ -32,7 +32,7 @@ def test_the_model_equals_the_hand_written_one_but_for_what_cannot_act():
 
 
 def test_the_point_is_a_sphere_of_330_g_half_a_metre_up():
-    model = Gather.build_spec(Point(), TaskOptions()).compile()
+    model = Gather.build_world(Point(), TaskOptions()).compile()
     torso = model.body("torso")
     assert (model.nq, model.nv, model.nu) == (2, 2, 2)
     assert torso.mass[0] == 0.33
@@ -41,7 +41,7 @@ def test_the_point_is_a_sphere_of_330_g_half_a_metre_up():
 
 
 def test_the_slides_are_long_enough_for_every_world():
-    model = Gather.build_spec(Point(), TaskOptions()).compile()
+    model = Gather.build_world(Point(), TaskOptions()).compile()
     for i in range(2):
         joint = model.joint(i)
         assert not joint.limited[0] or (joint.range[0] <= -40 and joint.range[1] >= 40)
@@ -56,7 +56,7 @@ def test_nothing_pulls_at_a_resting_point():
 
 
 def test_the_point_does_not_touch_the_floor():
-    model = Gather.build_spec(Point(), TaskOptions()).compile()
+    model = Gather.build_world(Point(), TaskOptions()).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     assert data.ncon == 0

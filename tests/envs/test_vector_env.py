@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import shes  # registers
-from shes.envs.gymnasium.vector_env import TaskVectorEnv
 from shes.errors import ConfigError
+from shes.gymnasium.vector_env import TaskVectorEnv
 
 assert shes
 

@@ -90,6 +90,6 @@ def test_golden_trajectories_hit_what_is_in_the_way(kind):
         task = variant.make_task(1)
         ways = np.array(trajectories.load(variant)["observations"])[:, :, 1]
         assert (ways.max(axis=1) > 3).all()  # they fly at what is 4 m away
-        if "block_y" in (places := [element.name for element in task.layout]):
+        if "block_y" in (places := [element.name for element in task.observation_spec]):
             moved = np.array(trajectories.load(variant)["observations"])[:, -1, places.index("block_y")]
             assert (moved > 0.01).any(), variant

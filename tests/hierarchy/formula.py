@@ -12,6 +12,7 @@ from shes.es.schedules import Constant, make_schedule
 from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.episodes import EpisodeResults, LevelMoments
 from tests.es.textbook import TextbookES
+from tests.hierarchy.made_up import outcomes
 
 DIMS = (3, 5)
 EPISODES = 3
@@ -91,18 +92,20 @@ class FormulaBackend(Backend):
             has_diverged = np.array([place in self.diverging for place in places])
             returns = np.array([formula(*policies[member]) for member in members]).T + luck
             yield EpisodeResults(
-                returns=np.where(has_diverged, 1e6, returns),
-                score=luck,
-                success=luck > 0,
-                steps=100 + slots,
-                has_terminated=luck > 0,
-                has_fallen=luck > 0,
-                has_diverged=has_diverged,
-                goals_reached=slots,
-                final_position=np.array(
-                    [end_of(policies[m][0], [slot])[0] for m, slot in zip(members, slots, strict=True)]
+                outcomes=outcomes(
+                    returns=np.where(has_diverged, 1e6, returns).T,
+                    score=luck,
+                    success=luck > 0,
+                    steps=100 + slots,
+                    has_terminated=luck > 0,
+                    has_fallen=luck > 0,
+                    has_diverged=has_diverged,
+                    goals_reached=slots,
+                    final_position=np.array(
+                        [end_of(policies[m][0], [slot])[0] for m, slot in zip(members, slots, strict=True)]
+                    ),
+                    environment_returns=returns[0] + 5,
                 ),
-                environment_returns=returns[0] + 5,
                 moments=moments if task.records_statistics else None,
             )
 

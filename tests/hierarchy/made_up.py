@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, LevelMoments
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, LevelMoments, empty_outcomes
 
 SIZES = (2, 4)
 """Values that each level observes."""
@@ -28,6 +28,14 @@ def population(members, episodes):
     return [make_task(m, [1000 * m + e for e in range(episodes)]) for m in range(members)]
 
 
+def outcomes(returns, **quantities):
+    """Return outcomes of K episodes with these `returns` [K, L] and other quantities [K, ...]."""
+    made = empty_outcomes(returns.shape[1], len(returns))
+    for name, values in {"returns": returns, **quantities}.items():
+        made[name] = values
+    return made
+
+
 def make_result(task, seed=0, log=()):
     """Return made-up results that depend on member and slot alone."""
     rows = [np.random.default_rng([seed, task.member, slot]) for slot in task.slots]
@@ -42,16 +50,18 @@ def make_result(task, seed=0, log=()):
         for size in SIZES
     )
     return EpisodeResults(
-        returns=draw(2).T,
-        score=draw(),
-        success=draw() > 0,
-        steps=np.array([int(rng.integers(1, 500)) for rng in rows]),
-        has_terminated=draw() > 0,
-        has_fallen=draw() > 0,
-        has_diverged=draw() > 0,
-        goals_reached=np.array([int(rng.integers(0, 20)) for rng in rows]),
-        final_position=draw(2),
-        environment_returns=draw(),
+        outcomes=outcomes(
+            returns=draw(2),
+            score=draw(),
+            success=draw() > 0,
+            steps=np.array([int(rng.integers(1, 500)) for rng in rows]),
+            has_terminated=draw() > 0,
+            has_fallen=draw() > 0,
+            has_diverged=draw() > 0,
+            goals_reached=np.array([int(rng.integers(0, 20)) for rng in rows]),
+            final_position=draw(2),
+            environment_returns=draw(),
+        ),
         seconds=np.array([1.0, 0.5, 0.25]),
         moments=moments if task.records_statistics else None,
         log=log,

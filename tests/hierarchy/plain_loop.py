@@ -39,7 +39,7 @@ def _noise(seeds, decisions, decision_size, horizon, action_size):
 def play(design, make_batch, task, generation, table, horizon):
     """Play all episodes of `task`, in a lane and an environment of their own, for at most `horizon` steps."""
     rows = len(task.slots)
-    assert task.slots == tuple(range(generation.rows))
+    assert task.slots == tuple(range(generation.rows_per_lane))
     batch, agent = make_batch(rows), design.make(1, rows, shares_noise=generation.members_per_lane > 1)
     agent.normalise_by(generation.levels)
     if agent.shares_noise:
@@ -56,7 +56,7 @@ def play(design, make_batch, task, generation, table, horizon):
     agent.start(slice(None))
     if task.start is not None:
         agent.go_on(0, task.start.steps, task.start.goals)
-    interval, explores = design.decision_interval, not generation.branch_steps
+    interval, explores = design.controller_interval, not generation.branch_steps
     if explores:
         decision, control = _noise(
             task.seeds, -(-horizon // interval), design.decision_size, horizon, batch.action_size
@@ -75,7 +75,7 @@ def play(design, make_batch, task, generation, table, horizon):
         found.goals.append(agent.goal - batch.position)
         batch.step(np.flatnonzero(is_running), action)
         found.steps[is_running] += 1
-        found.returns[:] += agent.internal_reward(batch.position) * is_running
+        found.returns[:] += agent.intrinsic_reward(batch.position) * is_running
         for row in np.flatnonzero(is_running & (batch.terminated | (found.steps == horizon))):
             is_running[row] = False
             found.fell[row] = batch.fallen[row]

@@ -35,13 +35,13 @@ def _design(**changes):
     return HierarchicalDesign(**{**design, **changes})
 
 
-def _agent(num_lanes=1, num_episodes=1, output=(0.5, 0.25), follows=0.0, sees=None, **changes):
+def _agent(num_lanes=1, rows_per_lane=1, output=(0.5, 0.25), follows=0.0, sees=None, **changes):
     """Return an agent whose controller says `output` (+ the tanh of `follows` times what it observes).
 
     Its primitive lets us look at the goal's features: the controls are tanh(sin), tanh(cos), tanh(distance).
     """
     design = _design(**changes)
-    agent = design.make(num_lanes, num_episodes)
+    agent = design.make(num_lanes, rows_per_lane)
     weights = follows * np.eye(2).ravel() if sees is None else sees
     controller = np.concatenate([weights, np.arctanh(output)])
     primitive = np.zeros((3 + OBSERVED, 3))
@@ -60,7 +60,7 @@ def _agent(num_lanes=1, num_episodes=1, output=(0.5, 0.25), follows=0.0, sees=No
 
 
 def _act(agent, position=(0, 0), heading=0.0, observation=(0, 0), **noise):
-    rows = agent.num_lanes * agent.num_episodes
+    rows = agent.num_lanes * agent.rows_per_lane
     return agent.act(
         np.broadcast_to(np.array(observation, float), (rows, OBSERVED)).copy(),
         np.broadcast_to(np.array(position, float), (rows, 2)).copy(),
@@ -150,26 +150,26 @@ def test_the_primitive_is_paid_for_its_progress_towards_the_goal():
         ((2.41, 3.21), 1 - math.hypot(0.59, 0.79) / 5 + 1),
         ((3, 4), 2),
     ):
-        assert agent.internal_reward(np.array([position]))[0] == pytest.approx(reward, abs=1e-6)
+        assert agent.intrinsic_reward(np.array([position]))[0] == pytest.approx(reward, abs=1e-6)
 
 
 def test_a_robot_that_did_not_move_has_made_exactly_no_progress():
     agent = _agent(num_lanes=50, output=(0.3, 0.7))
     position = np.random.default_rng(0).normal(size=(50, 2)) * 10
     agent.act(np.zeros((50, OBSERVED)), position, np.zeros(50))
-    assert agent.internal_reward(position).tolist() == [0] * 50
+    assert agent.intrinsic_reward(position).tolist() == [0] * 50
 
 
 def test_a_goal_where_the_robot_stands_pays_the_bonus_and_is_no_nan():
     agent = _agent(output=(0, 0))
     _act(agent, position=(5, 5))
-    assert agent.internal_reward(np.array([[5.0, 5.0]])).tolist() == [2]
+    assert agent.intrinsic_reward(np.array([[5.0, 5.0]])).tolist() == [2]
 
 
 def test_walking_away_from_a_goal_where_the_robot_stood_is_paid_something_finite():
     agent = _agent(output=(0, 0))
     _act(agent, position=(5, 5))
-    assert np.isfinite(agent.internal_reward(np.array([[10.0, 5.0]]))).all()
+    assert np.isfinite(agent.intrinsic_reward(np.array([[10.0, 5.0]]))).all()
 
 
 def test_a_goal_is_counted_once_when_the_robot_first_comes_near_it():
@@ -178,28 +178,28 @@ def test_a_goal_is_counted_once_when_the_robot_first_comes_near_it():
     counts = []
     # Just outside 1 m, inside, further inside, outside and inside again: one goal.
     for x in (1.99, 2.01, 2.5, 0.0, 3.0):
-        agent.internal_reward(np.array([[x, 0.0], [0.0, 0.0]]))
+        agent.intrinsic_reward(np.array([[x, 0.0], [0.0, 0.0]]))
         counts.append(agent.goals_reached.tolist())
     assert counts == [[0, 0], [1, 0], [1, 0], [1, 0], [1, 0]]
     for _ in range(INTERVAL):
         _act(agent, position=(3, 0))
     # A new goal at (6, 0): another one to reach.
     assert agent.goal.round(5).tolist() == [[6, 0]] * 2
-    agent.internal_reward(np.array([[3.0, 0.0], [6.0, 0.0]]))
+    agent.intrinsic_reward(np.array([[3.0, 0.0], [6.0, 0.0]]))
     assert agent.goals_reached.tolist() == [1, 1]
-    agent.internal_reward(np.array([[6.0, 0.0], [6.0, 0.0]]))
+    agent.intrinsic_reward(np.array([[6.0, 0.0], [6.0, 0.0]]))
     assert agent.goals_reached.tolist() == [2, 1]
 
 
 def test_new_episodes_have_reached_no_goal_and_can_reach_their_first():
-    agent = _agent(num_lanes=2, num_episodes=2, output=(0.75, 0.0))
+    agent = _agent(num_lanes=2, rows_per_lane=2, output=(0.75, 0.0))
     _act(agent)
     at_goal = np.array([[3.0, 0.0]] * 4)
-    agent.internal_reward(at_goal)
+    agent.intrinsic_reward(at_goal)
     agent.start(np.array([1]))
     assert agent.goals_reached.tolist() == [1, 1, 0, 0]
     _act(agent)
-    agent.internal_reward(at_goal)
+    agent.intrinsic_reward(at_goal)
     assert agent.goals_reached.tolist() == [1, 1, 1, 1]
 
 
@@ -272,7 +272,7 @@ def test_parameters_are_frozen_with_the_normalisation_of_their_statistics():
 
 
 def test_each_pair_keeps_its_own_clock():
-    agent = _agent(num_lanes=3, num_episodes=2)
+    agent = _agent(num_lanes=3, rows_per_lane=2)
     history = []
     for step in range(9):
         if step in (1, 6):
@@ -362,4 +362,4 @@ def test_the_design_knows_its_sizes():
     design = _design(controller=MLP(7, (4,), 2), primitive=MLP(10, (5,), 8))
     assert design.dims == (7 * 4 + 4 + 4 * 2 + 2, 10 * 5 + 5 + 5 * 8 + 8)
     assert design.observation_sizes == (7, 10)
-    assert (design.decision_size, design.decision_interval, design.internal_level) == (2, INTERVAL, PRIMITIVE)
+    assert (design.decision_size, design.controller_interval, design.intrinsic_level) == (2, INTERVAL, PRIMITIVE)

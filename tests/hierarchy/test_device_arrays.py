@@ -80,7 +80,7 @@ def run(name, simulator, num_lanes, xp=np, episodes=3):
         design,
         lambda n: plan.env.make(n, plan.training, simulator),
         num_lanes,
-        generation.rows,
+        generation.rows_per_lane,
         HORIZON,
         generation.members_per_lane,
     )
@@ -198,7 +198,7 @@ class BranchingWorker:
             design,
             lambda n: plan.env.make(n, plan.training, self.simulator),
             8,
-            generation.rows,
+            generation.rows_per_lane,
             generation.branch_steps or HORIZON,
             generation.members_per_lane,
         )

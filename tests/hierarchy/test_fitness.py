@@ -18,6 +18,13 @@ from tests.es.textbook import centred_ranks
 RANKS = (UpdateRule(), UpdateRule())
 
 
+def _changed(results, **quantities):
+    changed = replace(results, outcomes=results.outcomes.copy())
+    for name, values in quantities.items():
+        changed.outcomes[name] = values
+    return changed
+
+
 def _results(members=8, episodes=2, seed=0, levels=2):
     rng = np.random.default_rng(seed)
     results = PopulationResults.empty(levels, members, episodes)
@@ -204,7 +211,7 @@ def test_an_episode_that_diverged_is_no_new_best_return():
     # Rewards are negative, and two episodes ended early: the mean policy's first, and one of the population.
     returns = np.array([[-5.0, -7.0]] * 7 + [[-1.0, -9.0], [-1.0, -6.0]])
     has_diverged = returns == -1
-    results = replace(_results(9), environment_returns=returns, has_diverged=has_diverged)
+    results = _changed(_results(9), environment_returns=returns, has_diverged=has_diverged)
     search = replace(_search(0.5), best_return=-8.0)
     ahead = advance_novelty(search, NSRA(), results, 8)
     assert (ahead.best_return, ahead.weight) == (-7.5, 0.55)
@@ -212,10 +219,10 @@ def test_an_episode_that_diverged_is_no_new_best_return():
 
 
 def test_the_weight_falls_where_the_mean_policy_stalls_and_the_authors_where_the_population_does():
-    results = replace(_results(9), environment_returns=np.array([[5.0]] * 8 + [[-5.0]]))
+    results = _changed(_results(9), environment_returns=np.array([[5.0]] * 8 + [[-5.0]]))
     search = replace(_search(0.5), best_return=0.0)
     assert advance_novelty(search, NSRA(patience=1), results, 8).weight == pytest.approx(0.45)
     assert advance_novelty(search, AuthorsNSRA(patience=0), results, 8).weight == 1
-    turned = replace(results, environment_returns=-results.environment_returns)
+    turned = _changed(results, environment_returns=-results.environment_returns)
     assert advance_novelty(search, NSRA(patience=1), turned, 8).weight == pytest.approx(0.55)
     assert advance_novelty(search, AuthorsNSRA(patience=0, extra=0), turned, 8).weight == pytest.approx(0.45)

@@ -35,9 +35,9 @@ def _estimate(**changes):
     settings = {
         "population_size": 2 * PAIRS,
         "intervals": 2,
-        "interval_steps": STEPS,
+        "controller_interval": STEPS,
         "horizon": HORIZON,
-        "goal_range": 4.0,
+        "goal_distance": 4.0,
         "update": UpdateRule(shaping=PairRanks()),
         "sigma": changing("sigma", 0.2, 0.1, 2),
         "learning_rate": constant("learning_rate", 0.03),
@@ -88,7 +88,7 @@ def test_a_task_is_a_mirrored_pair_with_one_noise_one_seed_and_one_start(left):
         assert task.noted_steps == ()
     assert len({task.noise_index for task in work.tasks}) == len({task.seeds for task in work.tasks}) == PAIRS
     generation = work.generation
-    assert (generation.members_per_lane, generation.episodes_per_policy, generation.rows) == (2, 1, 2)
+    assert (generation.members_per_lane, generation.episodes_per_policy, generation.rows_per_lane) == (2, 1, 2)
     assert (generation.branch_steps, generation.kind) == (2 * STEPS, "branch")
     assert [level.theta.tobytes() for level in generation.levels] == [state.levels[-1].theta.tobytes()]
 

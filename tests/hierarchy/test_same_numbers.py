@@ -171,7 +171,7 @@ def _running_point():
 
 def _estimate(**changes):
     """Return how a primitive of these runs is judged by intervals; its episodes are over in the third generation."""
-    numbers = {"population_size": 12, "intervals": 2, "interval_steps": 8, "horizon": 32, "goal_range": 4.0}
+    numbers = {"population_size": 12, "intervals": 2, "controller_interval": 8, "horizon": 32, "goal_distance": 4.0}
     rule = UpdateRule(shaping=PairRanks(), fall_price=0.5)
     rates = {"sigma": constant("sigma", 0.1), "learning_rate": constant("learning_rate", 0.03)}
     return IntervalEstimate(update=rule, **{**numbers, **rates, **changes})

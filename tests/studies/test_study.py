@@ -5,6 +5,7 @@ import itertools
 import math
 import shutil
 import signal
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,15 +14,16 @@ import pytest
 
 from shes.backends.serial import SerialBackend
 from shes.cli.commands import experiment
-from shes.errors import ConfigError, RunFolderError, UnknownNameError
+from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
 from shes.studies import ablation as ablations
 from shes.studies import learning as lessons
 from shes.studies import study as studies
 from shes.studies.ablation import ablation
-from shes.studies.comparison import compare, holm, permutation_test
+from shes.studies.comparison import compare
 from shes.studies.design import sweep_name
 from shes.studies.index import STUDIES
 from shes.studies.learning import learning
+from shes.studies.significance import check_scipy, holm, permutation_test
 from shes.studies.study import (
     Study,
     cell_config,
@@ -522,6 +524,19 @@ def test_the_permutation_test_agrees_with_the_exact_number():
     mixed = permutation_test(np.array([1.0, 4.0, 6.0]), np.array([2.0, 3.0, 9.0]))
     # Of the 20 ways to take 3 of the 6 values, 16 have sums at least 1.5 away from 12.5.
     assert mixed == pytest.approx(16 / 20, abs=0.02)
+
+
+def test_of_a_single_value_no_difference_is_told():
+    assert permutation_test(np.array([1.0]), np.arange(5.0) + 9) == 1
+
+
+def test_without_scipy_a_study_does_not_begin_and_names_the_extra(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    for start in (check_scipy, lambda: check_study(ablation("smoke"), tmp_path / "out")):
+        with pytest.raises(
+            MissingExtraError, match=r"a study need SciPy \(.*\)\. Install it: pip install 'shes\[study\]'"
+        ):
+            start()
 
 
 def test_the_permutation_test_is_symmetric_seeded_and_never_zero():

@@ -42,10 +42,10 @@ class Shy(Corner):
         return super().observe()[:, :-1]
 
 
-def test_an_environment_that_observes_other_values_than_its_layout_names_is_refused(monkeypatch):
+def test_an_environment_that_observes_other_values_than_its_spec_names_is_refused(monkeypatch):
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Shy))
     message = (
-        r"'point-corner' must observe \[N, 6\], .*for 1 episode it observed \(1, 5\)\. Change its layout or its obs"
+        r"'point-corner' must observe \[N, 6\], .*for 1 episode it observed \(1, 5\)\. Change observation_spec or obs"
     )
     with pytest.raises(ShapeError, match=message):
         build_algorithm(make_config("point-corner", "smoke"))
@@ -104,11 +104,11 @@ ARRIVALS = {
     ),
     "controller_interval": (
         7,
-        lambda b: (b.intervals.interval_steps, b.intervals.branch_steps, b.plan.branch_design.decision_interval),
+        lambda b: (b.intervals.controller_interval, b.intervals.branch_steps, b.plan.branch_design.controller_interval),
         (7, 14, 7),
         (25, 50, 25),
     ),
-    "goal_distance": (2.5, lambda b: (b.intervals.goal_range, b.design.goal_distance), (2.5, 2.5), (4, 4)),
+    "goal_distance": (2.5, lambda b: (b.intervals.goal_distance, b.design.goal_distance), (2.5, 2.5), (4, 4)),
     "horizon": (90, lambda b: (b.intervals.horizon, b.settings.horizon, b.plan.horizon), (90, 90, 90), (70, 70, 70)),
     "fall_price": (
         3.0, lambda b: (*(r.fall_price for r in b.rules), b.intervals.update.fall_price), (0, 3, 3), (0, 0, 0)

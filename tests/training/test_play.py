@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from shes.envs.gymnasium.registration import gymnasium_id
+from shes.envs.gymnasium_ids import gymnasium_id
 from shes.errors import CheckpointError, ConfigError, RunFolderError, ShapeError
 from shes.es.streams import Purpose
 from shes.runs.folder import RunFolder

@@ -9,7 +9,8 @@ import pytest
 from shes.errors import ConfigError, RunFolderError, StorageError, UnknownNameError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.viewing.plot import interval, plot
+from shes.viewing.curves import interval
+from shes.viewing.plot import plot
 from tests.e2e import runs
 
 pytestmark = pytest.mark.extras  # the fast tests have three minutes

@@ -26,7 +26,7 @@ class FakeViewer:
 
 
 def test_episodes_follow_each_other_until_the_window_is_closed(tiny_run, monkeypatch):
-    monkeypatch.setattr("shes.drawing.viewer.Viewer", FakeViewer)
+    monkeypatch.setattr("shes.drawing.rendering.Viewer", FakeViewer)
     watch(tiny_run)
     window = FakeViewer.last
     assert window.is_closed
@@ -43,7 +43,7 @@ def test_the_window_is_closed_after_an_error(tiny_run, monkeypatch):
         def show(self, qpos, markers, *, is_new_episode):
             raise ConfigError("lost the screen")
 
-    monkeypatch.setattr("shes.drawing.viewer.Viewer", Broken)
+    monkeypatch.setattr("shes.drawing.rendering.Viewer", Broken)
     with pytest.raises(ConfigError, match="lost the screen"):
         watch(tiny_run)
     assert FakeViewer.last.is_closed

@@ -73,8 +73,8 @@ class Problem:
         shape = task.observe().shape
         if shape != (1, task.observation_size):
             raise ShapeError(
-                f"environment {self.name!r} must observe [N, {task.observation_size}], as many values as its layout "
-                f"names; for 1 episode it observed {shape}. Change its layout or its observe()."
+                f"environment {self.name!r} must observe [N, {task.observation_size}], as many values as its "
+                f"observation_spec names; for 1 episode it observed {shape}. Change observation_spec or observe()."
             )
         task.close()
         return task

@@ -6,12 +6,16 @@ from typing import Any
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.learners import SES, SHES, PrimitiveES
-from shes.envs.entries import check_class, check_name_is_free
-from shes.errors import UnknownNameError
+from shes.registry import Registry, subclass_of
 
-__all__ = ["ALGORITHMS", "check_algorithm", "find_algorithm", "register_algorithm"]
+__all__ = ["ALGORITHMS", "find_algorithm", "register_algorithm"]
 
-ALGORITHMS: dict[str, type[Algorithm[Any]]] = {"shes": SHES, "es": SES}
+ALGORITHMS: Registry[type[Algorithm[Any]]] = Registry(
+    "algorithm",
+    {"shes": SHES, "es": SES},
+    fix="Set --algorithm; register your own first: shes.register_algorithm, or --import MODULE.",
+    check=subclass_of(Algorithm, num_arguments=1),
+)
 """What `--algorithm` may be."""
 
 _PRIMITIVE_ALONE: dict[type[Algorithm[Any]], type[Algorithm[Any]]] = {SHES: PrimitiveES}
@@ -36,24 +40,7 @@ def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
     Raises:
         ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
     """
-    check_class("algorithm", algorithm, Algorithm, num_arguments=1)
-    check_name_is_free("algorithm", name, algorithm, ALGORITHMS)
-    ALGORITHMS[name] = algorithm
-
-
-def check_algorithm(name: str) -> None:
-    """Refuse a name that is not known.
-
-    Raises:
-        UnknownNameError: `name` is not in `ALGORITHMS`.
-    """
-    if name not in ALGORITHMS:
-        raise UnknownNameError(
-            "algorithm",
-            name,
-            ALGORITHMS,
-            "Set --algorithm; register your own first: shes.register_algorithm, or --import MODULE.",
-        )
+    ALGORITHMS.register(name, algorithm)
 
 
 def find_algorithm(name: str, *, sets_goals: bool = False) -> type[Algorithm[Any]]:
@@ -62,6 +49,5 @@ def find_algorithm(name: str, *, sets_goals: bool = False) -> type[Algorithm[Any
     Raises:
         UnknownNameError: `name` is not in `ALGORITHMS`.
     """
-    check_algorithm(name)
-    found = ALGORITHMS[name]
+    found = ALGORITHMS.find(name)
     return _PRIMITIVE_ALONE.get(found, found) if sets_goals else found

@@ -20,7 +20,7 @@ from shes.errors import ConfigError
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
-from shes.hierarchy.rollout import Rollout, Work
+from shes.hierarchy.rollout import NumberedTask, Rollout
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
 from shes.sim.warp import WarpSimulator
@@ -95,7 +95,7 @@ def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, epis
         episodes: Episodes of a lane.
         horizon: Steps of an episode; their exploration noise is there twice while the next one replaces it.
     """
-    decisions = -(-horizon // design.decision_interval)
+    decisions = -(-horizon // design.controller_interval)
     noise = 4 * (horizon * design.policies[-1].sizes[-1] + decisions * design.decision_size)
     per_lane = 2 * 4 * sum(design.dims) + episodes * (sim_bytes + 2 * noise)
     return max(1, int(_SHARE_OF_MEMORY * free_bytes / per_lane))
@@ -145,7 +145,7 @@ class RolloutWorker:
         """Take the mean policies that the next tasks perturb."""
         self._generation = state
 
-    def run(self, work: Iterator[Work], share: int) -> Iterator[tuple[int, EpisodeResults]]:
+    def run(self, work: Iterator[NumberedTask], share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Run `work`, of which about `share` tasks are this worker's; yield numbered results as they come.
 
         Where a device's memory runs out, what has no result yet is done again with half as many policies at a time.
@@ -167,7 +167,7 @@ class RolloutWorker:
                     return
 
     def _run(
-        self, work: Iterator[Work], pending: dict[int, EpisodeTask], share: int
+        self, work: Iterator[NumberedTask], pending: dict[int, EpisodeTask], share: int
     ) -> Iterator[tuple[int, EpisodeResults]]:
         """Run `work` and take off `pending` what has a result."""
         assert self._generation is not None, "receive() comes first"
@@ -180,9 +180,9 @@ class RolloutWorker:
 
     def _rollout(self, generation: Generation, share: int) -> Rollout:
         """Return the rollout for this generation with lanes for `share` tasks, building it where needed."""
-        plan, shape = self.plan, (generation.rows, generation.members_per_lane)
+        plan, shape = self.plan, (generation.rows_per_lane, generation.members_per_lane)
         rollout = self._rollouts.get(generation.kind)
-        if rollout is not None and (rollout.num_episodes, rollout.members_per_lane) != shape:
+        if rollout is not None and (rollout.rows_per_lane, rollout.members_per_lane) != shape:
             rollout = self._drop(generation)
         waves = max(1, -(-share // self._chunk(generation, share)))
         self._lanes = max(1, -(-share // waves))  # even waves: no last one with a few lanes alone
@@ -194,7 +194,7 @@ class RolloutWorker:
             make = partial(plan.env.make, options=self._options(generation), simulator=plan.simulator)
             horizon = self._horizon(generation)
             design = self._design(generation)
-            rollout = Rollout(design, make, self._lanes, generation.rows, horizon, generation.members_per_lane)
+            rollout = Rollout(design, make, self._lanes, generation.rows_per_lane, horizon, generation.members_per_lane)
             self._rollouts[generation.kind] = rollout
         return rollout
 
@@ -206,10 +206,10 @@ class RolloutWorker:
 
     def _chunk(self, generation: Generation, share: int) -> int:
         """Return how many lanes to run in lockstep at most: all on a device, if its memory has room for them."""
-        plan, kind = self.plan, (generation.kind, generation.rows)
+        plan, kind = self.plan, (generation.kind, generation.rows_per_lane)
         asked = -(-plan.chunk_size // generation.members_per_lane)  # policies are asked for
         if plan.device == "cpu":
-            return asked or lanes_that_fit(sum(self._design(generation).dims), generation.rows)
+            return asked or lanes_that_fit(sum(self._design(generation).dims), generation.rows_per_lane)
         if kind not in self._room and not plan.chunk_size:
             self._lanes = 1  # what is measured is too little memory for one, if it does not fit
             self._room[kind] = self._measure_room(generation)
@@ -221,7 +221,7 @@ class RolloutWorker:
         if free is None:
             return sys.maxsize
         design = self._design(generation)
-        return lanes_in_memory(free, self._sim_bytes, design, generation.rows, self._horizon(generation))
+        return lanes_in_memory(free, self._sim_bytes, design, generation.rows_per_lane, self._horizon(generation))
 
     @cached_property
     def _sim_bytes(self) -> float:
@@ -245,11 +245,11 @@ class RolloutWorker:
         generation, device, lanes = self._generation, self.plan.device, self._lanes
         if lanes == 1:
             raise ConfigError(
-                f"device {device} has too little memory for {generation.rows} episodes at a time ({error}). "
+                f"device {device} has too little memory for {generation.rows_per_lane} episodes at a time ({error}). "
                 "Set --nconmax or --njmax lower, use --device cpu, or start another run with fewer "
                 "--episodes-per-policy or --mirrored none: they are computed together."
             ) from error
-        half = self._room[generation.kind, generation.rows] = -(-lanes // 2)
+        half = self._room[generation.kind, generation.rows_per_lane] = -(-lanes // 2)
         self._drop(generation)
         before, now = (each * generation.members_per_lane for each in (lanes, half))
         self._collector.lines.append(
@@ -269,7 +269,7 @@ class RolloutWorker:
         return self.plan.evaluation_horizon if generation.is_evaluation else self.plan.horizon
 
 
-def _noted(work: Iterator[Work], pending: dict[int, EpisodeTask]) -> Iterator[Work]:
+def _noted(work: Iterator[NumberedTask], pending: dict[int, EpisodeTask]) -> Iterator[NumberedTask]:
     """Yield `work`, noting in `pending` what has been taken."""
     for number, task in work:
         pending[number] = task

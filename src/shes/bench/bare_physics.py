@@ -79,7 +79,7 @@ def record_generation(plan: WorkerPlan, state: TrainState, settings: Settings, t
     recorder = _Recorder(plan.env)
     with SerialBackend(partial(RolloutWorker, replace(plan, env=recorder, device="cpu"))) as worker:
         work = generation_work(state, settings, table_size)
-        num_tasks = min(len(work.tasks), max(1, _REPLAYED // work.generation.rows))
+        num_tasks = min(len(work.tasks), max(1, _REPLAYED // work.generation.rows_per_lane))
         results = _play(worker, work, num_tasks)
         if settings.intervals is not None and not work.generation.branch_steps:
             branches = branch_work(state, settings.intervals, table_size, _snapshots(results))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot, empty_outcomes
 
 __all__ = ["RandomResults"]
 
@@ -33,17 +33,13 @@ class RandomResults:
     def _results(self, task: EpisodeTask, generation: Generation) -> EpisodeResults:
         """Return results of `task`: every episode differs, none diverged."""
         rng, k = self._rng, len(task.slots)
+        outcomes = empty_outcomes(len(generation.levels), k)
+        for name in ("returns", "environment_returns", "score", "final_position"):
+            outcomes[name] = rng.standard_normal(outcomes[name].shape)
+        outcomes["steps"] = 1
+        outcomes["has_terminated"] = outcomes["has_fallen"] = rng.random(k) < 0.5
         return EpisodeResults(
-            returns=rng.standard_normal((len(generation.levels), k)),
-            score=rng.standard_normal(k),
-            success=np.zeros(k, np.bool_),
-            steps=np.ones(k, np.int64),
-            has_terminated=rng.random(k) < 0.5,
-            has_fallen=rng.random(k) < 0.5,
-            has_diverged=np.zeros(k, np.bool_),
-            goals_reached=np.zeros(k, np.int64),
-            final_position=rng.standard_normal((k, 2)),
-            environment_returns=rng.standard_normal(k),
+            outcomes=outcomes,
             moments=_moments(generation, k) if task.records_statistics else None,
             snapshots=self._snapshots(task, generation),
         )

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.drawing.markers import Marker
+from shes.envs.markers import Marker
 
 __all__ = ["Drawer", "Picture", "Window"]
 

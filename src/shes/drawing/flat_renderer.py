@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 from PIL import Image, ImageDraw
 
-from shes.drawing.markers import ROBOT, Marker
 from shes.drawing.renderer import Picture, Renderer, check_camera
+from shes.envs.markers import ROBOT, Marker
 from shes.types import F64Array
 
 __all__ = ["FlatRenderer"]

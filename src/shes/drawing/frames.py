@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from shes.drawing.drawer import Drawer, Picture
-from shes.drawing.markers import Marker
+from shes.envs.markers import Marker
 
-__all__ = ["FrameDrawer"]
+__all__ = ["FrameDrawer", "FrameWindow"]
 
 
 class FrameDrawer(Drawer):
@@ -33,3 +34,15 @@ class FrameDrawer(Drawer):
 
     def close(self) -> None:
         """Hold nothing: the environment draws."""
+
+
+class FrameWindow:
+    """The window of an environment that shows its own steps, and closes it by itself."""
+
+    is_open = True
+
+    def show(self, pose: Any, /, markers: Sequence[Marker] = (), *, is_new_episode: bool = False) -> None:
+        """Do nothing: the environment has shown it."""
+
+    def close(self) -> None:
+        """Do nothing: the environment closes it."""

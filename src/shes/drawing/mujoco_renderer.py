@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from shes.drawing.markers import Marker
 from shes.drawing.opengl import use_opengl
 from shes.drawing.renderer import Picture, Renderer, check_camera
 from shes.drawing.scenery import FOLLOW_FIELD_OF_VIEW_DEG, decorate
+from shes.envs.markers import Marker
 from shes.types import F64Array
 
 __all__ = ["MujocoRenderer", "add_markers"]

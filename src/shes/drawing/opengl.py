@@ -12,7 +12,7 @@ from mujoco.rendering.classic import gl_context
 
 from shes.errors import ConfigError
 
-__all__ = ["HOW_TO_GET_OPENGL", "find_opengl", "is_switched_off", "use_opengl"]
+__all__ = ["HOW_TO_GET_OPENGL", "find_opengl", "is_switched_off", "offer_opengl", "use_opengl"]
 
 HOW_TO_GET_OPENGL = (
     "For three-dimensional pictures install EGL or OSMesa, on Debian and Ubuntu: "
@@ -48,6 +48,13 @@ def find_opengl() -> str | None:
             )
         return asked
     return next((name for name in ("egl", "osmesa") if _works(name)), None)
+
+
+def offer_opengl() -> None:
+    """Let an environment that draws itself find OpenGL: those of Gymnasium look at MUJOCO_GL."""
+    found = find_opengl()
+    if found is not None and not os.environ.get("MUJOCO_GL"):
+        os.environ["MUJOCO_GL"] = found
 
 
 def is_switched_off() -> bool:

@@ -1,25 +1,20 @@
-"""Renderers: the state of one simulation becomes a picture."""
+"""Renderers: a pose of a world of our own becomes a picture."""
 
 from __future__ import annotations
 
-import logging
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from shes.drawing.drawer import Drawer, Picture
-from shes.drawing.markers import Marker
-from shes.drawing.opengl import HOW_TO_GET_OPENGL, find_opengl, is_switched_off
-from shes.drawing.scenery import MAX_PIXELS
-from shes.errors import ConfigError, UnknownNameError
+from shes.envs.markers import Marker
+from shes.errors import UnknownNameError
 from shes.types import F64Array
 
-__all__ = ["CAMERAS", "Picture", "Renderer", "between", "check_camera", "make_renderer"]
-
-logger = logging.getLogger("shes.drawing")
+__all__ = ["CAMERAS", "Picture", "Renderer", "between", "check_camera"]
 
 CAMERAS = ("follow", "top")
 """Behind and above the robot, moving with it; or from above, showing the whole world."""
@@ -67,35 +62,6 @@ class Renderer(Drawer):
             hidden = 2 * half[reaches, i % 2].min() - _RIM_M
             sides[i] = float(side - sign * max(hidden, 0.0))
         return (sides[0], sides[1], sides[2], sides[3])
-
-
-def make_renderer(make_spec: Callable[[], mujoco.MjSpec], width: int, height: int) -> Renderer:
-    """Return MuJoCo's renderer where there is OpenGL, else one that draws from above without it.
-
-    Args:
-        make_spec: Returns the world, without looks.
-        width: Pixels of a picture.
-        height: Pixels of a picture.
-
-    Raises:
-        ConfigError: The size is not allowed, or MUJOCO_GL asks for what does not work here.
-    """
-    for name, pixels in (("width", width), ("height", height)):
-        is_whole = isinstance(pixels, int | np.integer) and not isinstance(pixels, bool)
-        if not (is_whole and 16 <= pixels <= MAX_PIXELS):
-            raise ConfigError(f"{name} of a picture must be 16 to {MAX_PIXELS} pixels, got {pixels!r}. Change {name}.")
-    found = find_opengl()
-    if found is None:
-        from shes.drawing.flat_renderer import FlatRenderer
-
-        if is_switched_off():
-            logger.warning("MUJOCO_GL is off: drawing flat pictures from above. Unset it for three-dimensional ones.")
-        else:
-            logger.warning("No OpenGL here: drawing flat pictures from above. %s", HOW_TO_GET_OPENGL)
-        return FlatRenderer(make_spec().compile(), width, height)
-    from shes.drawing.mujoco_renderer import MujocoRenderer
-
-    return MujocoRenderer(make_spec(), width, height, found)
 
 
 def check_camera(name: str) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from shes.drawing.markers import ROBOT
+from shes.envs.markers import ROBOT
 
 __all__ = ["FOLLOW_FIELD_OF_VIEW_DEG", "MAX_PIXELS", "decorate"]
 

@@ -10,10 +10,10 @@ from time import monotonic, sleep
 
 import mujoco
 
-from shes.drawing.markers import Marker
 from shes.drawing.mujoco_renderer import add_markers
 from shes.drawing.renderer import between
 from shes.drawing.scenery import decorate
+from shes.envs.markers import Marker
 from shes.errors import ConfigError
 from shes.types import F64Array
 

@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 
-from shes.drawing.drawer import Drawer, Window
-from shes.drawing.markers import Marker
 from shes.envs.bodies.body import Body
+from shes.envs.markers import Marker
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 
@@ -223,25 +223,30 @@ class EpisodeBatch(ABC):
         Rows that are not in `ids` do not move; what is computed for them means nothing.
         """
 
-    @abstractmethod
-    def make_drawer(self, width: int, height: int) -> Drawer:
-        """Return what makes pictures of poses; ask for it before the first reset.
+    @property
+    def draws_itself(self) -> bool:
+        """Whether a `pose` is a picture that the environment has drawn, not the qpos of `world_to_draw`."""
+        return False
+
+    def world_to_draw(self) -> mujoco.MjSpec:
+        """Return the world to draw poses in, made anew.
 
         Raises:
-            ConfigError: There are no pictures of this environment, or not of this size.
+            ConfigError: The environment draws itself.
         """
+        raise ConfigError("this environment draws itself: nobody else can.")
 
-    @abstractmethod
-    def open_window(self) -> Window:
-        """Return a window that shows poses; ask for it before the first reset.
+    def draw_by(self, mode: str) -> None:
+        """Let an environment that draws itself do so in render mode `mode` from the next reset on.
 
         Raises:
-            ConfigError: There is no screen, or no window of this environment.
+            ConfigError: It has no such render mode.
         """
+        raise ConfigError(f"this environment has no render mode {mode!r}: it does not draw itself.")
 
     @abstractmethod
     def pose(self, episode: int) -> Any:
-        """Return a copy of what drawer and window need to show episode `episode` as it is now."""
+        """Return a copy of what a drawer or a window needs to show episode `episode` as it is now."""
 
     def markers(self, episode: int) -> list[Marker]:
         """Return what to draw of episode `episode` beside its pose."""

@@ -38,6 +38,6 @@ def elements(
     )
 
 
-def bounds(layout: Sequence[ObservationElement]) -> tuple[F64Array, F64Array]:
+def bounds(spec: Sequence[ObservationElement]) -> tuple[F64Array, F64Array]:
     """Return the least and the greatest values of an observation [O]."""
-    return np.array([each.low for each in layout]), np.array([each.high for each in layout])
+    return np.array([each.low for each in spec]), np.array([each.high for each in spec])

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple, Protocol
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.point import FallingPoint, Point
-from shes.envs.entries import check_class, check_name_form, check_name_is_free
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.description import ExternalDescription
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, READY
 from shes.envs.external.selection import Selection
+from shes.envs.gymnasium_ids import register_ids
 from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun
 from shes.envs.tasks.gather import Gather
@@ -24,6 +24,7 @@ from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.push import Push
 from shes.envs.tasks.task import SimulatorFactory, Task
 from shes.errors import ConfigError, UnknownNameError
+from shes.registry import Registry, check_class, check_name_form
 from shes.sim.cpu import CpuSimulator
 
 __all__ = [
@@ -32,12 +33,12 @@ __all__ = [
     "EnvironmentMaker",
     "check_description_name",
     "check_external_name",
-    "check_name",
     "find_description",
     "find_environment",
     "make_task",
     "register_environment",
     "register_external_environment",
+    "register_in_gymnasium",
 ]
 
 _HOW_TO_REGISTER = "`shes envs` lists them. Register your own first: shes.register_environment, or --import MODULE."
@@ -90,18 +91,36 @@ class Environment(NamedTuple):
         return self.task(self.body(), num_episodes, TaskOptions() if options is None else options, simulator)
 
 
-ENVIRONMENTS: dict[str, Environment] = {
-    "ant-gather": Environment(Ant, Gather),
-    "ant-maze": Environment(Ant, Maze),
-    "ant-push": Environment(Ant, Push),
-    "ant-fall": Environment(Ant, Fall),
-    "ant-flagrun": Environment(Ant, Flagrun),
-    "point-gather": Environment(Point, Gather),
-    "point-maze": Environment(Point, Maze),
-    "point-push": Environment(Point, Push),
-    "point-fall": Environment(FallingPoint, Fall),
-    "point-flagrun": Environment(Point, Flagrun),
-}
+def _check_environment(kind: str, environment: Environment) -> None:
+    """Refuse a body or a task that is not a complete class."""
+    del kind
+    check_class("body", environment.body, Body)
+    check_class("task", environment.task, Task, num_arguments=4)
+
+
+ENVIRONMENTS: Registry[Environment] = Registry(
+    "environment",
+    {
+        "ant-gather": Environment(Ant, Gather),
+        "ant-maze": Environment(Ant, Maze),
+        "ant-push": Environment(Ant, Push),
+        "ant-fall": Environment(Ant, Fall),
+        "ant-flagrun": Environment(Ant, Flagrun),
+        "point-gather": Environment(Point, Gather),
+        "point-maze": Environment(Point, Maze),
+        "point-push": Environment(Point, Push),
+        "point-fall": Environment(FallingPoint, Fall),
+        "point-flagrun": Environment(Point, Flagrun),
+    },
+    fix=_HOW_TO_REGISTER,
+    check=_check_environment,
+)
+
+
+def register_in_gymnasium() -> None:
+    """Make every environment known to Gymnasium."""
+    for name, environment in ENVIRONMENTS.items():
+        register_ids(name, environment.task.specs)
 
 
 def register_environment(name: str, body: type[Body], task: type[Task]) -> None:
@@ -122,15 +141,9 @@ def register_environment(name: str, body: type[Body], task: type[Task]) -> None:
     Raises:
         ConfigError: A class is none or not complete, or the name is malformed or stands for other classes.
     """
-    environment = Environment(body, task)
-    check_class("body", body, Body)
-    check_class("task", task, Task, num_arguments=4)
-    check_name_is_free("environment", name, environment, ENVIRONMENTS)
     _check_is_not_external(name)
-    ENVIRONMENTS[name] = environment
-    from shes.envs.gymnasium.registration import register_all
-
-    register_all()
+    ENVIRONMENTS.register(name, Environment(body, task))
+    register_ids(name, task.specs)
 
 
 def register_external_environment(
@@ -229,24 +242,13 @@ def find_description(name: str) -> ExternalDescription | None:
     return EXTERNAL_ENVIRONMENTS.get(name)
 
 
-def check_name(name: str) -> None:
-    """Refuse what is no environment of our own.
-
-    Raises:
-        UnknownNameError: `name` is not in `ENVIRONMENTS`.
-    """
-    if name not in ENVIRONMENTS:
-        raise UnknownNameError("environment", name, ENVIRONMENTS, _HOW_TO_REGISTER)
-
-
 def find_environment(name: str) -> Environment:
     """Return environment `name`.
 
     Raises:
         UnknownNameError: `name` is not in `ENVIRONMENTS`.
     """
-    check_name(name)
-    return ENVIRONMENTS[name]
+    return ENVIRONMENTS.find(name)
 
 
 def make_task(
@@ -257,4 +259,4 @@ def make_task(
     Raises:
         UnknownNameError: `name` is not in `ENVIRONMENTS`.
     """
-    return find_environment(name).make(num_episodes, options, simulator)
+    return ENVIRONMENTS.find(name).make(num_episodes, options, simulator)

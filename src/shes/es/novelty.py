@@ -7,7 +7,7 @@ Source: Conti et al. 2018, section 3 (NS-ES, NSR-ES, NSRA-ES); the SHES authors'
 
 Deviation: one policy, where Conti et al. keep several and choose among them by their novelty.
 
-Axes: n members, E episodes of a member, A positions in the archive. Positions are in metres.
+Positions are in metres.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
+from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
 __all__ = [
@@ -44,7 +45,7 @@ class NoveltyState:
     """What novelty search carries from one generation to the next."""
 
     archive: F64Array
-    """Final positions [A, 2] of the mean policies so far."""
+    """Final positions [archive, 2] of the mean policies so far."""
     weight: float
     """Share of the return in the fitness; `1 - weight` is novelty's."""
     best_return: float
@@ -54,7 +55,7 @@ class NoveltyState:
 
 
 def behaviour_distance(positions: F64Array, archive: F64Array) -> F64Array:
-    """Return the Euclidean distance [B, A] of each of `positions` [B, 2] to each of `archive` [A, 2]."""
+    """Return how far each of `positions` [positions, 2] is from each of `archive` [archive, 2], as a matrix."""
     east, north = positions[:, :1] - archive[:, 0], positions[:, 1:] - archive[:, 1]
     return np.sqrt(east * east + north * north)
 
@@ -72,7 +73,7 @@ def novelty(behaviours: F64Array, archive: F64Array, neighbours: int) -> F64Arra
 
     Args:
         behaviours: Final positions [n, E, 2] of the members' episodes.
-        archive: Positions [A, 2]; empty, and nothing is novel: zeros.
+        archive: Positions [archive, 2]; empty, and nothing is novel: zeros.
         neighbours: Nearest places that count (k); all of them where the archive has fewer.
 
     Raises:
@@ -94,7 +95,7 @@ def novelty(behaviours: F64Array, archive: F64Array, neighbours: int) -> F64Arra
 
 
 def _nearest(positions: F64Array, archive: F64Array, neighbours: int) -> F64Array:
-    """Return the mean distance [B] of `positions` [B, 2] to the nearest places of `archive` [A, 2]."""
+    """Return the mean distance [positions] of `positions` [positions, 2] to the nearest of `archive` [archive, 2]."""
     distance = behaviour_distance(positions, archive)
     if neighbours < len(archive):
         distance.partition(neighbours - 1, axis=1)
@@ -103,7 +104,7 @@ def _nearest(positions: F64Array, archive: F64Array, neighbours: int) -> F64Arra
 
 
 def _mean_of_columns(values: F64Array) -> F64Array:
-    """Return the mean [B] of the columns of `values` [B, C], added one after the other: the same bits for any B."""
+    """Return the mean [rows] of the columns of `values` [rows, columns], added in order for the same bits."""
     total = np.zeros(len(values))
     for column in values.T:
         total += column
@@ -225,7 +226,17 @@ class AuthorsNSRA(WeightRule):
         return weight, best_return, stalled
 
 
-NOVELTY_RULES: dict[str, type[WeightRule]] = {"ns": NS, "nsr": NSR, "nsra": NSRA, "nsra_reset": AuthorsNSRA}
+NOVELTY_RULES: Registry[type[WeightRule]] = Registry(
+    "novelty rule",
+    {
+        "ns": NS,
+        "nsr": NSR,
+        "nsra": NSRA,
+        "nsra_reset": AuthorsNSRA,
+    },
+    fix="Set --novelty.",
+    check=subclass_of(WeightRule),
+)
 
 
 def make_novelty_rule(name: str) -> WeightRule:
@@ -234,6 +245,4 @@ def make_novelty_rule(name: str) -> WeightRule:
     Raises:
         UnknownNameError: `name` is not in `NOVELTY_RULES`.
     """
-    if name not in NOVELTY_RULES:
-        raise UnknownNameError("novelty rule", name, NOVELTY_RULES, "Set --novelty.")
-    return NOVELTY_RULES[name]()
+    return NOVELTY_RULES.find(name)()

@@ -11,7 +11,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
+from shes.registry import Registry, subclass_of
 from shes.types import F32Array, F64Array
 
 __all__ = ["OPTIMIZERS", "SGD", "Adam", "ClipUp", "Optimizer", "OptimizerState", "make_optimizer"]
@@ -154,7 +155,16 @@ class ClipUp(Optimizer):
         return cls(momentum=momentum)
 
 
-OPTIMIZERS: dict[str, type[Optimizer]] = {"adam": Adam, "sgd": SGD, "clipup": ClipUp}
+OPTIMIZERS: Registry[type[Optimizer]] = Registry(
+    "optimizer",
+    {
+        "adam": Adam,
+        "sgd": SGD,
+        "clipup": ClipUp,
+    },
+    fix="Set --optimizer.",
+    check=subclass_of(Optimizer),
+)
 
 
 def make_optimizer(name: str, *, momentum: float = 0.9) -> Optimizer:
@@ -168,9 +178,7 @@ def make_optimizer(name: str, *, momentum: float = 0.9) -> Optimizer:
         UnknownNameError: `name` is not in `OPTIMIZERS`.
         ConfigError: `momentum` is outside [0, 1).
     """
-    if name not in OPTIMIZERS:
-        raise UnknownNameError("optimizer", name, OPTIMIZERS, "Set --optimizer.")
-    return OPTIMIZERS[name].of(momentum=momentum)
+    return OPTIMIZERS.find(name).of(momentum=momentum)
 
 
 def _state(steps: int, **slots: F32Array) -> OptimizerState:

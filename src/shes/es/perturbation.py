@@ -12,8 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.es.mirror import check_population, sign_matrix
+from shes.registry import Registry, subclass_of
 
 __all__ = [
     "PERTURBATIONS",
@@ -95,11 +96,16 @@ class OneToManyHalves(Perturbation):
         return np.concatenate(parts)
 
 
-PERTURBATIONS: dict[str, type[Perturbation]] = {
-    "many_to_many": ManyToMany,
-    "one_to_many": OneToMany,
-    "one_to_many_halves": OneToManyHalves,
-}
+PERTURBATIONS: Registry[type[Perturbation]] = Registry(
+    "perturbation",
+    {
+        "many_to_many": ManyToMany,
+        "one_to_many": OneToMany,
+        "one_to_many_halves": OneToManyHalves,
+    },
+    fix="Set --perturbation.",
+    check=subclass_of(Perturbation),
+)
 
 
 def check_perturbation(name: str, population_size: int, mirrored: str, learns: Sequence[bool]) -> None:
@@ -118,6 +124,4 @@ def make_perturbation(name: str) -> Perturbation:
     Raises:
         UnknownNameError: `name` is not in `PERTURBATIONS`.
     """
-    if name not in PERTURBATIONS:
-        raise UnknownNameError("perturbation", name, PERTURBATIONS, "Set --perturbation.")
-    return PERTURBATIONS[name]()
+    return PERTURBATIONS.find(name)()

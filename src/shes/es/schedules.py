@@ -9,7 +9,8 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
+from shes.registry import Registry, subclass_of
 
 __all__ = ["SCHEDULES", "Constant", "Cosine", "Exponential", "Linear", "Schedule", "make_schedule"]
 
@@ -122,12 +123,17 @@ class Cosine(Schedule):
         return self.end + (self.start - self.end) * (1 + math.cos(math.pi * progress)) / 2
 
 
-SCHEDULES: dict[str, type[Schedule]] = {
-    "constant": Constant,
-    "linear": Linear,
-    "exponential": Exponential,
-    "cosine": Cosine,
-}
+SCHEDULES: Registry[type[Schedule]] = Registry(
+    "schedule",
+    {
+        "constant": Constant,
+        "linear": Linear,
+        "exponential": Exponential,
+        "cosine": Cosine,
+    },
+    fix="Set --learning-rate-schedule.",
+    check=subclass_of(Schedule, keywords=("quantity", "start", "end", "generations")),
+)
 
 
 def make_schedule(quantity: str, kind: str, start: float, end: float, generations: int) -> Schedule:
@@ -144,7 +150,5 @@ def make_schedule(quantity: str, kind: str, start: float, end: float, generation
         UnknownNameError: `kind` is not in `SCHEDULES`.
         ConfigError: `start` or `end` is out of range, or `generations` is not positive.
     """
-    if kind not in SCHEDULES:
-        fix = f"Set --{quantity.replace('_', '-')}-schedule."
-        raise UnknownNameError(f"schedule of {quantity}", kind, SCHEDULES, fix)
-    return SCHEDULES[kind](quantity=quantity, start=start, end=end, generations=generations)
+    schedule = SCHEDULES.find(kind, kind=f"schedule of {quantity}", fix=f"Set --{quantity.replace('_', '-')}-schedule.")
+    return schedule(quantity=quantity, start=start, end=end, generations=generations)

@@ -14,6 +14,7 @@ import numpy as np
 
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.ranking import TIES, centred_ranks, check_finite
+from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
 __all__ = [
@@ -168,12 +169,17 @@ class TopFraction(FitnessShaping):
         return max(1, math.ceil(round(self.fraction * size, 9)))  # round: 0.07 * 100 is 7.000000000000001
 
 
-FITNESS_SHAPINGS: dict[str, type[FitnessShaping]] = {
-    "centred_rank": CentredRanks,
-    "pair_rank": PairRanks,
-    "z_score": ZScore,
-    "top_fraction": TopFraction,
-}
+FITNESS_SHAPINGS: Registry[type[FitnessShaping]] = Registry(
+    "fitness shaping",
+    {
+        "centred_rank": CentredRanks,
+        "pair_rank": PairRanks,
+        "z_score": ZScore,
+        "top_fraction": TopFraction,
+    },
+    fix="Set --fitness-shaping.",
+    check=subclass_of(FitnessShaping),
+)
 
 
 def make_fitness_shaping(name: str, *, ties: str = "average", fraction: float = 0.2) -> FitnessShaping:
@@ -188,9 +194,7 @@ def make_fitness_shaping(name: str, *, ties: str = "average", fraction: float = 
         UnknownNameError: `name` is not in `FITNESS_SHAPINGS`, or `ties` not in `TIES`.
         ConfigError: `fraction` is not inside (0, 1).
     """
-    if name not in FITNESS_SHAPINGS:
-        raise UnknownNameError("fitness shaping", name, FITNESS_SHAPINGS, "Set --fitness-shaping.")
-    return FITNESS_SHAPINGS[name].of(ties=ties, fraction=fraction)
+    return FITNESS_SHAPINGS.find(name).of(ties=ties, fraction=fraction)
 
 
 def _check_ties(ties: str) -> None:

@@ -1,4 +1,4 @@
-"""What the roll-out needs of an agent, whatever its levels: P lanes of R episodes, N = P * R.
+"""What the rollout needs of an agent, whatever its levels: P lanes of R episodes, N = P * R.
 
 The episodes of a lane are of one set of policies; or of several, that differ in what they take of one noise vector.
 
@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -23,7 +23,10 @@ from shes.hierarchy.moments import Moments
 from shes.policies.mlp import MLP, Layers, Rows, aligned_rows
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = ["Agent", "AgentDesign"]
+__all__ = ["AgentBatch", "AgentDesign"]
+
+
+Design = TypeVar("Design", bound="AgentDesign")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +37,8 @@ class AgentDesign(ABC):
     """Control that an output of 1 of the acting level stands for."""
     clock: Clock | None = None
     """What tells the acting level the time, if anything does."""
+    controller_interval: int = 1
+    """Control steps that a goal is held (c); 1 where there are no goals."""
 
     @property
     @abstractmethod
@@ -47,22 +52,24 @@ class AgentDesign(ABC):
 
     @property
     @abstractmethod
-    def internal_level(self) -> int | None:
+    def intrinsic_level(self) -> int | None:
         """The level that the agent itself pays, if there is one; the environment pays every other one."""
 
     @property
     def decision_size(self) -> int:
-        """Outputs of the level that decides every `decision_interval` steps; 0 where there is none."""
+        """Outputs of the level that decides every `controller_interval` steps; 0 where there is none."""
         return 0
 
     @property
-    def decision_interval(self) -> int:
-        """Steps between two decisions (c); 1 where nothing is decided."""
-        return 1
-
     @abstractmethod
-    def make(self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False) -> Agent:
-        """Return an agent of `num_lanes` lanes of `num_episodes` episodes, with arrays of `xp`; see `Agent`."""
+    def agent(self) -> type[AgentBatch[Any]]:
+        """The class of its agents."""
+
+    def make(
+        self, num_lanes: int, rows_per_lane: int, xp: ModuleType = np, *, shares_noise: bool = False
+    ) -> AgentBatch[Any]:
+        """Return agents for `num_lanes` lanes of `rows_per_lane` episodes, with arrays of `xp`; see `AgentBatch`."""
+        return self.agent(self, num_lanes, rows_per_lane, xp, shares_noise=shares_noise)
 
     @property
     def dims(self) -> tuple[int, ...]:
@@ -80,7 +87,7 @@ class AgentDesign(ABC):
         return 0 if self.clock is None else self.clock.size
 
 
-class Agent(ABC):
+class AgentBatch(ABC, Generic[Design]):
     """P lanes of R episodes each. Rows [N] are lane after lane.
 
     Arrays are those of `xp`, but for the clock, which decides what is to be done: that is NumPy's. On a device all
@@ -89,25 +96,26 @@ class Agent(ABC):
 
     def __init__(
         self,
-        design: AgentDesign,
+        design: Design,
         num_lanes: int,
-        num_episodes: int,
+        rows_per_lane: int,
         xp: ModuleType = np,
         *,
         shares_noise: bool = False,
     ) -> None:
-        """Make room for `num_lanes` lanes of `num_episodes` episodes, with arrays of `xp`.
+        """Make room for `num_lanes` lanes of `rows_per_lane` episodes, with arrays of `xp`.
 
         With `shares_noise`, the policies of a lane are those of `centre_on` plus `scale` times the lane's `theta`;
         without, `theta` is the policy of all its episodes.
         """
-        self.num_lanes, self.num_episodes, self.xp = num_lanes, num_episodes, xp
+        self.design = design
+        self.num_lanes, self.rows_per_lane, self.xp = num_lanes, rows_per_lane, xp
         self.shares_noise = shares_noise
-        rows = num_lanes * num_episodes
+        self.num_rows = rows = num_lanes * rows_per_lane
         self.theta = tuple(self._room(num_lanes, dim) for dim in design.dims)
         """Parameters, or noise, [P, D] of each level: write those of a lane before its `start`."""
         self.scale: tuple[F32Array, ...] = tuple(
-            xp.zeros((num_lanes, num_episodes, 1), np.float32) for _ in design.dims
+            xp.zeros((num_lanes, rows_per_lane, 1), np.float32) for _ in design.dims
         )
         """What the policy of each episode takes of its lane's noise [P, R, 1], at each level."""
         self._mean = tuple(self._room(1, dim) for dim in design.dims)
@@ -121,8 +129,8 @@ class Agent(ABC):
         self._rows_of_levels: tuple[Rows, ...] = tuple(
             tuple(
                 (
-                    xp.zeros((num_lanes, num_episodes, size), np.float32),
-                    xp.zeros((num_lanes, num_episodes, size), np.float32),
+                    xp.zeros((num_lanes, rows_per_lane, size), np.float32),
+                    xp.zeros((num_lanes, rows_per_lane, size), np.float32),
                 )
                 for size in policy.sizes[1:]
             )
@@ -134,6 +142,10 @@ class Agent(ABC):
         self._layers = [policy.layers(theta) for policy, theta in zip(design.policies, self.theta, strict=True)]
         self._mean_layers = [policy.layers(mean) for policy, mean in zip(design.policies, self._mean, strict=True)]
         self._normalisation: list[tuple[Any, Any]] = [(0.0, 1.0)] * len(design.dims)
+        self.allocate()
+
+    def allocate(self) -> None:
+        """Make the arrays of this kind of agent, at the end of the only constructor."""
 
     @property
     def goal(self) -> F64Array | None:
@@ -175,7 +187,7 @@ class Agent(ABC):
         Args:
             lane: Number of the lane.
             steps: A multiple of the decision interval.
-            goals: Goals to pursue one after another [K, 2], each from where the robot is when it is set, in metres;
+            goals: Goals to pursue one after another [J, 2], each from where the robot is when it is set, in metres;
                 none where the environment sets them.
         """
         del goals
@@ -212,7 +224,7 @@ class Agent(ABC):
             control_noise: Added to the controls [P, R, A].
         """
 
-    def internal_reward(self, position: F64Array) -> F64Array:
+    def intrinsic_reward(self, position: F64Array) -> F64Array:
         """Return what the agent itself pays [N] for having come to `position` [N, 2]; nothing where it does not pay."""
         return np.zeros_like(position[:, 0], dtype=np.float64)
 
@@ -232,13 +244,13 @@ class Agent(ABC):
         if isinstance(lanes, slice):
             assert lanes == slice(None)
             return lanes
-        rows = (lanes[:, None] * self.num_episodes + np.arange(self.num_episodes)).ravel()
+        rows = (lanes[:, None] * self.rows_per_lane + np.arange(self.rows_per_lane)).ravel()
         return self.xp.asarray(rows)
 
     def _write_clock(self, out: F64Array) -> None:
         """Write the clock's features, if there are any, into `out` [N, clock_size]."""
         if self._clock is not None:
-            self._clock.write(self.xp.asarray(self.clock), out.reshape(self.num_lanes, self.num_episodes, -1))
+            self._clock.write(self.xp.asarray(self.clock), out.reshape(self.num_lanes, self.rows_per_lane, -1))
 
     def _control(self, inputs: F64Array, noise: F32Array | None) -> F32Array:
         """Return the controls [N, A] of the acting level, the last one, which observes `inputs` [N, O]."""
@@ -272,4 +284,4 @@ class Agent(ABC):
 
     def _by_lane(self, rows: F32Array) -> F32Array:
         """View rows [N, O] as [P, R, O]."""
-        return rows.reshape(-1, self.num_episodes, rows.shape[1])
+        return rows.reshape(-1, self.rows_per_lane, rows.shape[1])

@@ -27,7 +27,7 @@ class Clock:
     """Simulated time of a control step, in seconds."""
 
     def write(self, steps: IntArray, out: F64Array) -> None:
-        """Write sine and cosine into `out` [P, E, 2] for policies that have made `steps` [P]."""
+        """Write sine and cosine into `out` [P, R, 2] for lanes that have made `steps` [P]."""
         phase = (2 * np.pi * self.frequency_hz * self.step_s) * steps[:, None]
         np.sin(phase, out=out[..., 0])  # broadcasts over a policy's episodes, which began together
         np.cos(phase, out=out[..., 1])

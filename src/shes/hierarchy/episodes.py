@@ -7,16 +7,69 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shes.es.level import LevelParameters, TrainState
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import F64Array, IntArray
 
-__all__ = ["PARTS", "EpisodeResults", "EpisodeTask", "Generation", "LevelMoments", "Snapshot", "spread"]
+__all__ = [
+    "PARTS",
+    "ByEpisode",
+    "EpisodeResults",
+    "EpisodeTask",
+    "Generation",
+    "LevelMoments",
+    "Outcomes",
+    "Snapshot",
+    "empty_outcomes",
+    "spread",
+]
 
 PARTS = ("physics", "policy", "task")
 """What a roll-out spends its time on: MuJoCo; the agent; the task's observations and rewards, and the rest."""
+
+
+Outcomes: TypeAlias = NDArray[np.void]
+"""A structured array: one element an episode, with the fields of `empty_outcomes`."""
+
+
+def empty_outcomes(num_levels: int, *shape: int) -> Outcomes:
+    """Return zeros for episodes of `shape`: all that is kept of an episode. `Rollout` fills in each field by its name.
+
+    A field is aligned: sums over it then round as those of an array of its own.
+    """
+    fields = [
+        ("returns", np.float64, (num_levels,)),  # summed reward of each level
+        ("environment_returns", np.float64),  # summed reward of the environment
+        ("score", np.float64),  # test score of the task
+        ("success", np.bool_),  # whether the task counts as solved
+        ("steps", np.int64),  # environment steps; 0 for an episode that was not asked for
+        ("has_terminated", np.bool_),  # whether the task's own rule ended the episode
+        ("has_fallen", np.bool_),  # whether the robot's fall ended the episode
+        ("has_diverged", np.bool_),  # whether the physics blew up
+        ("goals_reached", np.int64),  # goals that the primitive reached
+        ("final_position", np.float64, (2,)),  # where the robot was at the end, in metres
+    ]
+    return np.zeros(shape, np.dtype(fields, align=True))
+
+
+class ByEpisode:
+    """Has `outcomes`, each field of which is an attribute: `results.score` is `results.outcomes["score"]`."""
+
+    outcomes: Outcomes
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        if name.startswith("_") or name == "outcomes" or name not in (self.outcomes.dtype.names or ()):
+            raise AttributeError(f"{type(self).__name__} has no {name!r}")
+        return self.outcomes[name]
+
+    @property
+    def returns(self) -> F64Array:
+        """Summed reward of each level [L, ...]."""
+        return np.moveaxis(self.outcomes["returns"], -1, 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,7 +81,7 @@ class Snapshot:
     steps: int
     """Control steps since the reset."""
     goals: F64Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """This decision's goal and those of the next ones [K, 2]: from where the robot was when each was set, in metres.
+    """This decision's goal and those of the next ones [J, 2]: from where the robot was when each was set, in metres.
 
     Empty where the environment sets the goals.
     """
@@ -61,7 +114,7 @@ class Generation:
         return "evaluation" if self.is_evaluation else "branch" if self.branch_steps else "training"
 
     @property
-    def rows(self) -> int:
+    def rows_per_lane(self) -> int:
         """Rows of every matmul, R = M' * E: part of what decides how it rounds."""
         return self.members_per_lane * self.episodes_per_policy
 
@@ -124,29 +177,11 @@ class LevelMoments:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeResults:
+class EpisodeResults(ByEpisode):
     """What came of the K episodes of a task, in the order of its slots."""
 
-    returns: F64Array
-    """Summed reward of each level [L, K]."""
-    score: F64Array
-    """Test score of the task [K]."""
-    success: BoolArray
-    """Whether the task counts as solved [K]."""
-    steps: IntArray
-    """Environment steps [K]."""
-    has_terminated: BoolArray
-    """Whether the task's own rule ended the episode [K]."""
-    has_fallen: BoolArray
-    """Whether the robot's fall ended the episode [K]."""
-    has_diverged: BoolArray
-    """Whether the physics blew up [K]."""
-    goals_reached: IntArray
-    """Goals that the primitive reached [K]."""
-    final_position: F64Array
-    """Where the robot was at the end [K, 2], in metres."""
-    environment_returns: F64Array
-    """Summed reward of the environment [K]."""
+    outcomes: Outcomes
+    """What came of each episode [K]."""
     moments: tuple[LevelMoments, ...] | None
     """Sums of the observations of each level, if asked for."""
     snapshots: list[Snapshot | None] = field(default_factory=list)

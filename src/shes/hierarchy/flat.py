@@ -6,11 +6,8 @@ Source: Salimans et al. 2017; algorithm specification section 4, last line.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import ModuleType
 
-import numpy as np
-
-from shes.hierarchy.agent import Agent, AgentDesign
+from shes.hierarchy.agent import AgentBatch, AgentDesign
 from shes.policies.mlp import MLP
 from shes.types import F32Array, F64Array
 
@@ -34,31 +31,23 @@ class FlatDesign(AgentDesign):
         return (self.policy,)
 
     @property
-    def internal_level(self) -> None:
+    def intrinsic_level(self) -> None:
         """The environment pays."""
         return None
 
-    def make(self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False) -> FlatAgent:
-        """Return an agent of `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
-        return FlatAgent(self, num_lanes, num_episodes, xp, shares_noise=shares_noise)
+    @property
+    def agent(self) -> type[FlatAgent]:
+        """The class of its agents."""
+        return FlatAgent
 
 
-class FlatAgent(Agent):
+class FlatAgent(AgentBatch[FlatDesign]):
     """P lanes of R episodes each, of policies without goals. Rows [N] are lane after lane."""
 
-    def __init__(
-        self,
-        design: FlatDesign,
-        num_lanes: int,
-        num_episodes: int,
-        xp: ModuleType = np,
-        *,
-        shares_noise: bool = False,
-    ) -> None:
-        """Make room for `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
-        super().__init__(design, num_lanes, num_episodes, xp, shares_noise=shares_noise)
-        self._clock_size = design.clock_size
-        self._inputs: F64Array = xp.zeros((num_lanes * num_episodes, design.observation_sizes[0]))
+    def allocate(self) -> None:
+        """Make room for what the policies observe."""
+        self._clock_size = self.design.clock_size
+        self._inputs: F64Array = self.xp.zeros((self.num_rows, self.design.observation_sizes[0]))
 
     def act(
         self,
@@ -70,7 +59,7 @@ class FlatAgent(Agent):
         decision_noise: F32Array | None = None,
         control_noise: F32Array | None = None,
     ) -> F32Array:
-        """Return the controls [N, A] of one step; see `Agent.act`."""
+        """Return the controls [N, A] of one step; see `AgentBatch.act`."""
         del position, heading, goal, decision_noise
         self._write_clock(self._inputs[:, : self._clock_size])
         self._inputs[:, self._clock_size :] = observation

@@ -25,7 +25,7 @@ class Frames:
         """Begin with every robot's own frame, element 0 of `group`."""
         self._group, self._xp = group, xp
         cosine, sine, mirror = (xp.asarray(table) for table in group.direction())
-        self._direction = xp.stack([cosine, sine, mirror])  # [3, G]
+        self._direction = xp.stack([cosine, sine, mirror])  # [3, T]
         self._view_index, self._view_sign = xp.asarray(group.view_index), xp.asarray(group.view_sign)
         self._control_index = xp.asarray(group.control_index)
         self._control_sign = xp.asarray(group.control_sign.astype(np.float32))

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from types import ModuleType
+from typing import TypeVar
 
 import numpy as np
 
 from shes.envs.bodies.symmetry import SymmetryGroup
-from shes.hierarchy.agent import Agent, AgentDesign
+from shes.hierarchy.agent import AgentBatch, AgentDesign
 from shes.hierarchy.frames import Frames, turned_back
 from shes.hierarchy.goals import GoalEncoding
 from shes.hierarchy.rewards import REACHED_M, PrimitiveReward
@@ -32,34 +32,21 @@ class GoalReachingDesign(AgentDesign):
     primitive: MLP
     goal_encoding: GoalEncoding
     primitive_reward: PrimitiveReward
-    controller_interval: int
-    """Steps that a goal is held (c)."""
     primitive_view: View = field(default_factory=ColumnsView)
     """What the primitive sees of the observation."""
     symmetry: SymmetryGroup | None = None
     """The turns and mirrorings from which a frame is chosen for every goal, if any; for an egocentric view."""
 
-    @property
-    def decision_interval(self) -> int:
-        """Steps that a goal is held."""
-        return self.controller_interval
+
+ReachingDesign = TypeVar("ReachingDesign", bound=GoalReachingDesign)
 
 
-class GoalReachingAgent(Agent):
+class GoalReachingAgent(AgentBatch[ReachingDesign]):
     """P lanes of R episodes, in which primitives pursue goals. Where the goals come from, a subclass says."""
 
-    def __init__(
-        self,
-        design: GoalReachingDesign,
-        num_lanes: int,
-        num_episodes: int,
-        xp: ModuleType = np,
-        *,
-        shares_noise: bool = False,
-    ) -> None:
-        """Make room for `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
-        super().__init__(design, num_lanes, num_episodes, xp, shares_noise=shares_noise)
-        rows = num_lanes * num_episodes
+    def allocate(self) -> None:
+        """Make room for the goals and what the primitives observe."""
+        design, rows, xp = self.design, self.num_rows, self.xp
         self.goal_origin: F64Array = xp.zeros((rows, 2))
         """Where the robots stood when their goals were set [N, 2]."""
         self.goal_start_distance: F64Array = xp.ones(rows)
@@ -68,7 +55,6 @@ class GoalReachingAgent(Agent):
         self._way: F64Array = xp.zeros((rows, 2))  # from where goals were set to the goals
         self._goal: F64Array = xp.ones((rows, 2))
         self._has_reached: BoolArray = xp.zeros(rows, dtype=np.bool_)
-        self._interval = design.controller_interval
         self._encoding, self._reward = design.goal_encoding, design.primitive_reward
         self._view = design.primitive_view.on(xp)
         self._frames = None if design.symmetry is None else Frames(design.symmetry, rows, xp)
@@ -84,7 +70,7 @@ class GoalReachingAgent(Agent):
         return self._goal
 
     @abstractmethod
-    def _choose_goals(
+    def choose_goals(
         self,
         due: slice | IntArray,
         rows: slice | IntArray,
@@ -109,12 +95,12 @@ class GoalReachingAgent(Agent):
         decision_noise: F32Array | None = None,
         control_noise: F32Array | None = None,
     ) -> F32Array:
-        """Return the controls [N, A] of one step, setting new goals where they are due; see `Agent.act`."""
-        is_due, angle = self.clock % self._interval == 0, self._view.angle(observation, heading)
+        """Return the controls [N, A] of one step, setting new goals where they are due; see `AgentBatch.act`."""
+        is_due, angle = self.clock % self.design.controller_interval == 0, self._view.angle(observation, heading)
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self._rows(due)
-            goals = self._choose_goals(due, rows, observation, position, heading, goal, decision_noise)
+            goals = self.choose_goals(due, rows, observation, position, heading, goal, decision_noise)
             self._hold(rows, goals, position)
             if self._frames is not None:
                 self._frames.choose(rows, turned_back(self._way[rows], angle[rows]))
@@ -143,7 +129,7 @@ class GoalReachingAgent(Agent):
             vector = self._frames.turned(vector)
         self._encoding.encode(vector, distance, angle, out)
 
-    def internal_reward(self, position: F64Array) -> F64Array:
+    def intrinsic_reward(self, position: F64Array) -> F64Array:
         """Return the primitives' reward [N] for having come to `position` [N, 2]; goals reached are counted."""
         distance = _length(self._goal - position)
         near = distance < REACHED_M

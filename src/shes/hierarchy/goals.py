@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from shes.envs.entries import check_class, check_name_is_free
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
+from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
 __all__ = [
@@ -21,12 +21,11 @@ __all__ = [
     "MetreAngleEncoding",
     "UnitVectorEncoding",
     "VectorEncoding",
-    "check_goal_encoding",
     "make_goal_encoding",
     "register_goal_encoding",
 ]
 
-DISTANCE_SCALE = 1000.0
+DISTANCE_UNIT_M = 1000.0
 """Distances are divided by this (paper II-C)."""
 
 
@@ -56,7 +55,7 @@ class AngleEncoding(GoalEncoding):
     def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
         """Write sin, cos, distance / 1000."""
         _write_bearing(vector, heading, out)
-        np.divide(distance, DISTANCE_SCALE, out=out[:, 2])
+        np.divide(distance, DISTANCE_UNIT_M, out=out[:, 2])
 
 
 class MetreAngleEncoding(GoalEncoding):
@@ -90,7 +89,7 @@ class UnitVectorEncoding(GoalEncoding):
         del heading
         length = np.where(distance > 0, distance, 1)
         np.divide(vector, length[:, None], out=out[:, :2])
-        np.divide(distance, DISTANCE_SCALE, out=out[:, 2])
+        np.divide(distance, DISTANCE_UNIT_M, out=out[:, 2])
 
 
 class VectorEncoding(GoalEncoding):
@@ -116,12 +115,17 @@ def _write_bearing(vector: F64Array, heading: F64Array, out: F64Array) -> None:
     np.cos(angle, out=out[:, 1])
 
 
-GOAL_ENCODINGS: dict[str, type[GoalEncoding]] = {
-    "angle": AngleEncoding,
-    "unit_vector": UnitVectorEncoding,
-    "vector": VectorEncoding,
-    "angle_metres": MetreAngleEncoding,
-}
+GOAL_ENCODINGS: Registry[type[GoalEncoding]] = Registry(
+    "goal encoding",
+    {
+        "angle": AngleEncoding,
+        "unit_vector": UnitVectorEncoding,
+        "vector": VectorEncoding,
+        "angle_metres": MetreAngleEncoding,
+    },
+    fix="Set --goal-encoding. Register your own first: shes.register_goal_encoding, or --import MODULE.",
+    check=subclass_of(GoalEncoding),
+)
 
 
 def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:
@@ -134,20 +138,7 @@ def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:
     Raises:
         ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
     """
-    check_class("goal encoding", encoding, GoalEncoding)
-    check_name_is_free("goal encoding", name, encoding, GOAL_ENCODINGS)
-    GOAL_ENCODINGS[name] = encoding
-
-
-def check_goal_encoding(name: str) -> None:
-    """Refuse an unknown encoding.
-
-    Raises:
-        UnknownNameError: `name` is not in `GOAL_ENCODINGS`.
-    """
-    if name not in GOAL_ENCODINGS:
-        fix = "Set --goal-encoding. Register your own first: shes.register_goal_encoding, or --import MODULE."
-        raise UnknownNameError("goal encoding", name, GOAL_ENCODINGS, fix)
+    GOAL_ENCODINGS.register(name, encoding)
 
 
 def make_goal_encoding(name: str) -> GoalEncoding:
@@ -157,8 +148,7 @@ def make_goal_encoding(name: str) -> GoalEncoding:
         UnknownNameError: `name` is not in `GOAL_ENCODINGS`.
         ConfigError: It does not write as many features as its size says.
     """
-    check_goal_encoding(name)
-    encoding = GOAL_ENCODINGS[name]()
+    encoding = GOAL_ENCODINGS.find(name)()
     features = np.full((2, encoding.size), np.nan)
     encoding.encode(np.ones((2, 2)), np.full(2, np.sqrt(2)), np.zeros(2), features)
     if not np.isfinite(features).all():

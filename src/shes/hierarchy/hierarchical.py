@@ -6,7 +6,6 @@ Source: SHES paper II-A to II-C; algorithm specification sections 1 to 3.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from types import ModuleType
 from typing import Final
 
 import numpy as np
@@ -48,7 +47,7 @@ class HierarchicalDesign(GoalReachingDesign):
         return (self.controller, self.primitive)
 
     @property
-    def internal_level(self) -> int:
+    def intrinsic_level(self) -> int:
         """The controller pays the primitive."""
         return PRIMITIVE
 
@@ -57,32 +56,23 @@ class HierarchicalDesign(GoalReachingDesign):
         """Outputs of the controller."""
         return self.controller_output.size
 
-    def make(
-        self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False
-    ) -> HierarchicalAgent:
-        """Return an agent of `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
-        return HierarchicalAgent(self, num_lanes, num_episodes, xp, shares_noise=shares_noise)
+    @property
+    def agent(self) -> type[HierarchicalAgent]:
+        """The class of its agents."""
+        return HierarchicalAgent
 
 
-class HierarchicalAgent(GoalReachingAgent):
+class HierarchicalAgent(GoalReachingAgent[HierarchicalDesign]):
     """P lanes of R episodes each, of policy pairs. Rows [N] are lane after lane."""
 
-    def __init__(
-        self,
-        design: HierarchicalDesign,
-        num_lanes: int,
-        num_episodes: int,
-        xp: ModuleType = np,
-        *,
-        shares_noise: bool = False,
-    ) -> None:
-        """Make room for `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
-        super().__init__(design, num_lanes, num_episodes, xp, shares_noise=shares_noise)
-        self._design = design
-        self._controller_view = design.controller_view.on(xp)
-        self._controller_inputs: F64Array = xp.zeros((num_lanes * num_episodes, design.observation_sizes[CONTROLLER]))
+    def allocate(self) -> None:
+        """Make room for what the controllers observe."""
+        super().allocate()
+        self._controller_view = self.design.controller_view.on(self.xp)
+        size = self.design.observation_sizes[CONTROLLER]
+        self._controller_inputs: F64Array = self.xp.zeros((self.num_rows, size))
 
-    def _choose_goals(
+    def choose_goals(
         self,
         due: slice | IntArray,
         rows: slice | IntArray,
@@ -94,7 +84,7 @@ class HierarchicalAgent(GoalReachingAgent):
     ) -> F64Array:
         """Let the controllers of lanes `due` decide."""
         del goal
-        design, seen = self._design, self._controller_inputs[rows]
+        design, seen = self.design, self._controller_inputs[rows]
         observed = observation[rows]
         self._controller_view.write(observed, self._controller_view.angle(observed, heading[rows]), seen)
         if self.is_recording:

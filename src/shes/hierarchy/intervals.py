@@ -37,11 +37,11 @@ class IntervalEstimate:
     """Members evaluated in a generation, both of every pair (2 G)."""
     intervals: int
     """Intervals that a branch plays (K): with two, how one ends counts for the next."""
-    interval_steps: int
+    controller_interval: int
     """Control steps of an interval (c)."""
     horizon: int
     """Control steps after which an episode that runs from generation to generation begins anew."""
-    goal_range: float
+    goal_distance: float
     """Half width of the square from which goals are drawn where no episode has left any, in metres."""
     update: UpdateRule
     """How fitness becomes a step."""
@@ -53,7 +53,7 @@ class IntervalEstimate:
     @property
     def branch_steps(self) -> int:
         """Control steps of a branch."""
-        return self.intervals * self.interval_steps
+        return self.intervals * self.controller_interval
 
     @property
     def num_pairs(self) -> int:
@@ -127,17 +127,17 @@ def _drawn_starts(rng: np.random.Generator, left: Sequence[Snapshot], estimate: 
     """
     if not left:
         shape = (estimate.num_pairs, estimate.intervals, 2)
-        goals = rng.uniform(-estimate.goal_range, estimate.goal_range, shape)
+        goals = rng.uniform(-estimate.goal_distance, estimate.goal_distance, shape)
         return [Snapshot(state=None, steps=0, goals=own) for own in goals]
     order = rng.permutation(len(left))
     return [left[order[group % len(left)]] for group in range(estimate.num_pairs)]
 
 
-def noted_steps(state: TrainState, num_episodes: int, horizon: int, interval_steps: int) -> list[int]:
+def noted_steps(state: TrainState, num_episodes: int, horizon: int, controller_interval: int) -> list[int]:
     """Return for each of `num_episodes` whole episodes the steps after which it leaves a snapshot, at a decision."""
-    decisions = -(-horizon // interval_steps)
+    decisions = -(-horizon // controller_interval)
     rng = stream(state.seed, Purpose.SNAPSHOTS, state.generation)
-    return (interval_steps * rng.integers(0, decisions, num_episodes)).tolist()
+    return (controller_interval * rng.integers(0, decisions, num_episodes)).tolist()
 
 
 def next_running(results: PopulationResults, estimate: IntervalEstimate | None) -> RunningEpisodes | None:

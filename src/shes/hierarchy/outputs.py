@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from shes.envs.entries import check_class, check_name_is_free
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
+from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
 __all__ = [
@@ -20,12 +20,11 @@ __all__ = [
     "HeadingVectorOutput",
     "OneHotOutput",
     "VectorOutput",
-    "check_controller_output",
     "make_controller_output",
     "register_controller_output",
 ]
 
-NUM_BINS = 8
+NUM_DIRECTIONS = 8
 """Directions that a one-hot output can choose from."""
 MIN_DISTANCE_M = 1.0
 """A one-hot output sets no goal nearer than this."""
@@ -90,21 +89,26 @@ class OneHotOutput(ControllerOutput):
     eight outputs: no goal can lie within the 108 degrees behind to the left. Here all tasks have eight directions.
     """
 
-    size = NUM_BINS
+    size = NUM_DIRECTIONS
 
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return the vector in the direction of the largest output."""
-        angle = (output.argmax(axis=1) + 1) * (2 * np.pi / NUM_BINS) - np.pi
+        angle = (output.argmax(axis=1) + 1) * (2 * np.pi / NUM_DIRECTIONS) - np.pi
         angle += heading
         distance = np.maximum(output.max(axis=1).astype(np.float64) * goal_distance, MIN_DISTANCE_M)
         return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
 
 
-CONTROLLER_OUTPUTS: dict[str, type[ControllerOutput]] = {
-    "vector": VectorOutput,
-    "heading_vector": HeadingVectorOutput,
-    "one_hot": OneHotOutput,
-}
+CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(
+    "controller output",
+    {
+        "vector": VectorOutput,
+        "heading_vector": HeadingVectorOutput,
+        "one_hot": OneHotOutput,
+    },
+    fix="Set --controller-output. Register your own first: shes.register_controller_output, or --import MODULE.",
+    check=subclass_of(ControllerOutput),
+)
 
 
 def register_controller_output(name: str, output: type[ControllerOutput]) -> None:
@@ -117,20 +121,7 @@ def register_controller_output(name: str, output: type[ControllerOutput]) -> Non
     Raises:
         ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
     """
-    check_class("controller output", output, ControllerOutput)
-    check_name_is_free("controller output", name, output, CONTROLLER_OUTPUTS)
-    CONTROLLER_OUTPUTS[name] = output
-
-
-def check_controller_output(name: str) -> None:
-    """Refuse an unknown controller output.
-
-    Raises:
-        UnknownNameError: `name` is not in `CONTROLLER_OUTPUTS`.
-    """
-    if name not in CONTROLLER_OUTPUTS:
-        fix = "Set --controller-output. Register your own first: shes.register_controller_output, or --import MODULE."
-        raise UnknownNameError("controller output", name, CONTROLLER_OUTPUTS, fix)
+    CONTROLLER_OUTPUTS.register(name, output)
 
 
 def make_controller_output(name: str) -> ControllerOutput:
@@ -140,8 +131,7 @@ def make_controller_output(name: str) -> ControllerOutput:
         UnknownNameError: `name` is not in `CONTROLLER_OUTPUTS`.
         ConfigError: It does not return one vector for each episode.
     """
-    check_controller_output(name)
-    output = CONTROLLER_OUTPUTS[name]()
+    output = CONTROLLER_OUTPUTS.find(name)()
     # Three episodes, not two: a result that is turned on its side, [2, N], must not look right.
     shape = np.shape(output.vector(np.ones((3, output.size)), np.zeros(3), 1.0))
     if shape != (3, 2):

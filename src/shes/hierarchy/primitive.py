@@ -7,7 +7,7 @@ any task of the same robot.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -33,21 +33,20 @@ class PrimitiveDesign(GoalReachingDesign):
         return (self.primitive,)
 
     @property
-    def internal_level(self) -> int:
+    def intrinsic_level(self) -> int:
         """The primitive is paid as under a controller."""
         return 0
 
-    def make(
-        self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False
-    ) -> PrimitiveAgent:
-        """Return an agent of `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
-        return PrimitiveAgent(self, num_lanes, num_episodes, xp, shares_noise=shares_noise)
+    @property
+    def agent(self) -> type[GoalReachingAgent[Any]]:
+        """The class of its agents."""
+        return PrimitiveAgent
 
 
-class PrimitiveAgent(GoalReachingAgent):
+class PrimitiveAgent(GoalReachingAgent[PrimitiveDesign]):
     """P lanes of R episodes each, on the environment's goals."""
 
-    def _choose_goals(
+    def choose_goals(
         self,
         due: slice | IntArray,
         rows: slice | IntArray,
@@ -68,31 +67,22 @@ class BranchDesign(PrimitiveDesign):
     """What a primitive is made of that pursues goals which were written down when a controller set them."""
 
     num_goals: int
-    """Goals of a branch, K."""
+    """Goals of a branch, J."""
 
-    def make(
-        self, num_lanes: int, num_episodes: int, xp: ModuleType = np, *, shares_noise: bool = False
-    ) -> BranchAgent:
-        """Return an agent of `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
-        return BranchAgent(self, num_lanes, num_episodes, xp, shares_noise=shares_noise)
+    @property
+    def agent(self) -> type[BranchAgent]:
+        """The class of its agents."""
+        return BranchAgent
 
 
-class BranchAgent(PrimitiveAgent):
+class BranchAgent(GoalReachingAgent[BranchDesign]):
     """P lanes of R episodes each, on goals that `go_on` gives to a lane: the same for all its episodes."""
 
-    def __init__(
-        self,
-        design: BranchDesign,
-        num_lanes: int,
-        num_episodes: int,
-        xp: ModuleType = np,
-        *,
-        shares_noise: bool = False,
-    ) -> None:
-        """Make room for `num_lanes` lanes of `num_episodes` episodes; see `Agent`."""
-        super().__init__(design, num_lanes, num_episodes, xp, shares_noise=shares_noise)
-        self._planned: F64Array = np.ones((num_lanes, design.num_goals, 2))
-        self._num_used: IntArray = np.zeros(num_lanes, dtype=np.int64)
+    def allocate(self) -> None:
+        """Make room for the planned goals."""
+        super().allocate()
+        self._planned: F64Array = np.ones((self.num_lanes, self.design.num_goals, 2))
+        self._num_used: IntArray = np.zeros(self.num_lanes, dtype=np.int64)
 
     def start(self, lanes: slice | IntArray) -> None:
         """Begin new episodes in `lanes`."""
@@ -100,11 +90,11 @@ class BranchAgent(PrimitiveAgent):
         self._num_used[lanes] = 0
 
     def go_on(self, lane: int, steps: int, goals: F64Array) -> None:
-        """Let the episodes of `lane` pursue `goals` [K, 2]; see `Agent.go_on`."""
+        """Let the episodes of `lane` pursue `goals` [J, 2]; see `AgentBatch.go_on`."""
         super().go_on(lane, steps, goals)
         self._planned[lane] = goals
 
-    def _choose_goals(
+    def choose_goals(
         self,
         due: slice | IntArray,
         rows: slice | IntArray,
@@ -119,5 +109,5 @@ class BranchAgent(PrimitiveAgent):
         lanes = np.arange(self.num_lanes)[due]
         number = np.minimum(self._num_used[lanes], self._planned.shape[1] - 1)
         self._num_used[lanes] += 1
-        planned = np.repeat(self._planned[lanes, number], self.num_episodes, axis=0)
+        planned = np.repeat(self._planned[lanes, number], self.rows_per_lane, axis=0)
         return position[rows] + self.xp.asarray(planned)

@@ -8,8 +8,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shes.es.level import LevelState
-from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot
-from shes.types import BoolArray, F64Array, IntArray
+from shes.hierarchy.episodes import (
+    PARTS,
+    ByEpisode,
+    EpisodeResults,
+    EpisodeTask,
+    Generation,
+    LevelMoments,
+    Outcomes,
+    Snapshot,
+    empty_outcomes,
+)
+from shes.types import BoolArray, F64Array
 
 __all__ = ["PopulationResults", "lower_diverged"]
 
@@ -27,29 +37,11 @@ def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PopulationResults:
+class PopulationResults(ByEpisode):
     """What came of the episodes of a whole population of n members with E episodes each."""
 
-    returns: F64Array
-    """Summed reward of each level [L, n, E]."""
-    score: F64Array
-    """Test score of the task [n, E]."""
-    success: BoolArray
-    """Whether the task counts as solved [n, E]."""
-    steps: IntArray
-    """Environment steps [n, E]; 0 for an episode that was not asked for."""
-    has_terminated: BoolArray
-    """Whether the task's own rule ended the episode [n, E]."""
-    has_fallen: BoolArray
-    """Whether the robot's fall ended the episode [n, E]."""
-    has_diverged: BoolArray
-    """Whether the physics blew up [n, E]."""
-    goals_reached: IntArray
-    """Goals that the primitive reached [n, E]."""
-    final_position: F64Array
-    """Where the robot was at the end [n, E, 2], in metres."""
-    environment_returns: F64Array
-    """Summed reward of the environment [n, E]."""
+    outcomes: Outcomes
+    """What came of each episode [n, E]; `returns` are [L, n, E], final positions [n, E, 2]."""
     moments: list[LevelMoments] = field(default_factory=list)
     """Sums of the observations of each level so far, over episodes (K = 1); empty before the first."""
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
@@ -62,19 +54,7 @@ class PopulationResults:
     @classmethod
     def empty(cls, num_levels: int, members: int, episodes: int) -> PopulationResults:
         """Return results to be filled by `add`."""
-        shape = (members, episodes)
-        return cls(
-            returns=np.zeros((num_levels, *shape)),
-            score=np.zeros(shape),
-            success=np.zeros(shape, np.bool_),
-            steps=np.zeros(shape, np.int64),
-            has_terminated=np.zeros(shape, np.bool_),
-            has_fallen=np.zeros(shape, np.bool_),
-            has_diverged=np.zeros(shape, np.bool_),
-            goals_reached=np.zeros(shape, np.int64),
-            final_position=np.zeros((*shape, 2)),
-            environment_returns=np.zeros(shape),
-        )
+        return cls(outcomes=empty_outcomes(num_levels, members, episodes))
 
     @classmethod
     def of_tasks(cls, tasks: Sequence[EpisodeTask], generation: Generation) -> PopulationResults:
@@ -84,19 +64,7 @@ class PopulationResults:
 
     def members(self, which: slice) -> PopulationResults:
         """Return what came of some of the members; sums over all of them stay as they are."""
-        return replace(
-            self,
-            returns=self.returns[:, which],
-            score=self.score[which],
-            success=self.success[which],
-            steps=self.steps[which],
-            has_terminated=self.has_terminated[which],
-            has_fallen=self.has_fallen[which],
-            has_diverged=self.has_diverged[which],
-            goals_reached=self.goals_reached[which],
-            final_position=self.final_position[which],
-            environment_returns=self.environment_returns[which],
-        )
+        return replace(self, outcomes=self.outcomes[which])
 
     @property
     def fitness(self) -> F64Array:
@@ -105,19 +73,15 @@ class PopulationResults:
         An episode that diverged counts as the worst of all that did not: where rewards are negative, to end early by
         breaking the physics must not pay.
         """
-        return np.stack([lower_diverged(row, self.has_diverged) for row in self.returns]).mean(axis=2)
+        return np.stack([lower_diverged(row, self.has_diverged) for row in np.ascontiguousarray(self.returns)]).mean(
+            axis=2
+        )
 
     def add(self, task: EpisodeTask, result: EpisodeResults) -> None:
         """Enter the result of `task`. The order of these calls is that in which sums of observations are rounded."""
-        episodes = self.score.shape[1]
+        episodes = self.outcomes.shape[1]
         place = np.divmod(task.member * episodes + np.array(task.slots), episodes)
-        self.returns[:, place[0], place[1]] = result.returns
-        self.score[place], self.success[place] = result.score, result.success
-        self.steps[place] = result.steps
-        self.has_terminated[place], self.has_diverged[place] = result.has_terminated, result.has_diverged
-        self.has_fallen[place] = result.has_fallen
-        self.goals_reached[place], self.final_position[place] = result.goals_reached, result.final_position
-        self.environment_returns[place] = result.environment_returns
+        self.outcomes[place] = result.outcomes
         self.seconds[:] += result.seconds
         self.log.extend(result.log)
         for member, episode, left in zip(*place, result.snapshots, strict=False):

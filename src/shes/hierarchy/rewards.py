@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from shes.envs.entries import check_class, check_name_is_free
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
+from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
 __all__ = [
@@ -17,7 +17,6 @@ __all__ = [
     "NegativeDistanceReward",
     "PrimitiveReward",
     "ProgressReward",
-    "check_primitive_reward",
     "make_primitive_reward",
     "register_primitive_reward",
 ]
@@ -130,12 +129,17 @@ def _direction(vector: F64Array) -> F64Array:
     return vector / np.where(length > 0, length, 1)[:, None]
 
 
-PRIMITIVE_REWARDS: dict[str, type[PrimitiveReward]] = {
-    "progress": ProgressReward,
-    "metres": MetresReward,
-    "negative_distance": NegativeDistanceReward,
-    "cosine": CosineReward,
-}
+PRIMITIVE_REWARDS: Registry[type[PrimitiveReward]] = Registry(
+    "primitive reward",
+    {
+        "progress": ProgressReward,
+        "metres": MetresReward,
+        "negative_distance": NegativeDistanceReward,
+        "cosine": CosineReward,
+    },
+    fix="Set --primitive-reward. Register your own first: shes.register_primitive_reward, or --import MODULE.",
+    check=subclass_of(PrimitiveReward),
+)
 
 
 def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:
@@ -148,20 +152,7 @@ def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:
     Raises:
         ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
     """
-    check_class("primitive reward", reward, PrimitiveReward)
-    check_name_is_free("primitive reward", name, reward, PRIMITIVE_REWARDS)
-    PRIMITIVE_REWARDS[name] = reward
-
-
-def check_primitive_reward(name: str) -> None:
-    """Refuse an unknown primitive reward.
-
-    Raises:
-        UnknownNameError: `name` is not in `PRIMITIVE_REWARDS`.
-    """
-    if name not in PRIMITIVE_REWARDS:
-        fix = "Set --primitive-reward. Register your own first: shes.register_primitive_reward, or --import MODULE."
-        raise UnknownNameError("primitive reward", name, PRIMITIVE_REWARDS, fix)
+    PRIMITIVE_REWARDS.register(name, reward)
 
 
 def make_primitive_reward(name: str) -> PrimitiveReward:
@@ -171,8 +162,7 @@ def make_primitive_reward(name: str) -> PrimitiveReward:
         UnknownNameError: `name` is not in `PRIMITIVE_REWARDS`.
         ConfigError: It does not return one number for each episode.
     """
-    check_primitive_reward(name)
-    reward = PRIMITIVE_REWARDS[name]()
+    reward = PRIMITIVE_REWARDS.find(name)()
     shape = np.shape(reward(np.ones(2), np.ones(2), np.ones((2, 2)), np.ones((2, 2))))
     if shape != (2,):
         raise ConfigError(

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,16 @@ from shes.errors import PolicyError
 from shes.es.level import perturb
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot
+from shes.hierarchy.episodes import (
+    PARTS,
+    EpisodeResults,
+    EpisodeTask,
+    Generation,
+    LevelMoments,
+    Outcomes,
+    Snapshot,
+    empty_outcomes,
+)
 from shes.hierarchy.snapshots import Notes
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
@@ -33,7 +43,7 @@ __all__ = ["EXPLORATION_STD", "Rollout"]
 EXPLORATION_STD = 0.01
 """Standard deviation of the exploration noise on the controller's output and on the control (authors' code)."""
 
-Work = tuple[int, EpisodeTask]
+NumberedTask = tuple[int, EpisodeTask]
 """A task with its number in the order of results."""
 
 
@@ -56,32 +66,32 @@ class Rollout:
         design: AgentDesign,
         make_task: Callable[[int], EpisodeBatch],
         num_lanes: int,
-        num_episodes: int,
+        rows_per_lane: int,
         horizon: int,
         members_per_lane: int = 1,
     ) -> None:
-        """Make room for `num_lanes` tasks of `num_episodes` episodes of at most `horizon` steps.
+        """Make room for `num_lanes` tasks of `rows_per_lane` episodes of at most `horizon` steps.
 
         `make_task` returns the environment for a number of episodes N = P * R; the R episodes of a lane are those of
         `members_per_lane` members, which share their noise.
         """
-        self.num_episodes, self.horizon, self.members_per_lane = num_episodes, horizon, members_per_lane
+        self.rows_per_lane, self.horizon, self.members_per_lane = rows_per_lane, horizon, members_per_lane
         self.design = design
-        self.task = make_task(num_lanes * num_episodes)
+        self.task = make_task(num_lanes * rows_per_lane)
         self.xp = self.task.xp
-        self.agent = design.make(num_lanes, num_episodes, self.xp, shares_noise=members_per_lane > 1)
+        self.agent = design.make(num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
         self._lanes: list[_Lane | None] = [None] * num_lanes
-        rows = num_lanes * num_episodes
-        decisions = -(-horizon // design.decision_interval)
+        rows = num_lanes * rows_per_lane
+        decisions = -(-horizon // design.controller_interval)
         shapes = ((decisions, design.decision_size), (horizon, self.task.action_size))
         self._drawn: list[F32Array] = [
-            np.zeros((steps, num_lanes, num_episodes, size), np.float32) for steps, size in shapes
+            np.zeros((steps, num_lanes, rows_per_lane, size), np.float32) for steps, size in shapes
         ]
         self._decision_noise, self._control_noise = self._drawn  # on a device, copies
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
         self._running: IntArray = np.zeros(0, dtype=np.int64)
         self._steps: IntArray = np.zeros(rows, dtype=np.int64)
-        self._internal_return: F64Array = self.xp.zeros(rows)
+        self._intrinsic_return: F64Array = self.xp.zeros(rows)
         self._explores = self._has_frozen_control = False
         self._seconds: F64Array = np.zeros(len(PARTS))
         self._notes: Notes | None = None
@@ -92,7 +102,7 @@ class Rollout:
         return len(self._lanes)
 
     def run(
-        self, work: Iterator[Work], generation: Generation, table: NoiseTable
+        self, work: Iterator[NumberedTask], generation: Generation, table: NoiseTable
     ) -> Iterator[tuple[int, EpisodeResults]]:
         """Run `work` to its end, a task per lane at a time; yield numbered results as they come.
 
@@ -123,17 +133,17 @@ class Rollout:
 
     def _make_notes(self, num_goals: int) -> Notes | None:
         """Return what notes snapshots with `num_goals` goals, if any are wanted."""
-        return Notes(self.task, self.agent, self.design.decision_interval, num_goals) if num_goals else None
+        return Notes(self.task, self.agent, num_goals) if num_goals else None
 
     def _start(
-        self, started: dict[int, Work], means: list[F32Array], generation: Generation, table: NoiseTable
+        self, started: dict[int, NumberedTask], means: list[F32Array], generation: Generation, table: NoiseTable
     ) -> None:
         """Put tasks into free lanes: perturb the policies, reset the episodes, draw their exploration noise."""
         slots: list[int] = []
         seeds: list[int] = []
         for place, (number, task) in started.items():
             self._perturb(place, task, means, generation.sigma, table)
-            slots += [place * self.num_episodes + slot for slot in task.slots]
+            slots += [place * self.rows_per_lane + slot for slot in task.slots]
             seeds += task.seeds
             if self._explores:
                 self._draw_exploration(place, task)
@@ -150,7 +160,7 @@ class Rollout:
             self._notes.begin(started)
         if self._explores:
             self._decision_noise, self._control_noise = (self.xp.asarray(noise) for noise in self._drawn)
-        self._internal_return[self.xp.asarray(rows)] = 0
+        self._intrinsic_return[self.xp.asarray(rows)] = 0
         self._steps[rows] = 0
         self._is_running[rows] = True
         self._running = np.flatnonzero(self._is_running)
@@ -164,7 +174,7 @@ class Rollout:
             scales = [sigma * signs[level] for signs in task.signs]
             if agent.shares_noise:
                 agent.theta[level][place] = noise
-                each = np.repeat(np.array(scales, np.float32), self.num_episodes // self.members_per_lane)
+                each = np.repeat(np.array(scales, np.float32), self.rows_per_lane // self.members_per_lane)
                 agent.scale[level][place, :, 0] = self.xp.asarray(each)
             else:
                 perturb(mean, noise, scales[0], agent.theta[level][place])
@@ -199,9 +209,9 @@ class Rollout:
         task.step(self._running, action)
         self._steps += 1  # of those that do not run it is not asked
         stepped = perf_counter()
-        if self.design.internal_level is not None:
+        if self.design.intrinsic_level is not None:
             # What a diverged simulation is worth is not known: its last step pays nothing.
-            self._internal_return += agent.internal_reward(task.position) * ~task.diverged
+            self._intrinsic_return += agent.intrinsic_reward(task.position) * ~task.diverged
         paid = perf_counter()
         ended = self._is_running & (to_host(task.terminated | task.diverged) | (self._steps >= self.horizon))
         physics_s, policy_s = task.physics_s - physics_s, acted - observed + paid - stepped
@@ -210,7 +220,7 @@ class Rollout:
         return np.flatnonzero(ended)
 
     def _exploration(self) -> dict[str, F32Array]:
-        """Return this step's noise [P, E, decision_size] and [P, E, A], or none in evaluation."""
+        """Return this step's noise [P, R, decision_size] and [P, R, A], or none in evaluation."""
         if not self._explores:
             return {}
         clock, last = self.agent.clock, self.horizon - 1
@@ -219,7 +229,7 @@ class Rollout:
         step = min(first, last) if (clock == first).all() else np.minimum(clock, last)
         noise: dict[str, F32Array] = {}
         if self.design.decision_size:
-            noise["decision_noise"] = _at(self._decision_noise, step // self.design.decision_interval)
+            noise["decision_noise"] = _at(self._decision_noise, step // self.design.controller_interval)
         if not self._has_frozen_control:
             noise["control_noise"] = _at(self._control_noise, step)
         return noise
@@ -228,27 +238,19 @@ class Rollout:
         """Take the results of the episodes in `rows`; yield the lanes in which none is left."""
         self._is_running[rows] = False
         self._running = np.flatnonzero(self._is_running)
-        found, moments = self._outcomes(rows)
+        outcomes, moments = self._outcomes(rows)
         for i, row in enumerate(rows.tolist()):
-            place, slot = divmod(row, self.num_episodes)
+            place, slot = divmod(row, self.rows_per_lane)
             lane = self._lanes[place]
             assert lane is not None
             k = lane.task.slots.index(slot)
-            results, outcome = lane.results, found[i]
-            results.environment_returns[k] = results.returns[:, k] = outcome[0]
-            if self.design.internal_level is not None:
-                results.returns[self.design.internal_level, k] = outcome[1]
-            results.score[k], results.success[k] = outcome[2], outcome[3]
-            results.steps[k] = self._steps[row]
-            results.goals_reached[k], results.has_diverged[k] = outcome[4], outcome[5]
-            results.has_terminated[k] = outcome[6] and not outcome[5]
-            results.has_fallen[k] = outcome[7] and not outcome[5]
-            results.final_position[k] = outcome[8:]
+            results = lane.results
+            results.outcomes[k] = outcomes[i]
             for mine, summed in zip(results.moments or (), moments, strict=False):
                 for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
                     taken[k] = of_all[i]
             if lane.task.kept_slot == slot:
-                has_ended_early = outcome[5] or outcome[6]
+                has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
                 results.snapshots[k] = None if has_ended_early else self._snapshot(row, lane.task)
             if self._notes is not None:
                 results.snapshots[k] = self._notes.of(row)
@@ -265,35 +267,49 @@ class Rollout:
         state = self.task.states(np.array([row]))[0]
         return Snapshot(state=state, steps=before + int(self._steps[row]))
 
-    def _outcomes(self, rows: IntArray) -> tuple[list[list[float]], list[tuple[F64Array, ...]]]:
-        """Return what came of the episodes in `rows`, and what each level has observed in them, in one transfer each.
-
-        An outcome is the environment's return, the internal return, score, success, goals reached, whether it diverged,
-        whether it ended by itself, whether by a fall, and the place of the robot, x and y.
-        """
+    def _outcomes(self, rows: IntArray) -> tuple[Outcomes, list[tuple[F64Array, ...]]]:
+        """Return the outcomes of the episodes in `rows` and the moments of each level, in one transfer each."""
         task, agent, ids = self.task, self.agent, self.xp.asarray(rows)
-        values = (task.running_return, self._internal_return, task.score, task.success, agent.goals_reached)
-        ended = (task.diverged, task.terminated, task.fallen, *task.position.T)
+        quantities: dict[str, Any] = {
+            "environment_returns": task.running_return,
+            "score": task.score,
+            "success": task.success,
+            "goals_reached": agent.goals_reached,
+            "has_diverged": task.diverged,
+            "has_terminated": task.terminated & ~task.diverged,
+            "has_fallen": task.fallen & ~task.diverged,
+            "final_position": task.position,
+        }
         # float64 holds every count that there is exactly.
-        found = np.stack([value[ids].astype(np.float64) for value in (*values, *ended)], axis=1)
+        parts = [part[ids].reshape(len(rows), -1) for part in (self._intrinsic_return, *quantities.values())]
+        found = to_host(np.concatenate([part.astype(np.float64) for part in parts], axis=1))
+        ends = np.cumsum([part.shape[1] for part in parts])
+        intrinsic_return, *columns = np.split(found, ends[:-1], axis=1)
+        outcomes = empty_outcomes(len(self.design.dims), len(rows))
+        for name, column in zip(quantities, columns, strict=True):
+            outcomes[name] = column.reshape(outcomes[name].shape)
+        outcomes["steps"] = self._steps[rows]
+        outcomes["returns"] = outcomes["environment_returns"][:, None]
+        if self.design.intrinsic_level is not None:
+            outcomes["returns"][:, self.design.intrinsic_level] = intrinsic_return[:, 0]
         moments = [
             tuple(to_host(sums[ids]) for sums in (each.count, each.total, each.total_squares))
             for each in (agent.moments if agent.is_recording else ())
         ]
-        return to_host(found).tolist(), moments
+        return outcomes, moments
 
     def _refuse(self, action: F32Array) -> None:
         """Say whose policy returned what is not finite; one without work cannot be the reason."""
         rows = np.flatnonzero(~np.isfinite(to_host(action)).all(axis=1))
         for row in sorted(rows.tolist(), key=lambda row: not self._is_running[row]):  # idle rows of a lane come last
-            lane = self._lanes[row // self.num_episodes]
+            lane = self._lanes[row // self.rows_per_lane]
             if lane is None:
                 continue
-            place, slot = divmod(row, self.num_episodes)
+            place, slot = divmod(row, self.rows_per_lane)
             seed = lane.task.seeds[lane.task.slots.index(slot)] if slot in lane.task.slots else lane.task.seeds[0]
             bad = [not bool(np.isfinite(theta).all()) for theta in self.agent.parameters(place)]
             which = " and ".join(name for name, is_bad in zip(self.design.level_names, bad, strict=True) if is_bad)
-            member = lane.task.member + slot // (self.num_episodes // self.members_per_lane)
+            member = lane.task.member + slot // (self.rows_per_lane // self.members_per_lane)
             raise PolicyError(
                 f"the policy of member {member} returned NaN or infinity at step {int(self._steps[row])}"
                 f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
@@ -323,16 +339,7 @@ def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
         for size in sizes
     )
     return EpisodeResults(
-        returns=np.zeros((len(sizes), k)),
-        score=np.zeros(k),
-        success=np.zeros(k, np.bool_),
-        steps=np.zeros(k, np.int64),
-        has_terminated=np.zeros(k, np.bool_),
-        has_fallen=np.zeros(k, np.bool_),
-        has_diverged=np.zeros(k, np.bool_),
-        goals_reached=np.zeros(k, np.int64),
-        final_position=np.zeros((k, 2)),
-        environment_returns=np.zeros(k),
+        outcomes=empty_outcomes(len(sizes), k),
         moments=moments if task.records_statistics else None,
         snapshots=[None] * k,
     )

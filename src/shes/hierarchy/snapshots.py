@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from shes.arrays import to_host
 from shes.envs.episode_batch import EpisodeBatch
-from shes.hierarchy.agent import Agent
+from shes.hierarchy.agent import AgentBatch
 from shes.hierarchy.episodes import EpisodeTask, Snapshot
 from shes.types import BoolArray, F64Array, IntArray
 
@@ -18,12 +19,10 @@ __all__ = ["Notes"]
 class Notes:
     """What a rollout writes down of its episodes while they run, for their snapshots."""
 
-    def __init__(self, batch: EpisodeBatch, agent: Agent, interval: int, num_goals: int) -> None:
-        """Note the states of `batch` and `num_goals` goals of `agent`: of a decision and of those after it.
-
-        `interval` is the number of control steps between two decisions.
-        """
-        self._batch, self._agent, self._interval, self._num_goals = batch, agent, interval, num_goals
+    def __init__(self, batch: EpisodeBatch, agent: AgentBatch[Any], num_goals: int) -> None:
+        """Note the states of `batch` and `num_goals` goals of `agent`: of a decision and of those after it."""
+        self._batch, self._agent, self._num_goals = batch, agent, num_goals
+        self._interval = agent.design.controller_interval
         rows = batch.num_episodes
         self._wanted: IntArray = np.full(rows, -1)  # steps after which each row's snapshot is wanted; -1 for none
         self._noted: IntArray = np.zeros(rows, dtype=np.int64)  # goals noted so far
@@ -35,7 +34,7 @@ class Notes:
         for lane, (_, task) in started.items():
             wanted = task.noted_steps or (-1,) * len(task.slots)
             for slot, steps in zip(task.slots, wanted, strict=True):
-                row = lane * self._agent.num_episodes + slot
+                row = lane * self._agent.rows_per_lane + slot
                 self._wanted[row], self._noted[row] = steps, 0
 
     def take(self, is_running: BoolArray, steps: IntArray) -> None:

@@ -92,7 +92,7 @@ class MLP:
         return tuple(found)
 
     def act(self, theta: F32Array, observation: F32Array) -> F32Array:
-        """Return the outputs [P, E, A] in [-1, 1] of policies `theta` [P, D] on normalised `observation` [P, E, O]."""
+        """Return the outputs [P, R, A] in [-1, 1] of policies `theta` [P, D] on normalised `observation` [P, R, O]."""
         return self.forward(self.layers(theta), observation)
 
     @staticmethod

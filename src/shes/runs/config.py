@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from shes.algorithms.registry import find_algorithm
+from shes.cores import num_cores
 from shes.envs.external.description import ExternalDescription
 from shes.envs.registry import check_external_name, find_description, find_environment
 from shes.errors import ConfigError
@@ -391,9 +391,7 @@ class TrainConfig:
     @property
     def workers(self) -> int:
         """Worker processes asked for: `num_workers`, or one for every core that this process may use."""
-        if self.num_workers:
-            return self.num_workers
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return self.num_workers or num_cores()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON holds them."""

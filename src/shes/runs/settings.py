@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from shes.algorithms.evolution.settings import SCHEDULED
-from shes.algorithms.registry import ALGORITHMS, check_algorithm
+from shes.algorithms.registry import ALGORITHMS
 from shes.envs.bodies.symmetry import SYMMETRIES
 from shes.envs.tasks.options import SPECS, TARGET_SAMPLINGS
 from shes.envs.worlds import INTEGRATORS
@@ -20,11 +20,12 @@ from shes.es.perturbation import PERTURBATIONS
 from shes.es.ranking import TIES
 from shes.es.schedules import SCHEDULES
 from shes.es.shaping import FITNESS_SHAPINGS
-from shes.hierarchy.goals import GOAL_ENCODINGS, check_goal_encoding
-from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, check_controller_output
+from shes.hierarchy.goals import GOAL_ENCODINGS
+from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
 from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
-from shes.hierarchy.rewards import PRIMITIVE_REWARDS, check_primitive_reward
+from shes.hierarchy.rewards import PRIMITIVE_REWARDS
 from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
+from shes.registry import Registry
 from shes.sim.warp_device import DEVICES
 
 __all__ = [
@@ -74,19 +75,13 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "target_sampling": TARGET_SAMPLINGS,
     "weight_decay_form": WEIGHT_DECAY_FORMS,
 }
-_REGISTERED: dict[str, Callable[[str], None]] = {
-    "algorithm": check_algorithm,
-    "controller_output": check_controller_output,
-    "goal_encoding": check_goal_encoding,
-    "primitive_reward": check_primitive_reward,
-}
-"""Names that users may add to, and what refuses an unknown one."""
-_REGISTRIES: dict[str, Mapping[str, Any]] = {
+_REGISTRIES: dict[str, Registry[Any]] = {
     "algorithm": ALGORITHMS,
     "controller_output": CONTROLLER_OUTPUTS,
     "goal_encoding": GOAL_ENCODINGS,
     "primitive_reward": PRIMITIVE_REWARDS,
 }
+"""Names that users may add to."""
 _AT_LEAST: dict[str, int] = {
     "chunk_size": 0,
     "controller_interval": 1,
@@ -153,7 +148,7 @@ _OPTIONAL = (
     *(end for _, end in SCHEDULED.values()),
 )
 
-NAMES = (*_REGISTERED, "preset", "controller_checkpoint", "primitive_checkpoint", *_CHOICES)
+NAMES = (*_REGISTRIES, "preset", "controller_checkpoint", "primitive_checkpoint", *_CHOICES)
 """Settings that are names."""
 
 
@@ -176,8 +171,8 @@ def check_value(name: str, value: Any) -> None:
     """
     if value is None and name in _OPTIONAL:
         return
-    if name in _REGISTERED:
-        _REGISTERED[name](str(value))
+    if name in _REGISTRIES:
+        _REGISTRIES[name].find(str(value))
     if name in _CHOICES and value not in _CHOICES[name]:
         raise UnknownNameError(name.replace("_", " "), str(value), _CHOICES[name], f"Set {flag(name)}.")
     if name in _HIDDEN:

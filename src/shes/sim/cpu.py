@@ -88,7 +88,7 @@ class CpuSimulator(Simulator):
             part[ids] = states[:, start : start + part.shape[1]]
             start += part.shape[1]
 
-    def _advance(self, ids: IntArray, nstep: int) -> None:
+    def advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""
         everybody = len(ids) == self.num_sims  # named none, MuJoCo need not check them
         self._batch.step(None if everybody else ids, nstep=nstep)

@@ -80,11 +80,11 @@ class Simulator(ABC):
     def step(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps; the others do not move."""
         start = perf_counter()
-        self._advance(ids, nstep)
+        self.advance(ids, nstep)
         self._physics_s += perf_counter() - start
 
     @abstractmethod
-    def _advance(self, ids: IntArray, nstep: int) -> None:
+    def advance(self, ids: IntArray, nstep: int) -> None:
         """Do what `step` says."""
 
     def check_buffers(self) -> None:  # noqa: B027 - only a device has fixed buffers

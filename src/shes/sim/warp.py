@@ -126,7 +126,7 @@ class WarpSimulator(Simulator):
         self.qpos[rows], self.qvel[rows] = values[:, :nq], values[:, nq : nq + nv]
         self._warmstart[rows], self._time[rows] = values[:, nq + nv : -1], values[:, -1]
 
-    def _advance(self, ids: IntArray, nstep: int) -> None:
+    def advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps.
 
         All go through the physics; those that are not in `ids` are put aside before and back after.

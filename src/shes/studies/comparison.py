@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from itertools import combinations
 
 import numpy as np
 
 from shes.runs.tables import Row
 from shes.studies.design import StudyDesign
+from shes.studies.significance import holm, permutation_test
 from shes.studies.study import Study
 from shes.studies.tables import Summary
 from shes.types import F64Array
-from shes.viewing.plot import interval
+from shes.viewing.curves import interval
 
-__all__ = ["Comparison", "compare", "holm", "permutation_test"]
+__all__ = ["Comparison", "compare"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,32 +93,3 @@ def _compare_group(
             )
         )
     return found
-
-
-def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_000, seed: int = 0) -> float:
-    """Return the two-sided p of the difference of means between `first` [N] and `second` [M].
-
-    It is the share of divisions of all values into N and M whose difference is at least as large: of all of them, if
-    there are no more than `permutations`, else of so many random ones, with the division at hand as one more, so that
-    p is never 0 (Phipson and Smyth 2010).
-    """
-    pooled, count = np.concatenate([first, second]), len(first)
-    tolerance = 1e-12 * max(1.0, float(np.abs(pooled).max()))  # equal sums in another order
-    least = abs(first.mean() - second.mean()) - tolerance
-    if math.comb(len(pooled), count) <= permutations:
-        chosen = np.array(list(combinations(range(len(pooled)), count)))
-        sums = pooled[chosen].sum(axis=1)
-        differences = np.abs(sums / count - (pooled.sum() - sums) / (len(pooled) - count))
-        return float(np.mean(differences >= least))
-    shuffled = np.random.default_rng(seed).permuted(np.tile(pooled, (permutations, 1)), axis=1)
-    differences = np.abs(shuffled[:, :count].mean(axis=1) - shuffled[:, count:].mean(axis=1))
-    return float((1 + np.count_nonzero(differences >= least)) / (1 + permutations))
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return `p_values` corrected for their number by Holm's step-down method (1979)."""
-    order = np.argsort(p_values, kind="stable")
-    corrected = np.empty(len(order))
-    steps = np.asarray(p_values, dtype=np.float64)[order] * np.arange(len(order), 0, -1)
-    corrected[order] = np.minimum(1.0, np.maximum.accumulate(steps))
-    return corrected.tolist()

@@ -18,7 +18,7 @@ from shes.studies.design import Curves, Forest, Sweep, sweep_name
 from shes.studies.study import Study
 from shes.studies.tables import Cell, Summary
 from shes.types import F64Array
-from shes.viewing.plot import interval
+from shes.viewing.curves import interpolate, interval
 
 __all__ = ["draw_figures"]
 
@@ -227,10 +227,7 @@ def _draw_curve(axis: Axes, runs: Sequence[Summary], column: str, name: str, col
     """Draw the mean of the seeds and its interval, where all of them reach."""
     steps = [np.array([row["env_steps"] for row in run.curve], dtype=np.float64) for run in runs]
     scores = [np.array([row[column] for row in run.curve], dtype=np.float64) for run in runs]
-    start, end = max(x[0] for x in steps), min(x[-1] for x in steps)
-    places = np.concatenate(steps)
-    grid = np.unique(places[(places >= start) & (places <= end)])
-    values = np.stack([np.interp(grid, x, y) for x, y in zip(steps, scores, strict=True)])
+    grid, values = interpolate(steps, scores)
     low, high = interval(values)
     words = f"{name} ({len(runs)} seed{'s' * (len(runs) != 1)})"
     axis.plot(grid / 1000, values.mean(axis=0), color=color, label=words)

@@ -24,6 +24,7 @@ from shes.runs.folder import RunFolder
 from shes.runs.tables import Row, read_csv
 from shes.storage import storage_errors, write_atomically
 from shes.studies.design import StudyDesign
+from shes.studies.significance import check_scipy
 from shes.studies.tables import Cell, Summary, read_tables
 from shes.training.evaluate import evaluate
 from shes.training.presets import make_config
@@ -322,7 +323,9 @@ def check_study(study: Study, out: Path) -> None:
     Raises:
         RunFolderError: A folder holds a run of other settings, or `out` is a run folder itself, or a file.
         ConfigError: The settings of a cell are not allowed.
+        MissingExtraError: SciPy, which compares the runs in the end, is not installed.
     """
+    check_scipy()
     if out.exists() and not out.is_dir():
         raise RunFolderError(f"{out} is a file, not a folder. Choose another path with --out.")
     if RunFolder(out).config.exists():

@@ -176,18 +176,18 @@ def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionS
     Raises:
         ConfigError: It does.
     """
-    layout, advice = {
+    spec, advice = {
         "primitive": (
-            _primitive_layout,
+            _primitive_spec,
             (
                 "Name a primitive of the same robot, trained with the same --spec by shes train ant-flagrun or "
                 "point-flagrun, or by a run of two levels with --primitive-view proprioception (for the point of Fall, "
                 "which has a height)."
             ),
         ),
-        "controller": (_controller_layout, "Name a controller of the same task, trained with the same --spec."),
+        "controller": (_controller_spec, "Name a controller of the same task, trained with the same --spec."),
     }[level]
-    theirs, ours = layout(source), layout(own)
+    theirs, ours = spec(source), spec(own)
     if theirs != ours:
         raise ConfigError(
             f"the {level} of {path} does not fit {own.problem.name}.\n"
@@ -197,7 +197,7 @@ def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionS
         )
 
 
-def _primitive_layout(algorithm: EvolutionStrategy) -> str:
+def _primitive_spec(algorithm: EvolutionStrategy) -> str:
     """Return what the primitive observes and controls, in words."""
     inputs, task, settings = algorithm.inputs("primitive"), algorithm.problem.sample(), algorithm.problem.settings
     symmetry = "" if settings.symmetry == "none" else f" ({settings.symmetry} symmetry)"
@@ -207,7 +207,7 @@ def _primitive_layout(algorithm: EvolutionStrategy) -> str:
     )
 
 
-def _controller_layout(algorithm: EvolutionStrategy) -> str:
+def _controller_spec(algorithm: EvolutionStrategy) -> str:
     """Return what the controller observes and puts out, in words."""
     inputs, settings = algorithm.inputs("controller"), algorithm.problem.settings
     names = ", ".join(inputs)

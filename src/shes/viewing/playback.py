@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from shes.drawing.drawer import Drawer, Window
-from shes.drawing.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
+from shes.drawing.rendering import make_drawer, open_window
 from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.errors import ConfigError
 from shes.training.build import open_run
 from shes.training.evaluate import fresh_seeds
@@ -80,7 +81,7 @@ class Playback:
         Raises:
             ConfigError: There are no pictures of this environment, or not of this size.
         """
-        return self._task.make_drawer(width, height)
+        return make_drawer(self._task, width, height)
 
     def open_window(self) -> Window:
         """Return a window that shows the moments; ask before `play`.
@@ -88,7 +89,7 @@ class Playback:
         Raises:
             ConfigError: There is no screen, or no window of this environment.
         """
-        return self._task.open_window()
+        return open_window(self._task)
 
     def close(self) -> None:
         """Give back what the environment holds."""

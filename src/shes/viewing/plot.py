@@ -17,16 +17,15 @@ from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.storage import write_atomically
 from shes.types import F64Array
+from shes.viewing.curves import interpolate, interval
 
-__all__ = ["X_AXES", "interval", "plot"]
+__all__ = ["X_AXES", "plot"]
 
 X_AXES = {"generation": "generation", "env_steps": "environment steps", "wall_time_s": "minutes"}
 """What a curve can be drawn over: column of the tables -> label."""
 
 Panel = tuple[str, str, str]
 """Table, column, title."""
-_CONFIDENCE = 0.95
-_RESAMPLES = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +123,7 @@ def _draw_group(axis: Axes, group: _Group, table: str, column: str, x: str) -> N
         axis.plot(curves[0].x, curves[0].y, label=group.label, color=group.color)
         _draw_spread(axis, group, curves[0], table, column)
         return
-    grid, values = _on_one_grid(curves)
+    grid, values = interpolate([curve.x for curve in curves], [curve.y for curve in curves])
     low, high = interval(values)
     axis.plot(grid, values.mean(axis=0), label=group.label, color=group.color)
     axis.fill_between(grid, low, high, alpha=0.2, color=group.color, linewidth=0)
@@ -152,22 +151,3 @@ def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> _Curve:
 
 def _name(config: TrainConfig) -> str:
     return f"{config.env} {config.preset}"
-
-
-def _on_one_grid(curves: list[_Curve]) -> tuple[F64Array, F64Array]:
-    """Return places [K] that all curves reach, and their values there [runs, K]."""
-    end = min(curve.x[-1] for curve in curves)
-    start = max(curve.x[0] for curve in curves)
-    grid = np.unique(np.concatenate([curve.x[(curve.x >= start) & (curve.x <= end)] for curve in curves]))
-    return grid, np.stack([np.interp(grid, curve.x, curve.y) for curve in curves])
-
-
-def interval(values: F64Array, seed: int = 0) -> tuple[F64Array, F64Array]:
-    """Return the 95 % bootstrap interval [K], [K] of the mean over runs of `values` [runs, K]."""
-    rng = np.random.default_rng(seed)
-    runs = len(values)
-    shares = rng.multinomial(runs, np.full(runs, 1 / runs), _RESAMPLES) / runs  # how often a resample takes each run
-    means = shares @ values
-    tail = (1 - _CONFIDENCE) / 2
-    low, high = np.quantile(means, [tail, 1 - tail], axis=0)
-    return low, high

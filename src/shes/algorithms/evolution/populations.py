@@ -137,7 +137,7 @@ def generation_work(state: TrainState, settings: Settings, table_size: int) -> W
     noise_index = draw_noise_index(state.seed, state.generation, len(signs), dims, table_size)
     if estimate is not None:
         goals_noted = estimate.intervals
-        noted = noted_steps(state, settings.population_size * episodes, settings.horizon, estimate.interval_steps)
+        noted = noted_steps(state, settings.population_size * episodes, settings.horizon, estimate.controller_interval)
     # line 2: n roll-outs, tasks of a few integers each.
     tasks = population_tasks(
         state, signs, noise_index, episodes, settings.common_random_numbers, settings.statistics_fraction, noted

@@ -65,9 +65,9 @@ def _interval_estimate(settings: Any, sigma: Schedule, learning_rate: Schedule) 
     return IntervalEstimate(
         population_size=settings.primitive_population_size or settings.population_size,
         intervals=settings.intervals,
-        interval_steps=settings.controller_interval,
+        controller_interval=settings.controller_interval,
         horizon=settings.horizon,
-        goal_range=settings.goal_distance,
+        goal_distance=settings.goal_distance,
         update=make_update_rules(settings)[-1],
         sigma=own("primitive_sigma", settings.primitive_sigma, sigma),
         learning_rate=own("primitive_learning_rate", settings.primitive_learning_rate, learning_rate),

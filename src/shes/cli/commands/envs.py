@@ -26,7 +26,7 @@ _GROUPS = (Group(heading="flags", options=options_of(Arguments)),)
 
 def _run(values: dict[str, Any]) -> int:
     from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
-    from shes.envs.gymnasium.registration import gymnasium_id
+    from shes.envs.gymnasium_ids import gymnasium_id
     from shes.envs.registry import ENVIRONMENTS, make_task
     from shes.envs.tasks.options import SPECS, TaskOptions
 

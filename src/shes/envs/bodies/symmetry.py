@@ -43,7 +43,7 @@ class SignedPermutation:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SymmetryGroup:
-    """A group of K turns, or of these and their mirror images, G elements in all.
+    """A group of K turns, or of these and their mirror images, T elements in all.
 
     Element k < K looks at the robot from a frame turned by k / K of a full turn to the left; element K + k then
     mirrors that frame, left for right.
@@ -54,21 +54,21 @@ class SymmetryGroup:
     is_mirrored: bool
     """Whether mirror images belong to it."""
     view_index: IntArray
-    """Where each value of the egocentric view comes from [G, V]."""
+    """Where each value of the egocentric view comes from [T, V]."""
     view_sign: F64Array
-    """Its sign [G, V]."""
+    """Its sign [T, V]."""
     control_index: IntArray
-    """Which control in the element's frame each control of the robot is [G, A]: what undoes the element."""
+    """Which control in the element's frame each control of the robot is [T, A]: what undoes the element."""
     control_sign: F64Array
-    """Its sign [G, A]."""
+    """Its sign [T, A]."""
 
     @property
     def num_elements(self) -> int:
-        """Number of elements, G."""
+        """Number of elements, T."""
         return len(self.view_index)
 
     def direction(self) -> tuple[F64Array, F64Array, F64Array]:
-        """Return cosine and sine of every element's turn, and -1 for those that mirror, else 1, each [G]."""
+        """Return cosine and sine of every element's turn, and -1 for those that mirror, else 1, each [T]."""
         turns = np.arange(self.num_elements) % self.num_turns
         angle = 2 * np.pi * turns / self.num_turns
         cosine, sine = np.cos(angle), np.sin(angle)
@@ -129,5 +129,5 @@ def _elements(
 
 
 def _stack(elements: Sequence[SignedPermutation]) -> tuple[NDArray[np.int64], F64Array]:
-    """Return sources and signs [G, V] of `elements`."""
+    """Return sources and signs [T, V] of `elements`."""
     return np.stack([each.source for each in elements]), np.stack([each.sign for each in elements])

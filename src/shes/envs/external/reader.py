@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from shes.envs.episode_batch import Reader
+from shes.envs.quaternions import yaw
 from shes.errors import ConfigError, ShapeError
 from shes.types import F64Array, FloatArray, IntArray
 
@@ -70,8 +71,7 @@ class ExternalReader(Reader):
             return rows[:, self.position], np.zeros(len(rows))
         if turn.shape[1] == 1:
             return rows[:, self.position], np.arctan2(np.sin(turn[:, 0]), np.cos(turn[:, 0]))
-        w, x, y, z = turn.T
-        return rows[:, self.position], np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
+        return rows[:, self.position], yaw(turn)
 
     def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
         """Return `observation`, flat or as the environment gives it, as rows [num_envs, O], and whether it is single.

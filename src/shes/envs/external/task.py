@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from shes.drawing.drawer import Drawer, Picture, Window
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.environment import ExternalEnvironment, explained
 from shes.envs.external.reader import ExternalReader
@@ -183,42 +182,27 @@ class ExternalTask(EpisodeBatch):
             env = self._envs[i] = self.environment.make_one(self._render_mode)
         return env
 
-    def make_drawer(self, width: int, height: int) -> Drawer:
-        """Return what brings the environment's own pictures to size.
+    @property
+    def draws_itself(self) -> bool:
+        """Return True: Gymnasium's environments do."""
+        return True
+
+    def draw_by(self, mode: str) -> None:
+        """Make the environments anew, at their next reset, with render mode `mode`.
 
         Raises:
-            ConfigError: It draws none.
+            ConfigError: There is no such render mode.
         """
-        from shes.drawing.frames import FrameDrawer
-        from shes.drawing.opengl import find_opengl
-
-        self._draw_by("rgb_array", "picture")
-        found = find_opengl()
-        if found is not None and not os.environ.get("MUJOCO_GL"):
-            os.environ["MUJOCO_GL"] = found  # Gymnasium's MuJoCo environments ask for it
-        return FrameDrawer(width, height)
-
-    def open_window(self) -> Window:
-        """Return the window that the environment opens by itself.
-
-        Raises:
-            ConfigError: It has none.
-        """
-        self._draw_by("human", "window")
-        return _OwnWindow()
-
-    def _draw_by(self, mode: str, what: str) -> None:
-        """Make the environments anew, at their next reset, with render mode `mode`."""
         modes = self.environment.render_modes
         if mode not in modes:
             raise ConfigError(
-                f"{self.environment.description.id} has no render mode {mode!r}, so there is no {what} of it. "
+                f"{self.environment.description.id} has no render mode {mode!r}, so it cannot be drawn so. "
                 f"It has {', '.join(map(repr, modes)) or 'none'}."
             )
         self.close()
         self._render_mode = mode
 
-    def pose(self, episode: int) -> Picture | None:
+    def pose(self, episode: int) -> NDArray[np.uint8] | None:
         """Return the environment's own picture [H, W, 3]; None in its window, which needs none.
 
         Raises:
@@ -235,18 +219,6 @@ class ExternalTask(EpisodeBatch):
             if env is not None:
                 env.close()
             self._envs[i] = self._physics[i] = None
-
-
-class _OwnWindow:
-    """The window of an environment in render mode `human`: its steps show themselves."""
-
-    is_open = True
-
-    def show(self, pose: Any, /, markers: Sequence[Any] = (), *, is_new_episode: bool = False) -> None:
-        """Do nothing: the environment has shown it."""
-
-    def close(self) -> None:
-        """Do nothing: the environment closes it."""
 
 
 def _physics(env: gymnasium.Env[Any, Any]) -> mujoco.MjData | None:

@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 
 from shes.arrays import to_host
-from shes.drawing.markers import TARGET, Marker, ball
 from shes.envs.bodies.body import Body
-from shes.envs.bodies.reader import BodyReader
+from shes.envs.markers import TARGET, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
+from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskDescription
 from shes.envs.worlds import GATHER, add_grid, empty_world
@@ -79,7 +79,7 @@ class Flagrun(Task):
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
 
     @classmethod
-    def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
+    def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the arena of Gather."""
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
         add_grid(spec, GATHER)
@@ -87,14 +87,14 @@ class Flagrun(Task):
         return spec
 
     @property
-    def layout(self) -> tuple[ObservationElement, ...]:
+    def observation_spec(self) -> tuple[ObservationElement, ...]:
         """Three features of the goal, the robot's qpos and qvel, which shes clips."""
         angle = "of the goal's bearing from the heading"
         return (
             ObservationElement(name="goal_sin", meaning=f"sine {angle}", low=-1.0, high=1.0),
             ObservationElement(name="goal_cos", meaning=f"cosine {angle}", low=-1.0, high=1.0),
             *elements(["goal_distance"], "distance to the goal, in km", "km", low=0.0),
-            *self._robot_layout(),
+            *self.robot_elements(),
         )
 
     @property
@@ -131,7 +131,8 @@ class Flagrun(Task):
         """Return the goal."""
         return [ball((*to_host(self.goal[episode]), 0.5), 0.4, TARGET)]
 
-    def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+    def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        """Draw the goals of episodes `ids`; see `Task.reset_features`."""
         self._is_near[self.xp.asarray(ids)] = False
         self._host_time[ids] = 0
         self._num_used[ids] = _GOALS_AT_ONCE
@@ -170,7 +171,8 @@ class Flagrun(Task):
             self._offsets[episode, count : count + len(drawn)] = drawn
             count += len(drawn)
 
-    def _update_features(self) -> F64Array:
+    def update_features(self) -> F64Array:
+        """Return the reward [N] of a step, and move the goals that are due."""
         self._measure()
         np.less(self._distance, NEAR_M, out=self._is_near)
         reward = 1 - self._distance / self._start_distance + self._is_near
@@ -190,5 +192,5 @@ class Flagrun(Task):
         np.cos(angle, out=out[:, 1])
         np.multiply(self._distance, DISTANCE_SCALE, out=out[:, 2])
         out[:, 3 : 3 + nq] = self.sim.qpos
-        self._write_velocity(self.sim.qvel, out[:, 3 + nq : 3 + nq + nv])
+        self.write_velocity(self.sim.qvel, out[:, 3 + nq : 3 + nq + nv])
         return out

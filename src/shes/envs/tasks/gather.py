@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from shes.arrays import to_host
-from shes.drawing.markers import FOOD, POISON, Marker, ball
 from shes.envs.bodies.body import Body
+from shes.envs.markers import FOOD, POISON, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
@@ -83,8 +83,9 @@ class Gather(Task):
         self._observation: F64Array = xp.zeros((n, self.observation_size))
 
     @classmethod
-    def _check(cls, options: TaskOptions) -> None:
-        super()._check(options)
+    def check_options(cls, options: TaskOptions) -> None:
+        """Refuse to leave out a penalty that this specification does not have."""
+        super().check_options(options)
         if options.spec == "shes" and not options.fall_penalty:
             raise ConfigError(
                 "gather has a penalty for falls in specification hiro alone, got fall_penalty False with shes. "
@@ -92,7 +93,7 @@ class Gather(Task):
             )
 
     @classmethod
-    def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
+    def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the arena: a free square between walls; objects are not geoms."""
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
         if options.spec == "hiro":
@@ -103,7 +104,7 @@ class Gather(Task):
         return spec
 
     @property
-    def layout(self) -> tuple[ObservationElement, ...]:
+    def observation_spec(self) -> tuple[ObservationElement, ...]:
         """The robot's qpos and qvel, two kinds of readings, time; in hiro the time before the readings."""
         readings = tuple(
             element
@@ -111,10 +112,10 @@ class Gather(Task):
             for number in range(NUM_BINS)
             for element in elements([f"{kind}_{number}"], _sector(kind, number, self.options.spec), low=0.0, high=1.0)
         )
-        time = self._time_layout(OBSERVED_TIME_SCALE[self.options.spec])
+        time = self.time_elements(OBSERVED_TIME_SCALE[self.options.spec])
         if self.options.spec == "hiro":
-            return self._robot_layout() + time + readings
-        return self._robot_layout() + readings + time
+            return self.robot_elements() + time + readings
+        return self.robot_elements() + readings + time
 
     @property
     def terminated(self) -> BoolArray:
@@ -167,7 +168,8 @@ class Gather(Task):
         """Pieces of poison collected [N]."""
         return NUM_OBJECTS - self.present[:, 1].sum(axis=1)
 
-    def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+    def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        """Draw where food and poison of episodes `ids` lie; see `Task.reset_features`."""
         draw = _draw_lattice if self.options.spec == "hiro" else _draw_places
         drawn = np.stack([draw(rng, 2 * NUM_OBJECTS) for rng in rngs])  # [ids, object of any kind, xy]
         places = np.moveaxis(drawn, -1, 0).reshape(2, len(ids), 2, NUM_OBJECTS)
@@ -183,7 +185,8 @@ class Gather(Task):
         squares = self._offset * self._offset
         np.add(squares[0], squares[1], out=self._squared_distance)
 
-    def _update_features(self) -> F64Array:
+    def update_features(self) -> F64Array:
+        """Return the reward [N] of a step: what was picked up, in hiro also falls; what is picked up is gone."""
         self._measure()
         reward: F64Array = self.xp.zeros(self.num_episodes)
         collects_nothing = self.sim.diverged
@@ -206,7 +209,7 @@ class Gather(Task):
         is_hiro = self.options.spec == "hiro"
         out = self._observation
         out[:, :nq] = self.sim.qpos
-        self._write_velocity(self.sim.qvel, out[:, nq : nq + nv])
+        self.write_velocity(self.sim.qvel, out[:, nq : nq + nv])
         readings = slice(nq + nv + 1, None) if is_hiro else slice(nq + nv, -1)
         out[:, readings] = self._readings()
         time_scale = OBSERVED_TIME_SCALE[self.options.spec]

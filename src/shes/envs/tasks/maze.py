@@ -33,15 +33,16 @@ class Maze(TargetTask):
     target_scale: ClassVar[float] = 0.01
 
     @classmethod
-    def _check(cls, options: TaskOptions) -> None:
-        super()._check(options)
+    def check_options(cls, options: TaskOptions) -> None:
+        """Refuse a way to draw targets where one is fixed."""
+        super().check_options(options)
         if options.target is not None and options.target_sampling != TARGET_SAMPLINGS[0]:
             raise ConfigError(
                 f"target {options.target} fixes training's target, so target_sampling {options.target_sampling!r} does "
                 "nothing. Leave --target or --target-sampling away."
             )
 
-    def _training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
+    def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
         """Draw x and y together."""
         while True:
             target = rng.uniform(*SQUARE_M, 2)

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from shes.arrays import to_host
-from shes.drawing.markers import TARGET, Marker, ball, disc
 from shes.envs.bodies.body import Body
+from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
@@ -53,8 +53,9 @@ class TargetTask(Task):
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
 
     @classmethod
-    def _check(cls, options: TaskOptions) -> None:
-        super()._check(options)
+    def check_options(cls, options: TaskOptions) -> None:
+        """Refuse targets with another number of coordinates than the task's own."""
+        super().check_options(options)
         for name in ("target", "evaluation_target"):
             place = getattr(options, name)
             if place is not None and len(place) != len(cls.own_target):
@@ -64,7 +65,7 @@ class TargetTask(Task):
                 )
 
     @classmethod
-    def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
+    def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the world of the grid."""
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator, has_block=bool(cls.block_axes))
         body.add_to(spec, cls.ground_m)
@@ -80,7 +81,7 @@ class TargetTask(Task):
         return self.options.spec == "shes" if asked is None else asked
 
     @property
-    def layout(self) -> tuple[ObservationElement, ...]:
+    def observation_spec(self) -> tuple[ObservationElement, ...]:
         """The qpos and qvel of the robot, each with the block's behind it, time, target."""
         axes = self.block_axes if self.observes_block else ""
         pose = elements([f"block_{axis}" for axis in axes], "{}: how far the block has moved along it", "m")
@@ -89,8 +90,8 @@ class TargetTask(Task):
         return (
             *self.body.pose,
             *pose,
-            *self._clipped((*self.body.velocity, *velocity)),
-            *self._time_layout(),
+            *self.velocity_elements((*self.body.velocity, *velocity)),
+            *self.time_elements(),
             *elements([f"target_{axis}" for axis in "xyz"[: len(self.own_target)]], f"{{}}{scale}", "m"),
         )
 
@@ -130,7 +131,8 @@ class TargetTask(Task):
         ring = disc((x, y, self.ground_m + 0.02), SUCCESS_DISTANCE_M, (*TARGET[:3], 0.25), height=0.01)
         return [ring, ball((x, y, self.ground_m + 0.5), 0.5, TARGET)]
 
-    def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+    def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+        """Draw the targets of episodes `ids`; see `Task.reset_features`."""
         chosen = np.array([self._choose_target(rng) for rng in rngs])
         self.target[self.xp.asarray(ids)] = self.xp.asarray(chosen)
 
@@ -138,13 +140,14 @@ class TargetTask(Task):
         """Return the target of an episode: fixed ones draw nothing."""
         if self.options.evaluation:
             return self.options.evaluation_target or self.own_target
-        return self.options.target or self._training_target(rng)
+        return self.options.target or self.training_target(rng)
 
-    def _training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
+    def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
         """Return the target of training where no option fixes it."""
         return self.own_target
 
-    def _update_features(self) -> F64Array:
+    def update_features(self) -> F64Array:
+        """Return minus the distance to the target [N]."""
         return -self.distance
 
     def observe(self) -> F64Array:
@@ -154,7 +157,7 @@ class TargetTask(Task):
             nq, nv = nq + len(self.block_axes), nv + len(self.block_axes)
         out = self._observation
         out[:, :nq] = self.sim.qpos[:, :nq]
-        self._write_velocity(self.sim.qvel[:, :nv], out[:, nq : nq + nv])
+        self.write_velocity(self.sim.qvel[:, :nv], out[:, nq : nq + nv])
         np.multiply(self.time, TIME_SCALE, out=out[:, nq + nv])
         np.multiply(self.target, self._target_scale, out=out[:, nq + nv + 1 :])
         return out

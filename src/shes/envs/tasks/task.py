@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from types import ModuleType
 from typing import ClassVar
 
@@ -17,11 +16,10 @@ import mujoco
 import numpy as np
 
 from shes.arrays import to_host
-from shes.drawing.drawer import Drawer, Window
 from shes.envs.bodies.body import Body
-from shes.envs.bodies.reader import BodyReader
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.observation_spec import ObservationElement, elements
+from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.worlds import TIMESTEP_S
 from shes.errors import ConfigError, UnknownNameError
@@ -85,11 +83,11 @@ class Task(EpisodeBatch):
         self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
     ) -> None:
         """Build the world for `body` and `num_episodes` simulations of it."""
-        self._check(options)
+        self.check_options(options)
         self.body = body
         self.options = options
         self.num_episodes = num_episodes
-        self.sim = simulator(self.build_spec(body, options).compile(), num_episodes)
+        self.sim = simulator(self.build_world(body, options).compile(), num_episodes)
         self.time: IntArray = self.xp.zeros(num_episodes, dtype=np.int64)
         """Control steps since the reset [N]."""
         self._heading: F64Array | None = None  # of the present state, once asked for
@@ -132,7 +130,7 @@ class Task(EpisodeBatch):
         return _COMMON_OPTIONS | cls.heeds
 
     @classmethod
-    def _check(cls, options: TaskOptions) -> None:
+    def check_options(cls, options: TaskOptions) -> None:
         """Refuse options that this task has not.
 
         Raises:
@@ -152,12 +150,12 @@ class Task(EpisodeBatch):
 
     @classmethod
     @abstractmethod
-    def build_spec(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
+    def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the world with `body` in it, ready to compile."""
 
     @property
     @abstractmethod
-    def layout(self) -> tuple[ObservationElement, ...]:
+    def observation_spec(self) -> tuple[ObservationElement, ...]:
         """What is observed: one element for each value."""
 
     @property
@@ -166,22 +164,22 @@ class Task(EpisodeBatch):
         """Distance to what the task wants reached next [N], in metres; infinity where nothing is left to reach."""
 
     @abstractmethod
-    def _reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
+    def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw what belongs to the task (targets, objects) for episodes `ids`; upload it with one write an array."""
 
     @abstractmethod
-    def _update_features(self) -> F64Array:
+    def update_features(self) -> F64Array:
         """Update the task after a step and return the reward [N], before the diverged ones are taken out."""
 
     @property
     def observation_size(self) -> int:
         """Number of observed values, O."""
-        return len(self.layout)
+        return len(self.observation_spec)
 
     @property
     def observation_names(self) -> tuple[str, ...]:
         """What each value of the observation is called."""
-        return tuple(element.name for element in self.layout)
+        return tuple(element.name for element in self.observation_spec)
 
     @property
     def position_columns(self) -> IntArray:
@@ -246,41 +244,25 @@ class Task(EpisodeBatch):
         """How an agent reads what it shows."""
         return BodyReader(self.body, self.observation_size, self.proprioception)
 
-    def make_drawer(self, width: int, height: int) -> Drawer:
-        """Return what makes pictures of poses.
-
-        Raises:
-            ConfigError: The size is not allowed, or MUJOCO_GL asks for what does not work here.
-        """
-        from shes.drawing.renderer import make_renderer
-
-        return make_renderer(partial(self.build_spec, self.body, self.options), width, height)
-
-    def open_window(self) -> Window:
-        """Return a window that shows poses.
-
-        Raises:
-            ConfigError: There is no screen.
-        """
-        from shes.drawing.viewer import Viewer
-
-        return Viewer(self.build_spec(self.body, self.options), self.step_s)
+    def world_to_draw(self) -> mujoco.MjSpec:
+        """Return the world to draw poses in, made anew."""
+        return self.build_world(self.body, self.options)
 
     def pose(self, episode: int) -> F64Array:
         """Return a copy of the qpos [nq] of episode `episode`, in NumPy's array."""
         return to_host(self.sim.qpos[episode]).copy()
 
-    def _robot_layout(self) -> tuple[ObservationElement, ...]:
+    def robot_elements(self) -> tuple[ObservationElement, ...]:
         """Return the elements of the robot's qpos and qvel."""
-        return self.body.pose + self._clipped(self.body.velocity)
+        return self.body.pose + self.velocity_elements(self.body.velocity)
 
-    def _clipped(self, velocity: tuple[ObservationElement, ...]) -> tuple[ObservationElement, ...]:
+    def velocity_elements(self, velocity: tuple[ObservationElement, ...]) -> tuple[ObservationElement, ...]:
         """Return the elements of velocities as this specification shows them."""
         if self.options.spec == "hiro":
             return velocity
         return tuple(replace(each, low=-VELOCITY_CLIP, high=VELOCITY_CLIP) for each in velocity)
 
-    def _write_velocity(self, velocity: F64Array, out: F64Array) -> None:
+    def write_velocity(self, velocity: F64Array, out: F64Array) -> None:
         """Write velocities into `out` as this specification shows them: clipped in shes, as they are in hiro."""
         if self.options.spec == "hiro":
             out[:] = velocity
@@ -289,7 +271,7 @@ class Task(EpisodeBatch):
             np.minimum(out, VELOCITY_CLIP, out=out)
 
     @staticmethod
-    def _time_layout(scale: float = TIME_SCALE) -> tuple[ObservationElement, ...]:
+    def time_elements(scale: float = TIME_SCALE) -> tuple[ObservationElement, ...]:
         """Return the element of the time."""
         scaled = "" if scale == 1 else f", times {scale}"
         return elements(["time"], f"control steps since the reset{scaled}", low=0.0)
@@ -313,7 +295,7 @@ class Task(EpisodeBatch):
         self.time[rows] = 0
         self.reward[rows] = 0
         self.running_return[rows] = 0
-        self._reset_features(ids, rngs)
+        self.reset_features(ids, rngs)
 
     def step(self, ids: IntArray, action: FloatArray) -> None:
         """Apply `action` [N, A] in control units for one control step of episodes `ids` (sorted, unique).
@@ -324,7 +306,7 @@ class Task(EpisodeBatch):
         self.sim.step(ids, FRAME_SKIP)
         self._heading = None
         self.time += 1
-        self.reward[:] = np.where(self.sim.diverged, 0.0, self._update_features())
+        self.reward[:] = np.where(self.sim.diverged, 0.0, self.update_features())
         self.running_return += self.reward
 
     def _place_robots(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:

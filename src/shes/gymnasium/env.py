@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.drawing.renderer import Picture
-from shes.envs.gymnasium.adapter import TaskAdapter
+from shes.gymnasium.adapter import TaskAdapter
 from shes.types import F64Array
 
 __all__ = ["TaskEnv"]

@@ -6,7 +6,6 @@ environments, to the bit.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,21 +16,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from shes.cores import num_cores
 from shes.drawing.renderer import Picture
-from shes.envs.gymnasium.adapter import TaskAdapter
 from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError
+from shes.gymnasium.adapter import TaskAdapter
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["TaskVectorEnv"]
 
 _RENDER_MODES = ["rgb_array"]
 Steps = tuple[F64Array, F64Array, BoolArray, BoolArray, dict[str, Any]]
-
-
-def _num_cores() -> int:
-    """Return the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _step_limit(max_episode_steps: int | None) -> float:
@@ -79,7 +74,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         """
         if not is_whole(num_threads) or num_threads < 0:
             raise ConfigError(f"num_threads must be a whole number of at least 0, got {num_threads!r}.")
-        threads = num_threads or _num_cores()
+        threads = num_threads or num_cores()
         self._adapter = TaskAdapter(name, num_envs, render_mode, _RENDER_MODES, options, threads)
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from shes.drawing.drawer import Drawer, Picture, Window
 from shes.drawing.renderer import check_camera
+from shes.drawing.rendering import make_drawer, open_window
 from shes.envs.observation_spec import bounds
 from shes.envs.registry import make_task
 from shes.envs.tasks.options import TaskOptions
@@ -52,7 +53,7 @@ class TaskAdapter:
         task_options, self._picture = _split_options(options)
         threads = min(num_threads, num_envs)
         self.task = make_task(name, num_envs, task_options, partial(CpuSimulator, num_threads=threads))
-        low, high = bounds(self.task.layout)
+        low, high = bounds(self.task.observation_spec)
         self.observation_space = Box(low, high, dtype=np.float64)
         self.action_space = Box(-1.0, 1.0, (self.task.action_size,), dtype=np.float32)
         self._drawer: Drawer | None = None
@@ -121,7 +122,7 @@ class TaskAdapter:
         """Return a picture [H, W, 3] of episode `episode`."""
         task = self.task
         if self._drawer is None:
-            self._drawer = task.make_drawer(self._picture["width"], self._picture["height"])
+            self._drawer = make_drawer(task, self._picture["width"], self._picture["height"])
         return self._drawer.draw(task.pose(episode), task.markers(episode), self._picture["camera"])
 
     def render(self, episode: int) -> Picture | None:
@@ -140,7 +141,7 @@ class TaskAdapter:
             return
         task = self.task
         if self._window is None:
-            self._window = task.open_window()
+            self._window = open_window(task)
         self._window.show(task.pose(0), task.markers(0), is_new_episode=self._is_new_episode)
         self._is_new_episode = False
 

@@ -1,0 +1,135 @@
+"""A registry: entries of one kind by name, to which users may add their own."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from typing import TypeVar
+
+from shes.errors import ConfigError, UnknownNameError
+
+__all__ = ["Registry", "check_class", "check_name_form", "subclass_of"]
+
+T = TypeVar("T")
+
+_NAME = re.compile(r"[a-z][a-z0-9]*([-_][a-z0-9]+)*")
+
+
+class Registry(MutableMapping[str, T]):
+    """Entries of one kind by name. `registry[name] = entry` is `registry.register(name, entry)`."""
+
+    def __init__(self, kind: str, entries: Mapping[str, T], *, fix: str, check: Callable[[str, T], None]) -> None:
+        """Make a registry of `entries`.
+
+        Args:
+            kind: What an entry is called in messages, e.g. `goal encoding`.
+            entries: The first entries by name.
+            fix: What a user who gave an unknown name can do: the flag to set, how to register.
+            check: Called with the kind and an entry: raises ConfigError for what is no entry of this kind.
+        """
+        self.kind = kind
+        self._fix = fix
+        self._check = check
+        self._entries: dict[str, T] = {}
+        self.update(entries)
+
+    def register(self, name: str, entry: T) -> None:
+        """Add `entry` as `name`. A class that is defined again, under its full name, takes the place of the first one.
+
+        Raises:
+            ConfigError: The entry is not of this kind, or the name is malformed or taken.
+        """
+        self._check(self.kind, entry)
+        check_name_form(self.kind, name)
+        # By full name, not by identity: a notebook's cell that is run again, or a reload, makes the same class anew.
+        if name in self._entries and _full_name(self._entries[name]) != _full_name(entry):
+            raise ConfigError(
+                f"{self.kind} {name!r} is {_full_name(self._entries[name])} already. Choose another name."
+            )
+        self._entries[name] = entry
+
+    def find(self, name: str, *, kind: str = "", fix: str = "") -> T:
+        """Return the entry called `name`; `kind` and `fix` stand in the message in place of the registry's own.
+
+        Raises:
+            UnknownNameError: There is none. The message names the nearest, all others, and what to do.
+        """
+        if name not in self._entries:
+            raise UnknownNameError(kind or self.kind, str(name), self._entries, fix or self._fix)
+        return self._entries[name]
+
+    def __getitem__(self, name: str) -> T:
+        return self._entries[name]
+
+    def __setitem__(self, name: str, entry: T) -> None:
+        self.register(name, entry)
+
+    def __delitem__(self, name: str) -> None:
+        del self._entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __repr__(self) -> str:
+        return f"Registry({self.kind!r}, {self._entries!r})"
+
+
+def subclass_of(
+    contract: type, num_arguments: int = 0, keywords: tuple[str, ...] = ()
+) -> Callable[[str, object], None]:
+    """Return the check of a registry whose entries are complete subclasses of `contract`; see `check_class`."""
+    return lambda kind, entry: check_class(kind, entry, contract, num_arguments, keywords)
+
+
+def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, keywords: tuple[str, ...] = ()) -> None:
+    """Refuse what is not a complete subclass of `contract`, made from `num_arguments` arguments and `keywords`.
+
+    Raises:
+        ConfigError: It is no subclass, lacks a method or a class attribute, or needs other arguments.
+    """
+    if not (isinstance(cls, type) and issubclass(cls, contract)):
+        article = "an" if kind[0] in "aeiou" else "a"
+        raise ConfigError(
+            f"{article} {kind} must be a subclass of {_full_name(contract)}, got {cls!r}. "
+            f"Write class YourOwn({contract.__name__}), and give the class, not an object of it."
+        )
+    # A contract states the class attributes that every subclass must set as annotations without a value.
+    set_by_init = getattr(contract, "__dataclass_fields__", {})
+    stated = [name for name in inspect.get_annotations(contract) if name not in set_by_init]
+    attributes = [name for name in stated if not hasattr(cls, name)]
+    missing = [*sorted(getattr(cls, "__abstractmethods__", ())), *attributes]
+    if missing:
+        raise ConfigError(
+            f"{kind} {_full_name(cls)} lacks {', '.join(missing)}. "
+            f"{_full_name(contract)} says what each of them is: add them to your class."
+        )
+    try:
+        inspect.signature(cls).bind(*[None] * num_arguments, **dict.fromkeys(keywords))
+    except TypeError as error:
+        needed = ", ".join(keywords) if keywords else f"{num_arguments or 'no'} arguments"
+        raise ConfigError(
+            f"{kind} {_full_name(cls)} must be made from {needed}, and is not: {error}. Change its __init__."
+        ) from error
+
+
+def check_name_form(kind: str, name: object) -> None:
+    """Refuse a malformed name.
+
+    Raises:
+        ConfigError: It is not made of lower-case words.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise ConfigError(
+            f"{kind} name must be lower-case words of letters and digits, joined by - or _, got {name!r}. "
+            "For example: 'my-own-2'."
+        )
+
+
+def _full_name(entry: object) -> str:
+    if isinstance(entry, tuple):
+        return " with ".join(_full_name(part) for part in entry)
+    return f"{entry.__module__}.{entry.__qualname__}" if isinstance(entry, type) else repr(entry)

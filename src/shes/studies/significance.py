@@ -1,0 +1,62 @@
+"""Tests of whether two samples of seeds differ. Needs SciPy (extra `study`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import ModuleType
+
+import numpy as np
+
+from shes.errors import MissingExtraError
+from shes.types import F64Array
+
+__all__ = ["check_scipy", "holm", "permutation_test"]
+
+_DIGITS = 12  # equal differences of means, summed in another order, are equal to this many digits
+
+
+def check_scipy() -> ModuleType:
+    """Return `scipy.stats`.
+
+    Raises:
+        MissingExtraError: SciPy is not installed.
+    """
+    try:
+        from scipy import stats
+    except ImportError as error:
+        raise MissingExtraError(
+            f"the statistics of a study need SciPy ({error}). Install it: pip install 'shes[study]'."
+        ) from error
+    return stats
+
+
+def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_000, seed: int = 0) -> float:
+    """Return the two-sided p of the difference of means between two samples.
+
+    It is the share of divisions of all values into two such samples whose difference is at least as large: of all
+    divisions, if there are no more than `permutations`, else of so many random ones, with the division at hand as one
+    more, so that p is never 0 (Phipson and Smyth 2010). It is 1 where one of them has a single value: too few to tell.
+
+    Raises:
+        MissingExtraError: SciPy is not installed.
+    """
+    if min(len(first), len(second)) < 2:
+        return 1.0
+    scale = max(1.0, float(np.abs(np.concatenate([first, second])).max()))
+
+    def difference(one: F64Array, other: F64Array, axis: int) -> F64Array:
+        return np.round(np.abs(one.mean(axis=axis) - other.mean(axis=axis)) / scale, _DIGITS)
+
+    found = check_scipy().permutation_test(
+        (first, second), difference, vectorized=True, n_resamples=permutations, alternative="greater", rng=seed
+    )
+    return float(found.pvalue)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return `p_values` corrected for their number by Holm's step-down method (1979)."""
+    order = np.argsort(p_values, kind="stable")
+    corrected = np.empty(len(order))
+    steps = np.asarray(p_values, dtype=np.float64)[order] * np.arange(len(order), 0, -1)
+    corrected[order] = np.minimum(1.0, np.maximum.accumulate(steps))
+    return corrected.tolist()

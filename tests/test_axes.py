@@ -1,0 +1,32 @@
+"""The letters of shapes mean the same everywhere: those in docstrings and comments are those of the legend."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+SHAPE = re.compile(r"(?<!\w)\[([\w'.]+(?:, [\w'. +*]+)*)\]")
+
+
+def letters(text):
+    axes = [axis for shape in SHAPE.findall(text) for axis in shape.split(", ")]
+    return {axis for axis in axes if re.fullmatch("[A-Zn]", axis)}
+
+
+def prose(source):
+    """Return docstrings and comments of a module, without its code."""
+    parts = re.findall(r'"""(.*?)"""|#([^\n]*)', source, re.DOTALL)
+    return "\n".join(docstring or comment for docstring, comment in parts)
+
+
+def test_every_letter_of_a_shape_is_in_the_legend():
+    rows = re.findall(
+        r"^\| ([A-Zn](?:, [A-Z])*) \| ", (ROOT / "docs/reference/index.md").read_text("utf-8"), re.MULTILINE
+    )
+    legend = {letter for row in rows for letter in row.split(", ")}
+    used = {
+        letter: str(path.relative_to(ROOT))
+        for path in sorted((ROOT / "src/shes").rglob("*.py"))
+        for letter in letters(prose(path.read_text("utf-8")))
+    }
+    assert {letter: where for letter, where in used.items() if letter not in legend} == {}
+    assert legend - used.keys() == set()
