@@ -14,7 +14,7 @@ import pytest
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.point import FallingPoint, Point
-from shes.envs.gymnasium.registration import register_all
+from shes.envs.gymnasium.registration import register_known
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun
@@ -398,7 +398,7 @@ def test_there_is_no_hiro_id_of_a_task_without_that_specification(monkeypatch):
     monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Corner))
-    register_all()
+    register_known()
     assert "shes/PointCorner-v0" in gymnasium.registry
     assert "shes/PointCornerHiro-v0" not in gymnasium.registry
 

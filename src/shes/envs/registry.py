@@ -134,9 +134,9 @@ def register_environment(name: str, body: type[Body], task: type[Task]) -> None:
     check_name_is_free("environment", name, environment, ENVIRONMENTS)
     _check_is_not_external(name)
     ENVIRONMENTS[name] = environment
-    from shes.envs.gymnasium.registration import register_all
+    from shes.envs.gymnasium.registration import register
 
-    register_all()
+    register(name, task.specs)
 
 
 def register_external_environment(

@@ -74,7 +74,7 @@ class RunSettings(Settings):
     """Seed of every random draw."""
     generations: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] = 1000
     """Generations after which the run ends (Table I: 3000)."""
-    env_steps: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] | None = None
+    env_steps: Annotated[int, Ge(1), Execution()] | None = None
     """Environment steps of training after whose generation the run ends, whichever comes first."""
     minutes: Annotated[float, Gt(0), Execution(), Shown(everyday=True)] | None = None
     """Minutes after which this call ends, whichever comes first."""
@@ -125,7 +125,7 @@ class EpisodeSettings(Settings):
 class EvaluationSettings(Settings):
     """Evaluation and checkpoints."""
 
-    evaluation_interval: Annotated[int, Ge(1), Shown(everyday=True)] = 10
+    evaluation_interval: Annotated[int, Ge(1)] = 10
     """Generations between evaluations of the mean policies (there is one after the first generation, too)."""
     evaluation_episodes: Annotated[int, Ge(1)] = 50
     """Episodes of an evaluation."""

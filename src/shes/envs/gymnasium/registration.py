@@ -1,37 +1,53 @@
-"""Gymnasium's registry: every environment of ours, single and vector, under `shes/`."""
+"""Gymnasium's registry: every environment of ours, single and vector, under `shes/`.
+
+Entry points are strings, and so are the names below: `import shes` registers them without importing MuJoCo.
+"""
 
 from __future__ import annotations
 
 import gymnasium
 
-from shes.envs.registry import ENVIRONMENTS, check_name
+from shes.errors import UnknownNameError
 
-__all__ = ["MAX_EPISODE_STEPS", "gymnasium_id", "register_all"]
+__all__ = ["MAX_EPISODE_STEPS", "SPECS_OF", "gymnasium_id", "register", "register_known"]
 
 MAX_EPISODE_STEPS = 500
 """Control steps after which Gymnasium truncates an episode (Table I)."""
+SPECS_OF: dict[str, tuple[str, ...]] = {
+    f"{body}-{task}": ("shes", "hiro")
+    for body in ("ant", "point")
+    for task in ("gather", "maze", "push", "fall", "flagrun")
+}
+"""Environments and their specifications: those of `shes.envs.registry`, and what is registered later."""
 
 
 def gymnasium_id(name: str, spec: str = "shes") -> str:
     """Return the id in Gymnasium of environment `name`: `shes/AntGather-v0` for `ant-gather`, `AntGatherHiro` for hiro.
 
     Raises:
-        UnknownNameError: `name` is not in the registry.
+        UnknownNameError: `name` is not registered.
     """
-    check_name(name)
+    if name not in SPECS_OF:
+        raise UnknownNameError("environment", name, SPECS_OF, "`shes envs` lists them.")
     variant = "" if spec == "shes" else spec.title()
     return f"shes/{name.title().replace('-', '')}{variant}-v0"
 
 
-def register_all() -> None:
-    """Register every environment that Gymnasium does not know yet."""
-    for name, environment in ENVIRONMENTS.items():
-        for spec in environment.task.specs:
-            if gymnasium_id(name, spec) not in gymnasium.registry:
-                gymnasium.register(
-                    gymnasium_id(name, spec),
-                    entry_point="shes.envs.gymnasium.env:TaskEnv",
-                    vector_entry_point="shes.envs.gymnasium.vector_env:TaskVectorEnv",
-                    max_episode_steps=MAX_EPISODE_STEPS,
-                    kwargs={"name": name, "spec": spec},
-                )
+def register(name: str, specs: tuple[str, ...]) -> None:
+    """Register the specifications of environment `name` that Gymnasium does not know yet."""
+    SPECS_OF[name] = specs
+    for spec in specs:
+        if gymnasium_id(name, spec) not in gymnasium.registry:
+            gymnasium.register(
+                gymnasium_id(name, spec),
+                entry_point="shes.envs.gymnasium.env:TaskEnv",
+                vector_entry_point="shes.envs.gymnasium.vector_env:TaskVectorEnv",
+                max_episode_steps=MAX_EPISODE_STEPS,
+                kwargs={"name": name, "spec": spec},
+            )
+
+
+def register_known() -> None:
+    """Register every environment that comes with SHES."""
+    for name, specs in SPECS_OF.items():
+        register(name, specs)

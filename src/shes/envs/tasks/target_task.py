@@ -46,7 +46,7 @@ class BlockOptions(TargetOptions):
 class TargetTask(Task):
     """A robot is to come within 5 m of a target; it is paid the negative distance."""
 
-    Options: ClassVar[type[TargetOptions]] = TargetOptions
+    Options = TargetOptions
     options: TargetOptions
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     grid: ClassVar[Grid]
@@ -74,7 +74,7 @@ class TargetTask(Task):
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
 
     @classmethod
-    def _check(cls, options: TargetOptions) -> None:
+    def _check(cls, options: TaskOptions) -> None:
         super()._check(options)
         for name in ("target", "evaluation_target"):
             place = getattr(options, name)

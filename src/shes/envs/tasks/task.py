@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import ModuleType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -87,7 +87,7 @@ class Task(EpisodeBatch):
             options = self.Options(**vars(options))
         self._check(options)
         self.body = body
-        self.options: TaskOptions = options
+        self.options: Any = options  # any: a subclass says by its annotation of which class
         """Its options, of class `Options`; a subclass with its own says so in its annotations."""
         self.num_episodes = num_episodes
         self.sim = simulator(self.build_spec(body, options).compile(), num_episodes)
