@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from importlib.metadata import version
@@ -72,17 +73,40 @@ def agent(tiny_run, tmp_path, monkeypatch):
     return "point-food"
 
 
-def test_list_shows_the_shipped_agents(shes, agent, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "120")
-    assert re.search(r"point-food +│ point-gather +│ -?[\d.]+ ± [\d.]+ +│ 640 +│ Collects food\. ", shes("list"))
-    (line,) = shes("list", "--json").splitlines()
-    assert json.loads(line) == {agent: read_agent(agent).to_dict()}
+def test_list_shows_runs_and_shipped_agents(shes, agent, tiny_run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "160")
+    text = shes("list", tiny_run.parent)
+    assert re.search(r"│ \S+run +│ point-gather +│ 4 / 4 +│ -?[\d.]+ +│ finished", text)
+    assert re.search(r"point-food +│ point-gather +│ -?[\d.]+ ± [\d.]+ +│ 640 +│ Collects food\. ", text)
+    (line,) = shes("list", tiny_run.parent, "--json").splitlines()
+    found = json.loads(line)
+    assert found["agents"] == {agent: read_agent(agent).to_dict()}
+    assert [(run["env"], run["generation"], run["state"]) for run in found["runs"]] == [("point-gather", 4, "finished")]
+    assert "There is no run below runs." in shes("list")
 
 
-def test_list_says_if_there_is_none(shes, tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "AGENTS", tmp_path)
-    assert shes("list") == "This version of SHES ships no agent.\n"
-    assert json.loads(shes("list", "--json")) == {}
+def test_list_tells_of_runs_that_are_stopped_running_or_damaged(shes, tiny_run, tmp_path):
+    stopped = shutil.copytree(tiny_run, tmp_path / "runs" / "a")
+    record = json.loads((stopped / "config.json").read_text())
+    record["config"]["run"]["generations"] = 9
+    (stopped / "config.json").write_text(json.dumps(record))
+    for name in "bcd":
+        shutil.copytree(stopped, tmp_path / "runs" / name)
+    (tmp_path / "runs" / "c" / "checkpoints" / "last.npz").write_bytes(b"")
+    (tmp_path / "runs" / "d" / "config.json").write_text("{")
+    with RunFolder(tmp_path / "runs" / "b").lock():
+        found = json.loads(shes("list", tmp_path / "runs", "--json"))["runs"]
+    assert [(Path(run["run"]).name, run["state"]) for run in found] == [
+        ("a", "stopped"), ("b", "running"), ("c", "damaged"),
+    ]  # fmt: skip
+
+
+def test_info_shows_what_a_run_is(shes, tiny_run):
+    text = shes("info", tiny_run)
+    assert re.search(r"env +│ point-gather", text)
+    assert re.search(r"state +│ finished", text)
+    assert re.search(r"sigma +│ 0\.070", shes("info", tiny_run, "--full"))
+    assert json.loads(shes("info", tiny_run, "--json"))["config"]["evolution"]["sigma"] == 0.07
 
 
 def test_a_shipped_agent_is_named_where_a_run_is_read(shes, agent, tiny_run):
@@ -323,7 +347,7 @@ def test_an_environment_of_an_imported_module_can_be_used_like_any_other(shes, t
     name = own_module(OWN)
     rows = json.loads(shes("envs", "--json", "--import", name, "--import=json"))
     assert "point-own" in [row["name"] for row in rows]
-    assert "point-flagrun, point-own" in " ".join(shes(f"--import={name}", "train", "--help").split())
+    assert "for point-own" in " ".join(shes(f"--import={name}", "train", "point-own", "--help").split())
     path = tmp_path / "run"
     shes("train", "--import", name, "point-own", *TINY, "--generations", 1, "--out", path)
     shes("resume", path, "--generations", 2, "--import", name)

@@ -14,7 +14,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import shes
-from shes.cli.commands import SUMMARIES
+from shes.cli.program import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
@@ -232,9 +232,9 @@ def test_the_reference_names_all_that_import_shes_offers(pages):
 @pytest.mark.extras
 def test_every_command_shows_its_help(pages):
     page = pages["reference/command-line.html"]
-    assert set(SUMMARIES) <= page.ids
+    assert set(COMMANDS) <= page.ids
     text = page.path.read_text(encoding="utf-8")
-    for name in SUMMARIES:
+    for name in COMMANDS:
         assert re.search(rf"usage: shes {name}\b", text)
 
 
@@ -281,7 +281,7 @@ def run(script):
 def flags():
     """Return every flag that a command explains."""
     code = "import sys; from shes.cli import main\nfor name in sys.argv[1:]: main([name, '--help'])"
-    command = [sys.executable, "-c", code, *SUMMARIES]
+    command = [sys.executable, "-c", code, *COMMANDS]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     return set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
 
@@ -291,7 +291,7 @@ def test_flags_and_commands_exist(path, flags):
     text = path.read_text(encoding="utf-8")
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= flags
     commands = re.findall(r"(?:^|`)(?:PYTHONPATH=\. )?shes ([a-z]+)", text, flags=re.MULTILINE)
-    assert set(commands) <= set(SUMMARIES)
+    assert set(commands) <= set(COMMANDS)
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from shes.cli.commands import SUMMARIES
+from shes.cli.program import COMMANDS
 from shes.runs.config import known_settings
 
 ROOT = Path(__file__).parents[1]
@@ -38,7 +38,7 @@ def test_flags_and_commands_exist():
     known |= {"--no-" + setting.flag[2:] for setting in known_settings().values() if setting.kind is bool}
     known |= {"--checkpoint", "--episodes", "--help", "--import", "--json", "--out", "--size", "--steps"}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", README)) <= known
-    assert set(re.findall(r"^shes ([a-z]+)", README, flags=re.MULTILINE)) <= set(SUMMARIES)
+    assert set(re.findall(r"^shes ([a-z]+)", README, flags=re.MULTILINE)) <= set(COMMANDS)
 
 
 @pytest.mark.parametrize("name", ["README.md", "results/README.md"])

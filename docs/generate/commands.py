@@ -9,7 +9,7 @@ from contextlib import redirect_stdout
 from unittest.mock import patch
 
 from shes.cli import main
-from shes.cli.commands import SUMMARIES
+from shes.cli.program import COMMANDS
 
 _TERMINAL = {"COLUMNS": "96", "NO_COLOR": "1", "TERM": "dumb"}
 
@@ -31,7 +31,7 @@ def commands(page: str) -> str:
     """Return a section with the help of every command."""
     del page
     parts = [_block("shes --help", help_text([]))]
-    for name in SUMMARIES:
+    for name in COMMANDS:
         parts += [f"## {name}", _block(f"shes {name} --help", help_text([name]))]
     return "\n\n".join(parts)
 

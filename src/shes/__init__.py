@@ -11,8 +11,12 @@ agent = shes.load(run.path)
 from __future__ import annotations
 
 import importlib
-import sys
+from importlib.metadata import version
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+from shes.envs.gymnasium_ids import register_known
+from shes.errors import ConfigError
 
 if TYPE_CHECKING:
     from shes import es
@@ -29,6 +33,7 @@ __all__ = [
     "Agent",
     "Evaluation",
     "Run",
+    "__version__",
     "es",
     "evaluate",
     "load",
@@ -41,6 +46,8 @@ __all__ = [
     "resume",
     "train",
 ]
+
+__version__ = version("shes")
 
 # Loaded when first asked for: a worker process imports this package too, and needs none of it.
 _HOMES = {
@@ -60,26 +67,28 @@ _HOMES = {
 }
 
 
-# Gymnasium knows the environments as soon as SHES is imported; worker processes do without.
-if "shes.backends.process_worker" not in sys.orig_argv:
+register_known()  # by entry points as strings: MuJoCo is imported when the first environment is made
+
+
+def import_module(name: str) -> ModuleType:
+    """Import a module of this package.
+
+    Raises:
+        ConfigError: MuJoCo refuses to be imported with a MUJOCO_GL that it does not know.
+    """
     try:
-        from shes.envs.registry import register_in_gymnasium
-    except RuntimeError as error:  # MuJoCo refuses to be imported with a MUJOCO_GL that it does not know
+        return importlib.import_module(name)
+    except RuntimeError as error:
         if "MUJOCO_GL" not in str(error):
             raise
-        from shes.errors import ConfigError
-
         raise ConfigError(f"{error}. Unset MUJOCO_GL to let SHES choose, or set it to egl, osmesa or off.") from error
-
-    register_in_gymnasium()
-    del register_in_gymnasium
 
 
 def __getattr__(name: str) -> Any:
     if name == "es":
-        return importlib.import_module("shes.es")
+        return import_module("shes.es")
     if name in _HOMES:
-        return getattr(importlib.import_module(_HOMES[name]), name)
+        return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'shes' has no attribute {name!r}; it has {', '.join(__all__)}")
 
 

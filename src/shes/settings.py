@@ -188,7 +188,7 @@ class Setting:
         if not is_allowed:
             raise out_of_range(self.name, value, self.allowed, self.flag)
         if self.item is float:
-            return tuple(map(float, value)) if isinstance(value, tuple) else float(str(value))
+            return tuple(map(float, value)) if self.kind is tuple else float(value)  # type: ignore[arg-type] - checked
         return value
 
     def _checked_name(self, value: Any, known: Choices) -> str:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import gymnasium
 import pytest
 
-from shes.envs.gymnasium.registration import gymnasium_id
+from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, find_environment, make_task
 
 

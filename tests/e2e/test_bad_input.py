@@ -35,13 +35,14 @@ def run_copy(tiny_run, tmp_path):
 def refused(capsys, tmp_path, monkeypatch):
     """Return a function that runs a command line that must fail, and returns its message on one line."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
 
     def run(*words, code=MENDABLE):
         found = main([str(word) for word in words])
         out, err = capsys.readouterr()
         assert found == code
         assert "Traceback" not in out + err
-        return " ".join(err.split())
+        return " ".join(word for word in err.split() if not set(word) <= set("|+-─│╭╮╰╯"))
 
     return run
 
@@ -53,10 +54,7 @@ WORDS = {
         ["trian", "x"],
         r"unknown command 'trian'\. Did you mean 'train'\? Known: train, .*shes --help",
     ),
-    "no_environment": (
-        ["train", "--preset", "smoke"],
-        r"needs an environment first: shes train ant-gather.*point-gather",
-    ),
+    "no_environment": (["train", "--preset", "smoke"], r"Missing from shes train: ENV Environment, see shes envs"),
     "unknown_environment": (
         ["train", "pint-gather"],
         r"unknown environment 'pint-gather'\. Did you mean 'point-gather'\? Known: point-gather, ant-.*`shes envs`",
@@ -65,35 +63,32 @@ WORDS = {
         ["train", "point-gather", "--preset", "lapto"],
         r"unknown preset 'lapto'\. Did you mean 'laptop'\? Known: laptop, paper, smoke\. Set --preset",
     ),
-    "preset_without_a_value": (["train", "point-gather", "--preset"], r"--preset needs a value"),
+    "preset_without_a_value": (["train", "point-gather", "--preset"], r"Missing value for argument '--preset'"),
     "unknown_flag": (
         [*TRAIN, "--sigm", "0.1"],
-        r"unknown flag --sigm\. Did you mean --sigma\? `shes train --help` lists the flags",
+        r"Unrecognized options: --sigm, 0\.1.* Perhaps you meant: .*--sigma FLOAT",
     ),
     "unknown_short_flag": (
         [*TRAIN, "--population", "8"],
-        r"unknown flag --population\. Did you mean --population-size\?",
+        r"Unrecognized options: --population, 8.* Perhaps you meant: .*--population-size INT",
     ),
-    "one_word_too_many": (
-        [*TRAIN, "extra"],
-        r"'extra' is one word too many\. Usage: shes train ENV .*`shes train --help`",
+    "one_word_too_many": ([*TRAIN, "extra"], r"Unrecognized options: extra"),
+    "wrong_type": ([*TRAIN, "--sigma", "abc"], r"Error parsing --sigma: could not convert string to float: 'abc'"),
+    "wrong_type_in_a_list": ([*TRAIN, "--hidden", "8", "x"], r"Error parsing --hidden: .*\['8', 'x'\]"),
+    "flag_without_a_value": ([*TRAIN, "--sigma", "--seed", "1"], r"Missing value for argument '--sigma'"),
+    "last_flag_without_a_value": ([*TRAIN, "--mirrored"], r"Missing value for argument '--mirrored'"),
+    "switch_with_a_value": ([*TRAIN, "--minimum-goal-distance=no"], r"Unrecognized options: no"),
+    "flag_of_another_kind": ([*TRAIN, "-s", "1"], r"Unrecognized options: -s, 1"),
+    "flag_before_the_command": (["--sigma", "1", "train"], r"unknown flag --sigma before the command\. `shes --help`"),
+    "environment_as_a_flag": (
+        ["train", "--env", "point-gather"],
+        r"Missing from shes train: ENV|Unrecognized options: --env|Missing value for argument",
     ),
-    "wrong_type": ([*TRAIN, "--sigma", "abc"], r"--sigma takes a number, got 'abc'\. `shes train --help`"),
-    "wrong_type_in_a_list": ([*TRAIN, "--hidden", "8", "x"], r"--hidden takes whole numbers, got '8 x'"),
-    "flag_without_a_value": ([*TRAIN, "--sigma", "--seed", "1"], r"--sigma needs a value: --sigma FLOAT\."),
-    "last_flag_without_a_value": ([*TRAIN, "--mirrored"], r"--mirrored needs a value: --mirrored \{quad,pair,none\}"),
-    "switch_with_a_value": (
-        [*TRAIN, "--minimum-goal-distance=no"],
-        r"--minimum-goal-distance takes no value, got .*=no\. Write --minimum-goal-distance or --no-minimum-goal-dist",
+    "optional_number": ([*TRAIN, "--minutes", "soon"], r"Error parsing --minutes: .*'soon'"),
+    "unknown_choice": (
+        [*TRAIN, "--mirrored", "trio"],
+        r"invalid choice 'trio' for argument '--mirrored'\. Expected one of \('quad', 'pair', 'none'\)",
     ),
-    "flag_of_another_kind": ([*TRAIN, "-s", "1"], r"unknown flag -s\."),
-    "flag_before_the_command": (
-        ["--sigma", "1", "train"],
-        r"unknown flag --sigma before the command: there are .*--de",
-    ),
-    "environment_as_a_flag": (["train", "--env", "point-gather"], r"the environment comes first.*shes train ENV"),
-    "optional_number": ([*TRAIN, "--minutes", "soon"], r"--minutes takes a number or none, got 'soon'\."),
-    "unknown_choice": ([*TRAIN, "--mirrored", "trio"], r"unknown mirrored 'trio'\.( Did.*)? Known: .*Set --mirrored"),
     "import_without_a_module": (["train", "--import"], r"--import needs a value: --import MODULE"),
     "import_of_nothing": (
         ["envs", "--import", "there_is_none"],
@@ -112,11 +107,11 @@ WORDS = {
     ),
     "unknown_reward": (
         [*TRAIN, "--primitive-reward", "progres"],
-        r"unknown primitive reward 'progres'\. Did you mean 'progress'\?.*Set --primitive-reward",
+        r"invalid choice 'progres' for argument '--primitive-reward'\. Expected one of \('progress'",
     ),
     "unknown_backend": (
         [*TRAIN, "--backend", "sereal"],
-        r"unknown backend 'sereal'\. Did you mean 'serial'\?.*Set --backend",
+        r"invalid choice 'sereal' for argument '--backend'\. Expected one of \('processes', 'serial'\)",
     ),
     "noise_table_too_small": (
         [*TRAIN, "--noise-table-size", "100"],
@@ -126,26 +121,23 @@ WORDS = {
         [*TRAIN, "--algorithm", "se"],
         r"unknown algorithm 'se'\. Did you mean 'shes'\? Known: shes, es\. Set --algorithm",
     ),
-    "unknown_novelty": (
-        [*TRAIN, "--novelty", "nsraa"],
-        r"unknown novelty 'nsraa'\. Did you mean 'nsra'\? Known: nsra, .*none.*Set --novelty",
-    ),
+    "unknown_novelty": ([*TRAIN, "--novelty", "nsraa"], r"invalid choice 'nsraa' for argument '--novelty'"),
     "unknown_perturbation": (
         [*TRAIN, "--perturbation", "one-to-many"],
-        r"unknown perturbation 'one-to-many'\. Did you mean 'one_to_many'\?.*Set --perturbation",
+        r"invalid choice 'one-to-many' for argument '--perturbation'.*'one_to_many'",
     ),
-    "unknown_optimizer": ([*TRAIN, "--optimizer", "adm"], r"unknown optimizer 'adm'\. Did you mean 'adam'\?.*--optim"),
+    "unknown_optimizer": ([*TRAIN, "--optimizer", "adm"], r"invalid choice 'adm' for argument '--optimizer'.*'adam'"),
     "unknown_shaping": (
         [*TRAIN, "--fitness-shaping", "zscore"],
-        r"unknown fitness shaping 'zscore'\. Did you mean 'z_score'\?.*Set --fitness-shaping",
+        r"invalid choice 'zscore' for argument '--fitness-shaping'.*'z_score'",
     ),
     "unknown_controller_output": (
         [*TRAIN, "--controller-output", "onehot"],
-        r"unknown controller output 'onehot'\. Did you mean 'one_hot'\?.*Set --controller-output.*--import MODULE",
+        r"invalid choice 'onehot' for argument '--controller-output'.*'one_hot'",
     ),
     "unknown_schedule": (
         [*TRAIN, "--sigma-schedule", "line", "--sigma-end", "1"],
-        r"unknown sigma schedule 'line'\. Did you mean 'linear'\?.*Set --sigma-schedule",
+        r"invalid choice 'line' for argument '--sigma-schedule'.*'linear'",
     ),
     "schedule_without_an_end": (
         [*TRAIN, "--learning-rate-schedule", "cosine"],
@@ -157,15 +149,15 @@ WORDS = {
     ),
     "end_of_half_an_episode": (
         [*TRAIN, "--episodes-schedule", "linear", "--episodes-end", "2.5"],
-        r"--episodes-end takes a whole number or none, got '2\.5'",
+        r"Error parsing --episodes-end: .*'2\.5'",
     ),
     "sharing_as_it_was_called_before": (
         [*TRAIN, "--no-common-random-numbers"],
-        r"unknown flag --no-common-random-numbers\. Did you mean --common-random-numbers\?",
+        r"Unrecognized options: --no-common-random-numbers.* Perhaps you meant: .*--common-random-numbers",
     ),
     "sharing_without_a_value": (
         [*TRAIN, "--common-random-numbers"],
-        r"--common-random-numbers needs a value: --common-random-numbers \{off,group,population\}",
+        r"Missing value for argument '--common-random-numbers'",
     ),
     "momentum_of_one": (
         [*TRAIN, "--optimizer", "sgd", "--momentum", "1"],
@@ -185,7 +177,7 @@ WORDS = {
     ),
     "novelty_of_a_primitive": (
         ["train", "point-flagrun", *TRAIN[2:], "--novelty", "ns"],
-        r"novelty is no setting of a run of point-flagrun with algorithm 'shes', got 'ns'\. Leave --novelty away",
+        r"novelty is no setting of a run of point-flagrun with algorithm 'shes'\. Leave --novelty away",
     ),
     "halves_that_are_none": (
         [*TRAIN, "--perturbation", "one_to_many_halves", "--population-size", "10"],
@@ -193,11 +185,11 @@ WORDS = {
     ),
     "goals_of_a_flat_run": (
         [*TRAIN, "--algorithm", "es", "--goal-encoding", "angle"],
-        r"goal_encoding is no setting of a run of point-gather with algorithm 'es', got 'angle'",
+        r"goal_encoding is no setting of a run of point-gather with algorithm 'es'\. Leave --goal",
     ),
     "controller_of_a_primitive_alone": (
         ["train", "point-flagrun", *TRAIN[2:], "--controller-output", "one_hot"],
-        r"controller_output is no setting of a run of point-flagrun .*, got 'one_hot'",
+        r"controller_output is no setting of a run of point-flagrun",
     ),
     "freezing_nothing": (
         [*TRAIN, "--no-freeze-primitive"],
@@ -213,7 +205,7 @@ WORDS = {
     ),
     "nameless_primitive": (
         [*TRAIN, "--primitive="],
-        r"primitive must be a name, e\.g\. --primitive ant-walker, got ''\. Set --prim",
+        r"primitive must be the path of a run folder, got ''\. Set --prim",
     ),
     "flags_too_near": (
         ["train", "point-flagrun", *TRAIN[2:], "--goal-distance", "0.5"],
@@ -223,20 +215,20 @@ WORDS = {
         [*TRAIN, "--primitive-hidden", "0"],
         r"primitive_hidden must be positive whole numbers, e\.g\. --primitive-hidden 64 64, got \(0,\)",
     ),
-    "resume_without_a_run": (["resume"], r"shes resume needs a run folder first: shes resume RUN\."),
+    "resume_without_a_run": (["resume"], r"Missing from shes resume: RUN The run folder"),
     "missing_run": (["resume", "gone"], r"gone does not exist\. Give the folder that `shes train` printed"),
     "plot_without_a_run": (["plot"], r"plot needs at least one run folder: shes plot RUN"),
     "plot_of_a_missing_run": (["plot", "gone"], r"gone does not exist\. Give the folder"),
-    "render_without_a_run": (["render"], r"shes render needs a run folder first: shes render RUN\."),
-    "unknown_shell": (["completion", "bsh"], r"unknown shell 'bsh'\. Did you mean 'bash'\?.*shes completion --help"),
-    "unknown_bench": (["bench", "rolout"], r"unknown bench 'rolout'\. Did you mean 'rollout'\? Known: rollout, update"),
+    "render_without_a_run": (["render"], r"Missing from shes render: RUN The run folder"),
+    "unknown_shell": (["completion", "bsh"], r"invalid choice 'bsh' for argument 'shell'"),
+    "unknown_bench": (["bench", "rolout"], r"invalid choice 'rolout' for argument 'name'"),
 }
 
 
 @pytest.mark.parametrize("case", WORDS)
 def test_a_wrong_command_line_is_refused_with_its_fix(case, refused, tmp_path):
     words, message = WORDS[case]
-    assert re.search(r"^Error: .*" + message, refused(*words))
+    assert re.search(message, refused(*words))
     assert list(tmp_path.iterdir()) == []  # nothing was begun
 
 
@@ -292,7 +284,7 @@ def test_resume_refuses_what_would_change_the_numbers(refused, run_copy):
     assert re.search(r"--sigma would change the numbers of the run; resume takes --backend, .*--workers\.", message)
     with pytest.raises(ConfigError, match=r"--sigma would change the numbers.*takes .*--workers"):
         shes.resume(run_copy, sigma=1.0, generations=8)
-    with pytest.raises(ConfigError, match=r"unknown setting 'sigm'\. Did you mean 'sigma'"):
+    with pytest.raises(ConfigError, match=r"unknown setting 'sigm'\. resume takes"):
         shes.resume(run_copy, sigm=1.0)
 
 
@@ -302,7 +294,7 @@ CONFIGS = {
     "other_json": (lambda text: f"[{text}]", r"config\.json is not the record of a SHES run"),
     "other_format": (
         lambda text: text.replace('"format": 2', '"format": 9'),
-        r"not the record of a SHES run of format 1",
+        r"not the record of a SHES run of format 2",
     ),
     "no_settings": (
         lambda text: text.replace('"config": {', '"konfig": {'),

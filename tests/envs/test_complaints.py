@@ -14,7 +14,8 @@ import pytest
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.point import FallingPoint, Point
-from shes.envs.registry import ENVIRONMENTS, Environment, register_in_gymnasium
+from shes.envs.gymnasium_ids import register_known
+from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun
 from shes.envs.tasks.gather import Gather
@@ -397,7 +398,7 @@ def test_there_is_no_hiro_id_of_a_task_without_that_specification(monkeypatch):
     monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Corner))
-    register_in_gymnasium()
+    register_known()
     assert "shes/PointCorner-v0" in gymnasium.registry
     assert "shes/PointCornerHiro-v0" not in gymnasium.registry
 

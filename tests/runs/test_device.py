@@ -12,8 +12,6 @@ import shes.runs.device
 import shes.training.build
 from shes.backends.serial import SerialBackend
 from shes.bench.measure import bench_update
-from shes.cli.commands import load_command
-from shes.cli.options import options_in
 from shes.envs.external.description import ExternalDescription
 from shes.errors import ConfigError
 from shes.runs.config import TrainConfig, WorkerSettings, execution_settings
@@ -58,8 +56,6 @@ def record(path):
 def test_the_devices_are_the_cpu_and_those_of_warp():
     choices = setting_fields(WorkerSettings)["device"].choices
     assert choices == ("cpu", *DEVICES)
-    of_evaluate = next(o for o in options_in(load_command("evaluate").groups_for([])) if o.name == "device")
-    assert of_evaluate.choices == choices
 
 
 def test_the_device_and_its_buffers_are_no_part_of_what_a_run_is():

@@ -17,7 +17,7 @@ from tensorboardX.proto.event_pb2 import Event, SessionLog
 
 from shes.algorithms.evolution.algorithm import GenerationReport, evolve, generation_work
 from shes.algorithms.evolution.populations import Population
-from shes.algorithms.evolution.worker import RolloutWorker
+from shes.algorithms.worker import RolloutWorker
 from shes.backends.serial import SerialBackend
 from shes.errors import RunFolderError, StorageError
 from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule

@@ -8,6 +8,7 @@ import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -349,13 +350,13 @@ def test_the_permutation_test_of_few_values_is_exact(first, second):
 
 
 @pytest.mark.parametrize("name", STUDIES)
-@pytest.mark.parametrize("scale", experiment._SCALES)
+@pytest.mark.parametrize("scale", get_args(experiment.Scale))
 def test_every_cell_of_a_study_has_settings_that_are_allowed(name, scale, tmp_path):
     check_study(STUDIES[name](scale), tmp_path)
 
 
 @pytest.mark.parametrize("name", STUDIES)
-@pytest.mark.parametrize("scale", experiment._SCALES)
+@pytest.mark.parametrize("scale", get_args(experiment.Scale))
 def test_the_design_of_a_study_names_what_there_is(name, scale):
     study = STUDIES[name](scale)
     design, places = study.design, {(found.env, found.group, found.variant) for found in study.cells}
@@ -439,7 +440,7 @@ def test_some_groups_alone_come_with_the_base_and_the_primitives():
 def test_the_command_offers_the_groups_and_scales_there_are(name):
     assert set(experiment._GROUPS) == set(STUDIES)
     assert experiment._GROUPS[name] == tuple(STUDIES[name]("smoke").design.groups)
-    assert set(experiment._SCALES) == set(ablations.SCALES) == set(lessons.SCALES)
+    assert set(get_args(experiment.Scale)) == set(ablations.SCALES) == set(lessons.SCALES)
 
 
 # The learning study.

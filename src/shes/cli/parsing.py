@@ -1,148 +1,208 @@
-"""Words of a command line become values: tyro reads them, every error is ours."""
+"""A command is a plain function: tyro makes its flags from its signature and docstring, and calls it.
+
+A parameter `settings` stands for settings of a run, by name; they become flags, a group for each room.
+"""
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, make_dataclass, replace
-from types import NoneType
-from typing import Annotated, Any
+import inspect
+from collections.abc import Callable, Container, Sequence
+from dataclasses import field, make_dataclass
+from typing import Annotated, Any, Literal, get_type_hints
 
 import tyro
-from tyro.constructors import (
-    ConstructorRegistry,
-    PrimitiveConstructorSpec,
-    PrimitiveTypeInfo,
-    UnsupportedTypeAnnotationError,
-)
 
-from shes.cli.options import Option
-from shes.cli.values import described, metavar, usage
+from shes.envs.external.description import is_description_file
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
+from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError
+from shes.runs.config import TrainConfig, execution_settings, known_settings
+from shes.settings import Setting, Unasked, flag, setting_fields
+from shes.training.presets import PRESETS, make_config
 
-__all__ = ["flag_of", "parse"]
+__all__ = ["DEFAULT_ENV", "call", "program_of"]
 
-_NOT_GIVEN = object()
-
-
-@dataclass(frozen=True)
-class _Wrong:
-    """Words that are no value of their option."""
-
-    words: list[str]
+DEFAULT_ENV = "ant-gather"
+"""Environment whose settings the help shows where none is named."""
+_POSITIONAL = ("env", "external")
+_ALL = "--help-all"
+_METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", str: "TEXT"}
 
 
-def parse(
-    options: Sequence[Option],
-    words: Sequence[str],
-    command: str,
-    explain_unknown: Callable[[str], str | None] | None = None,
-) -> dict[str, Any]:
-    """Return the values that `words` give to `options`, by name; what is not given is left out.
+def call(function: Callable[..., int], words: Sequence[str]) -> int:
+    """Call a command with the values that `words` give; return its exit code."""
+    name = function.__name__.rstrip("_")
+    words = _spelled(words)
+    is_short = "--help" in words or "-h" in words
+    if "settings" in inspect.signature(function).parameters:
+        _refuse_other_settings(function, words)
+    program = program_of(function, words, is_short=is_short)
+    words = ["--help" if word == _ALL else word for word in words]
+    try:
+        values = tyro.cli(program, prog=f"shes {name}", args=words, config=(tyro.conf.OmitArgPrefixes,))
+    except SystemExit as end:  # help was shown, or an error was printed
+        return end.code if isinstance(end.code, int) else 2
+    return function(**_gathered(values, words) if "settings" in inspect.signature(function).parameters else values)
 
-    Args:
-        options: What there is.
-        words: The command line after the command.
-        command: The command's name.
-        explain_unknown: Returns a better message for a flag that there is not.
+
+def program_of(function: Callable[..., int], words: Sequence[str], *, is_short: bool = False) -> Callable[..., Any]:
+    """Return a function that returns the values it is called with: what tyro is to parse for a command."""
+    parameters = dict(inspect.signature(function).parameters)
+    hints = get_type_hints(function, include_extras=True)
+    rooms: dict[str, Any] = {}
+    if parameters.pop("settings", None) is not None:
+        rooms = _resumed_rooms() if hints["settings"] is ExecutionFlags else _rooms(_asked_config(words), is_short)
+
+    def program(**values: Any) -> dict[str, Any]:
+        return values
+
+    kinds = {name: hints[name] for name in parameters}
+    listed = [each.replace(annotation=kinds[name]) for name, each in parameters.items()]
+    for name, default in rooms.items():
+        kinds[name] = type(default)
+        factory = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=type(default))
+        listed.append(factory)
+    program.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined] - inspect and tyro read it
+    program.__annotations__ = kinds
+    program.__doc__ = function.__doc__
+    return program
+
+
+class ExecutionFlags(dict[str, Any]):
+    """Settings by name that `shes resume` takes: annotates a parameter `settings`."""
+
+
+def _rooms(config: TrainConfig, is_short: bool) -> dict[str, Any]:
+    """Return an object for each room of `config`, whose fields become flags; its everyday settings in one group."""
+    if not is_short:
+        seen: set[str] = set()  # a task may share a setting with the hierarchy
+        rooms: dict[str, Any] = {}
+        for name, room in config.rooms.items():
+            settings = setting_fields(type(room))
+            rooms[name] = _flags(_title(room), [each for each in settings.values() if each.name not in seen], config)
+            seen |= settings.keys()
+        return rooms
+    everyday = [config.setting(name) for name in config.settings if config.setting(name).is_everyday]
+    title = (
+        f"Values are those of preset {config.run.preset} for {config.run.env}. {_ALL} shows all "
+        f"{len(config.settings)} settings."
+    )
+    return {"everyday": _flags(title, everyday, config)}
+
+
+def _resumed_rooms() -> dict[str, Any]:
+    config = TrainConfig.of(env=DEFAULT_ENV)
+    taken = [each for name, each in execution_settings().items() if name != "preset"]
+    return {"settings": _flags("What is not given stays as it is.", taken, config, hint="(default: as before)")}
+
+
+def _title(room: Any) -> str:
+    return (type(room).__doc__ or "").partition("\n")[0]
+
+
+def _flags(title: str, settings: Any, config: TrainConfig, hint: str | None = None) -> Any:
+    """Return an object of a dataclass whose fields tyro makes flags of; its values are those of `config`."""
+    made = [
+        (each.name, _kind(each, hint), field(default=config.settings[each.name]))
+        for each in settings
+        if each.name not in _POSITIONAL and not each.has(Unasked)
+    ]
+    cls = make_dataclass("Flags", made, kw_only=True)
+    cls.__doc__ = title
+    return cls()
+
+
+def _kind(setting: Setting, hint: str | None) -> Any:
+    """Return the type of a setting as tyro shows and reads it."""
+    choices = tuple(PRESETS) if setting.name == "preset" else setting.choices
+    kind: Any = Literal[choices] if choices else setting.kind
+    if setting.kind is tuple:
+        kind = tuple[setting.item, ...]
+    if setting.is_optional:
+        kind = kind | None
+    aliases = (flag(setting.name),) if setting.flag != flag(setting.name) else None
+    metavar = None
+    if setting.is_optional and setting.item in _METAVARS:
+        metavar = f"{_METAVARS[setting.item]}{' ...' if setting.kind is tuple else ''}|none"
+    return Annotated[
+        kind,
+        tyro.conf.arg(
+            name=setting.flag[2:], aliases=aliases, metavar=metavar, help=setting.text, help_behavior_hint=hint
+        ),
+    ]
+
+
+def _refuse_other_settings(function: Callable[..., int], words: Sequence[str]) -> None:
+    """Refuse flags that are settings, but none of the run that the other words ask for.
 
     Raises:
-        ConfigError: A flag is unknown or has no value, a value has the wrong type, or a word is missing or too many.
+        ConfigError: There is one.
     """
-    prepared = _prepare(options, words, command, explain_unknown)
-    shape = make_dataclass("Words", [_field(option) for option in options], kw_only=True)
-    try:
-        found, rest = tyro.cli(
-            shape, prog="shes", args=prepared, return_unknown_args=True, add_help=False, console_outputs=False
-        )
-    except SystemExit as error:  # flags and their values are in order: what remains is a positional that is missing
-        raise _missing(options, command) from error
-    if rest:
-        raise ConfigError(f"{rest[0]!r} is one word too many. Usage: {usage(options, command)}. {_next(command)}")
-    values = {name: value for name, value in vars(found).items() if value is not _NOT_GIVEN}
-    for option in options:
-        value = values.get(option.name)
-        if isinstance(value, _Wrong):
-            name, got = (option.flags or (metavar(option),))[0], " ".join(value.words)
-            raise ConfigError(f"{name} takes {described(option)}, got {got!r}. {_next(command)}")
-    return values
-
-
-def flag_of(word: str) -> str | None:
-    """Return the flag that `word` is or begins with, with hyphens; None if it is none, as -0.1 is not."""
-    name = word.partition("=")[0]
-    is_flag = name.startswith("-") and name.lstrip("-")[:1].isalpha() and name.lower() not in ("-inf", "-nan")
-    return name.replace("_", "-") if is_flag else None
-
-
-def _next(command: str) -> str:
-    return f"`shes {command} --help` explains it."
-
-
-def _prepare(
-    options: Sequence[Option], words: Sequence[str], command: str, explain_unknown: Callable[[str], str | None] | None
-) -> list[str]:
-    """Return `words` with every flag in its first form and a value for every switch; refuse what is no flag."""
-    by_flag = {spelling: option for option in options for spelling in option.spellings}
-    prepared: list[str] = []
-    for index, word in enumerate(words):
-        if word == "--":  # what follows are no flags
-            return [*prepared, *words[index:]]
-        flag = flag_of(word)
-        if flag is None:
-            prepared.append(word)
+    is_resume = get_type_hints(function)["settings"] is ExecutionFlags
+    config = None if is_resume else _asked_config(words)
+    taken = execution_settings() if config is None else config.settings
+    flags = {each.flag: name for name, each in known_settings().items()}
+    for word in words:
+        shown = word.partition("=")[0]
+        name = flags.get(shown) or flags.get(shown.replace("--no-", "--"))
+        if name is None or name in taken or name in _POSITIONAL:
             continue
-        if flag not in by_flag:
-            explained = explain_unknown(flag) if explain_unknown else None
-            raise ConfigError(explained or _unknown(flag, by_flag, command))
-        option, follower = by_flag[flag], words[index + 1 : index + 2]
-        name, equals, value = option.flags[0], *word.partition("=")[1:]
-        if option.is_switch and equals:
-            raise ConfigError(f"{flag} takes no value, got {word}. Write {name} or --no-{name[2:]}. {_next(command)}")
-        if option.is_switch:
-            prepared.append(f"{name}={not flag.startswith('--no-')}")
-        elif not equals and not option.takes_many and (not follower or flag_of(follower[0]) or follower[0] == "--"):
-            raise ConfigError(f"{flag} needs a value: {flag} {metavar(option)}. {_next(command)}")
-        else:
-            prepared.append(name + equals + value)
-    return prepared
+        if config is None:
+            allowed = ", ".join(sorted(each.flag for each in execution_settings().values() if each.name != "preset"))
+            raise ConfigError(
+                f"{shown} would change the numbers of the run; resume takes {allowed}. Start another run to change it."
+            )
+        raise ConfigError(
+            f"{name} is no setting of a run of {config.run.env} with algorithm {config.run.algorithm!r}. "
+            f"Leave {shown} away."
+        )
 
 
-def _unknown(flag: str, by_flag: Mapping[str, Option], command: str) -> str:
-    """Return what to say of a flag that there is not, with the one that was meant."""
-    longer = [known for known in by_flag if known.startswith(flag)]
-    close = longer[:1] or difflib.get_close_matches(flag, by_flag, n=1)
-    hint = f" Did you mean {close[0]}?" if close else ""
-    return f"unknown flag {flag}.{hint} `shes {command} --help` lists the flags."
+def _gathered(values: dict[str, Any], words: Sequence[str]) -> dict[str, Any]:
+    """Return the values of a command, the settings that were given under `settings`."""
+    given = {word.partition("=")[0].replace("--no-", "--") for word in words if word.startswith("--")}
+    settings: dict[str, Any] = {}
+    rest: dict[str, Any] = {}
+    for name, value in values.items():
+        if type(value).__name__ != "Flags":
+            rest[name] = value
+            continue
+        known = {each: known_settings().get(each) for each in vars(value)}
+        settings |= {
+            each: vars(value)[each]
+            for each, setting in known.items()
+            if given & {flag(each), setting.flag if setting else ""}
+        }
+    return {**rest, "settings": settings}
 
 
-def _missing(options: Sequence[Option], command: str) -> ConfigError:
-    """Return the error for a positional that is not there."""
-    option = next(option for option in options if option.is_required)
-    known = f" {metavar(option)}: {', '.join(option.choices)}." if option.choices else ""
-    example = option.choices[0] if option.choices else metavar(option)
-    return ConfigError(f"shes {command} needs {option.noun} first: shes {command} {example}.{known} {_next(command)}")
+def _asked_config(words: Sequence[str]) -> TrainConfig:
+    """Return the settings that the flags are made of: those of environment, preset and algorithm among `words`.
+
+    Raises:
+        UnknownNameError: There is no such preset or algorithm.
+    """
+    env = next((word for word in words if _is_environment(word, (*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS))), DEFAULT_ENV)
+    given = {"--preset": "laptop", "--algorithm": "shes"}
+    for word, follower in zip(words, [*words[1:], ""], strict=False):
+        name, equals, value = word.partition("=")
+        if name in given and (value or follower):
+            given[name] = value if equals else follower
+    return make_config(env, given["--preset"], {"algorithm": given["--algorithm"]})
 
 
-def _field(option: Option) -> tuple[str, Any, Any] | tuple[str, Any]:
-    """Return the field that tyro reads `option` into."""
-    kind: Any = Annotated[Any, _constructor(option)]
-    kind = tyro.conf.Positional[kind] if option.noun else Annotated[kind, tyro.conf.arg(name=option.flags[0][2:])]
-    return (option.name, kind) if option.is_required else (option.name, kind, _NOT_GIVEN)
+def _is_environment(word: str, known: Container[str]) -> bool:
+    return word in known or (not word.startswith("-") and is_description_file(word))
 
 
-def _constructor(option: Option) -> PrimitiveConstructorSpec[Any]:
-    """Return tyro's way to read the option's type, but for its errors: they become a `_Wrong`."""
-    spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(option.kind, set()))
-    assert not isinstance(spec, UnsupportedTypeAnnotationError), f"tyro cannot read {option.name}: {option.kind}"
-
-    def read(words: list[str]) -> Any:
-        if NoneType in option.kinds and [word.lower() for word in words] == ["none"]:
-            return None
-        try:
-            # Python's True and False are people's true and false.
-            return spec.instance_from_str([word.capitalize() for word in words] if bool in option.kinds else words)
-        except ValueError:
-            return _Wrong(words)
-
-    return replace(spec, choices=None, instance_from_str=read)
+def _spelled(words: Sequence[str]) -> list[str]:
+    """Return words as tyro spells them: `--a_b none` is `--a-b None`, but where `none` is one of the names."""
+    named = {each.flag for each in known_settings().values() if "none" in each.choices}
+    spelled: list[str] = []
+    last = ""
+    for word in words:
+        name, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
+        last = name.replace("_", "-") or last
+        value = "None" if value == "none" and last not in named else value
+        spelled.append((last if name else "") + equals + value)
+    return spelled

@@ -2,26 +2,53 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 from collections.abc import Sequence
 
-from shes.cli.commands import SUMMARIES, load_command
-from shes.cli.help_text import command_help, overview
-from shes.cli.imports import import_modules
-from shes.cli.options import options_in
+import shes
 from shes.cli.output import print_error, print_interrupted
 from shes.errors import ConfigError, ShesError, UnknownNameError
 
-__all__ = ["main"]
+__all__ = ["COMMANDS", "main"]
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
-
 BROKEN_PIPE = 141
 """Exit code when nobody reads the output, as that of programs which SIGPIPE ends."""
 
-_HELP = ("-h", "--help")
+COMMANDS: dict[str, str] = {
+    "envs": "list the environments",
+    "list": "list the runs below runs/, and the shipped agents",
+    "info": "show what a run is and how far it came",
+    "train": "train on an environment",
+    "resume": "go on with a run",
+    "evaluate": "evaluate a checkpoint of a run on fresh episodes",
+    "plot": "draw the learning curves of runs",
+    "render": "make a video of a run's policy",
+    "watch": "look at a run's policy in a window",
+    "experiment": "run a study of many runs, with tables and figures",
+    "bench": "measure how fast this machine is",
+    "completion": "print a script that completes commands and flags by the tab key",
+}
+"""What the commands do: functions of these names, each in a module of `commands`. `list` is `list_`."""
+
+_OVERVIEW = """\
+usage: shes COMMAND ...
+
+Scalable hierarchical evolution strategies: train, look, measure.
+
+commands:
+{commands}
+
+everywhere:
+  -h, --help       Show the help of a command.
+  --import MODULE  Import a module first: what it registers (environments, ...) is known then. Repeatable.
+  --debug          Show the traceback of an error.
+  --version        Show the version.
+
+First steps: shes train point-gather --generations 60, then shes plot RUN, then shes train ant-gather."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,7 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     is_debug = "--debug" in words
     try:
         modules, words = _take_imports([word for word in words if word != "--debug"])
-        import_modules(modules)
+        for name in modules:
+            _import(name)
         status = _dispatch(words)
         sys.stdout.flush()  # a broken pipe or a full disk shows here, not at Python's end
     except KeyboardInterrupt:
@@ -45,6 +73,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_error(error)
         return error.exit_code if isinstance(error, ShesError) else ConfigError.exit_code
     return status
+
+
+def _dispatch(words: list[str]) -> int:
+    if not words or words[0] in ("-h", "--help", "help"):
+        width = max(map(len, COMMANDS))
+        print(_OVERVIEW.format(commands="\n".join(f"  {name:<{width}}  {text}" for name, text in COMMANDS.items())))
+        return 0
+    if words[0] == "--version":
+        print(f"shes {shes.__version__}")
+        return 0
+    name, *rest = words
+    if name.startswith("-"):
+        raise ConfigError(f"unknown flag {name} before the command. `shes --help` explains those that there are.")
+    if name not in COMMANDS:
+        raise UnknownNameError("command", name, COMMANDS, "`shes --help` explains them.")
+    module = shes.import_module(f"shes.cli.commands.{name}")
+    from shes.cli.parsing import call  # tyro takes its time: not for the overview
+
+    return call(getattr(module, f"{name}_" if name == "list" else name), rest)
 
 
 def _take_imports(words: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -69,26 +116,23 @@ def _take_imports(words: Sequence[str]) -> tuple[list[str], list[str]]:
     return modules, rest
 
 
-def _dispatch(words: list[str]) -> int:
-    if not words or words[0] in (*_HELP, "help"):
-        print(overview(SUMMARIES))
-        return 0
-    if words[0] == "--version":
-        from importlib.metadata import version
+def _import(name: str) -> None:
+    """Import a module of the user.
 
-        print(f"shes {version('shes')}")
-        return 0
-    name, *rest = words
-    if name.startswith("-"):
-        alone = ", ".join((*_HELP, "--version", "--debug", "--import"))
-        raise ConfigError(f"unknown flag {name} before the command: there are {alone}. `shes --help` explains them.")
-    if name not in SUMMARIES:
-        raise UnknownNameError("command", name, SUMMARIES, "`shes --help` explains them.")
-    command = load_command(name)
-    if set(_HELP) & set(rest) or (command.is_help_alone and not rest):
-        rest = [word for word in rest if word not in _HELP]
-        print(command_help(command, command.groups_for(rest), command.notes(rest) if command.notes else ""))
-        return 0
-    from shes.cli.parsing import parse  # tyro takes its time: not for help
-
-    return command.run(parse(options_in(command.groups_for(rest)), rest, name, command.explain_unknown))
+    Raises:
+        ConfigError: It is not found, or fails.
+    """
+    try:
+        importlib.import_module(name)
+    except (Exception, SystemExit) as error:
+        parents = [".".join(name.split(".")[:depth]) for depth in range(1, name.count(".") + 2)]
+        if isinstance(error, ModuleNotFoundError) and error.name in parents:
+            file = f" Give a module's name, not a file: --import {name[:-3]}." if name.endswith(".py") else ""
+            raise ConfigError(
+                f"--import {name}: there is no module {error.name!r}. Is it installed or on PYTHONPATH?{file} "
+                "For a module in this folder: PYTHONPATH=. shes ..."
+            ) from error
+        raise ConfigError(
+            f"--import {name}: the module failed: {type(error).__name__}: {str(error).rstrip('.')}. "
+            "Mend it; --debug shows where it failed."
+        ) from error

@@ -1,17 +1,34 @@
-"""Gymnasium's registry: every environment of ours, single and vector, under `shes/`."""
+"""Gymnasium's registry: every environment of ours, single and vector, under `shes/`.
+
+Entry points are strings, and so are the names below: `import shes` registers them without importing MuJoCo.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
-__all__ = ["MAX_EPISODE_STEPS", "gymnasium_id", "register_ids"]
+from shes.errors import UnknownNameError
+
+__all__ = ["MAX_EPISODE_STEPS", "SPECS_OF", "gymnasium_id", "register_ids", "register_known"]
 
 MAX_EPISODE_STEPS = 500
 """Control steps after which Gymnasium truncates an episode (Table I)."""
+SPECS_OF: dict[str, Collection[str]] = {
+    f"{body}-{task}": ("shes", "hiro")
+    for body in ("ant", "point")
+    for task in ("gather", "maze", "push", "fall", "flagrun")
+}
+"""Environments and their specifications: those of `shes.envs.registry`, and what is registered later."""
 
 
 def gymnasium_id(name: str, spec: str = "shes") -> str:
-    """Return the Gymnasium id of `name`: of `ant-gather`, `shes/AntGather-v0`, or `shes/AntGatherHiro-v0` for hiro."""
+    """Return the Gymnasium id of `name`: of `ant-gather`, `shes/AntGather-v0`, or `shes/AntGatherHiro-v0` for hiro.
+
+    Raises:
+        UnknownNameError: `name` is not registered.
+    """
+    if name not in SPECS_OF:
+        raise UnknownNameError("environment", name, SPECS_OF, "`shes envs` lists them.")
     variant = "" if spec == "shes" else spec.title()
     return f"shes/{name.title().replace('-', '')}{variant}-v0"
 
@@ -20,6 +37,7 @@ def register_ids(name: str, specs: Collection[str]) -> None:
     """Register environment `name` in each of its `specs` that Gymnasium does not know yet."""
     import gymnasium  # worker processes do without
 
+    SPECS_OF[name] = specs
     for spec in specs:
         if gymnasium_id(name, spec) not in gymnasium.registry:
             gymnasium.register(
@@ -29,3 +47,9 @@ def register_ids(name: str, specs: Collection[str]) -> None:
                 max_episode_steps=MAX_EPISODE_STEPS,
                 kwargs={"name": name, "spec": spec},
             )
+
+
+def register_known() -> None:
+    """Register every environment that comes with SHES."""
+    for name, specs in SPECS_OF.items():
+        register_ids(name, specs)

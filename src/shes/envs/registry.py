@@ -40,7 +40,6 @@ __all__ = [
     "make_task",
     "register_environment",
     "register_external_environment",
-    "register_in_gymnasium",
 ]
 
 _HOW_TO_REGISTER = "`shes envs` lists them. Register your own first: shes.register_environment, or --import MODULE."
@@ -121,12 +120,6 @@ ENVIRONMENTS: Registry[Environment] = Registry(
     fix=_HOW_TO_REGISTER,
     check=_check_environment,
 )
-
-
-def register_in_gymnasium() -> None:
-    """Make every environment known to Gymnasium."""
-    for name, environment in ENVIRONMENTS.items():
-        register_ids(name, environment.task.specs)
 
 
 def register_environment(name: str, body: type[Body], task: type[Task]) -> None:

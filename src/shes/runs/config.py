@@ -285,7 +285,9 @@ class TrainConfig:
     @property
     def has_schedule(self) -> bool:
         """Whether anything changes over generations."""
-        return any(getattr(self.schedules, kind) != "constant" for kind, _ in SCHEDULED.values())
+        return "schedules" in self and any(
+            getattr(self.schedules, kind) != "constant" for kind, _ in SCHEDULED.values()
+        )
 
     @property
     def evaluation_steps(self) -> int:

@@ -58,7 +58,7 @@ class EvolutionSettings(Settings):
 
     population_size: Annotated[int, Ge(1), Shown(everyday=True)] = 240
     """Policies in a generation, mirrored ones included (Table I: 1000)."""
-    episodes_per_policy: Annotated[int, Ge(1), Shown(everyday=True)] = 1
+    episodes_per_policy: Annotated[int, Ge(1)] = 1
     """Episodes that a policy's fitness is the mean of (Table I: 5)."""
     sigma: Annotated[float, Gt(0), Shown(everyday=True)] = 0.07
     """Standard deviation of the perturbations (Table I: 0.02)."""
@@ -157,7 +157,7 @@ class PrimitiveSettings(Settings):
 
     controller_interval: Annotated[int, Ge(1), Shown(everyday=True)] = 25
     """Steps that a goal is held (c in Table I: 25)."""
-    goal_distance: Annotated[float, Gt(0), Shown(everyday=True)] = 4.0
+    goal_distance: Annotated[float, Gt(0)] = 4.0
     """Metres that a controller's output of 1 stands for (Table I)."""
     goal_encoding: Annotated[str, Choices(GOAL_ENCODINGS, _OWN.format("goal_encoding"))] = "angle"
     """What the primitive is told about its goal (section II-C): angle, unit_vector, vector or angle_metres."""

@@ -2,47 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any
+import importlib
+from contextlib import suppress
+from typing import Annotated, Literal
 
-from shes.cli.command import Command
-from shes.cli.options import Group, Shown, options_of
+import tyro
 
-_SHELLS = ("bash", "zsh", "fish", "tcsh")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """What `shes completion` takes."""
-
-    shell: Annotated[str, Shown(choices=_SHELLS, noun="the name of a shell")]
-    """The shell that the script is for."""
+from shes.cli.parsing import program_of
+from shes.cli.program import COMMANDS
 
 
-def _run(values: dict[str, Any]) -> int:
-    from shes.cli.completion import SCRIPTS, gather_offers
-    from shes.errors import UnknownNameError
+def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]) -> int:
+    """Print a script by which a shell completes commands, flags, environments and other names by the tab key.
 
-    shell = Arguments(**values).shell
-    if shell not in SCRIPTS:
-        raise UnknownNameError("shell", shell, SCRIPTS, "`shes completion --help` says how to install each.")
-    print(SCRIPTS[shell](gather_offers()), end="")
+    Do it again after an update. For bash: shes completion bash > ~/.shes.bash; echo '. ~/.shes.bash' >> ~/.bashrc
+
+    Args:
+        shell: The shell that the script is for.
+    """
+    programs = {}
+    for name in COMMANDS:
+        module = importlib.import_module(f"shes.cli.commands.{name}")
+        programs[name] = program_of(getattr(module, f"{name}_" if name == "list" else name), [])
+    arguments = ["--tyro-print-completion", shell]
+    with suppress(SystemExit):  # tyro prints the script and leaves
+        tyro.extras.subcommand_cli_from_dict(programs, prog="shes", args=arguments, config=(tyro.conf.OmitArgPrefixes,))
     return 0
-
-
-COMMAND = Command(
-    name="completion",
-    description=(
-        "Print a script by which a shell completes commands, flags, environments, presets and other names by the tab "
-        "key. Install it once, by the line for your shell, and open a new one; do it again after an update."
-    ),
-    examples=(
-        "shes completion bash > ~/.shes-completion.bash && echo '. ~/.shes-completion.bash' >> ~/.bashrc",
-        "shes completion zsh > ~/.shes-completion.zsh && echo '. ~/.shes-completion.zsh' >> ~/.zshrc",
-        "shes completion fish > ~/.config/fish/completions/shes.fish",
-        "shes completion tcsh > ~/.shes-completion.tcsh && echo 'source ~/.shes-completion.tcsh' >> ~/.tcshrc",
-    ),
-    groups=(Group(heading="shell", options=options_of(Arguments)),),
-    run=_run,
-    is_help_alone=True,
-)

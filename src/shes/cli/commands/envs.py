@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+import json as json_text
 from typing import Any
 
-from shes.cli.command import Command
-from shes.cli.options import Group, options_of
 from shes.cli.output import print_table
 from shes.envs.external.description import ExternalDescription
+from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
+from shes.envs.gymnasium_ids import gymnasium_id
+from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.tasks.options import SPECS, TaskOptions
 from shes.errors import ShesError
 
 
-@dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """What `shes envs` takes."""
+def envs(*, json: bool = False) -> int:
+    """List the environments.
 
-    json: bool = False
-    """Print a JSON array of objects."""
-
-
-_GROUPS = (Group(heading="flags", options=options_of(Arguments)),)
-
-
-def _run(values: dict[str, Any]) -> int:
-    from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
-    from shes.envs.gymnasium_ids import gymnasium_id
-    from shes.envs.registry import ENVIRONMENTS, make_task
-    from shes.envs.tasks.options import SPECS, TaskOptions
-
+    Args:
+        json: Print a JSON array of objects.
+    """
     rows: list[dict[str, Any]] = []
     for name, environment in ENVIRONMENTS.items():
         specs = environment.task.specs
@@ -48,8 +39,8 @@ def _run(values: dict[str, Any]) -> int:
             }
         )
     others = [_external_row(name, description) for name, description in EXTERNAL_ENVIRONMENTS.items()]
-    if Arguments(**values).json:
-        print(json.dumps([*rows, *others], indent=2))
+    if json:
+        print(json_text.dumps([*rows, *others], indent=2))
         return 0
     print_table(
         ("environment", "task", "observation", "hiro", "action"),
@@ -71,8 +62,6 @@ def _run(values: dict[str, Any]) -> int:
 
 def _external_row(name: str, description: ExternalDescription) -> dict[str, Any]:
     """Return what there is to say of an environment of others; no numbers where it cannot be made."""
-    from shes.envs.external.environment import ExternalEnvironment
-
     row: dict[str, Any] = {
         "name": name,
         "task": "external",
@@ -96,11 +85,3 @@ def _shown_sizes(row: dict[str, Any]) -> tuple[str, str]:
     if row["action"] is None:
         return row["about"], ""
     return str(row["observation"]["external"]), str(row["action"])
-
-
-COMMAND = Command(
-    name="envs",
-    description="List the environments.",
-    groups=_GROUPS,
-    run=_run,
-)

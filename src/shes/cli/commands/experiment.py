@@ -3,80 +3,77 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Literal
 
-from shes.cli.command import Command
-from shes.cli.options import Group, Shown, options_of
-from shes.cli.output import print_error, print_line, print_table, quote
+import tyro
 
-if TYPE_CHECKING:
-    from shes.studies.comparison import Comparison
-    from shes.studies.design import StudyDesign
-    from shes.studies.study import Outcome, Study
+from shes.cli.output import print_error, print_facts, print_line, print_table, quote
+from shes.cli.progress_display import format_duration
+from shes.errors import ConfigError
+from shes.runs.config import WorkerSettings
+from shes.studies.comparison import Comparison, compare
+from shes.studies.design import StudyDesign
+from shes.studies.figures import draw_figures
+from shes.studies.index import STUDIES
+from shes.studies.study import (
+    Outcome,
+    Study,
+    cell_steps,
+    cells_left,
+    check_study,
+    choose,
+    read_summaries,
+    run_study,
+)
+from shes.studies.tables import write_csv, write_tables
 
-# Those of `studies.index`, which takes long to import.
+Scale = Literal["laptop", "smoke"]
+Group = Literal["choices", "sweep", "transfer", "horizon", "pieces", "form", "alternatives"]
 _GROUPS = {
     "ablation": ("choices", "sweep", "transfer", "horizon"),
     "learning": ("pieces", "form", "alternatives", "sweep"),
 }
-_NAMES = tuple(_GROUPS)
-_ALL_GROUPS = tuple(dict.fromkeys(group for groups in _GROUPS.values() for group in groups))
-_SCALES = ("laptop", "smoke")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """What `shes experiment` takes."""
+def experiment(
+    name: Annotated[Literal["ablation", "learning"], tyro.conf.Positional],
+    *,
+    out: Path | None = None,
+    workers: int = 0,
+    scale: Scale = "laptop",
+    seeds: int | None = None,
+    only: tuple[Group, ...] | None = None,
+    json: bool = False,
+) -> int:
+    """Run a study of many runs and draw its figures. Stopped, it goes on by the same command.
 
-    experiment: Annotated[str, Shown(choices=_NAMES, noun="the name of an experiment")]
-    """ablation: the choices of the paper, a sweep of the settings, transfer and horizon, on Point Gather and Maze.
-    learning: what each piece of the walker's learning is worth, on Ant Flagrun."""
-    out: Annotated[Path | None, Shown(metavar="FOLDER")] = None
-    """Where its runs, tables and figures are kept, and not done again; runs/ and its name if none."""
-    workers: int = 0
-    """Runs at a time; 0 is one for every core."""
-    scale: Annotated[str, Shown(choices=_SCALES)] = "laptop"
-    """laptop: hours on two cores; smoke: a minute, to see that everything works."""
-    seeds: int | None = None
-    """Seeds of every variant; if none 10, and 5 in a sweep and in learning (smoke: 2)."""
-    only: Annotated[tuple[str, ...] | None, Shown(metavar="GROUP", choices=_ALL_GROUPS)] = None
-    """Groups to run, and always the base; all if none. ablation: choices, sweep, transfer, horizon; learning: pieces,
-    form, alternatives, sweep."""
-    json: bool = False
-    """Print one JSON object."""
+    shes experiment ablation --out results/ablation --workers 2
 
-
-def _run(values: dict[str, Any]) -> int:
-    from shes.cli.output import print_facts
-    from shes.errors import ConfigError, UnknownNameError
-    from shes.runs.config import WorkerSettings
-    from shes.studies.comparison import compare
-    from shes.studies.figures import draw_figures
-    from shes.studies.index import STUDIES
-    from shes.studies.study import cells_left, check_study, choose, read_summaries, run_study
-    from shes.studies.tables import write_csv, write_tables
-
-    given = Arguments(**values)
-    if given.experiment not in _NAMES:
-        fix = "`shes experiment --help` explains them."
-        raise UnknownNameError("experiment", given.experiment, _NAMES, fix)
-    if given.only == ():
-        groups = ", ".join(_GROUPS[given.experiment])
-        raise ConfigError(f"--only needs at least one group: {groups}. Leave it away to run all.")
-    if given.workers < 0:
-        raise ConfigError(f"workers must be a whole number of at least 0, got {given.workers}. Set --workers.")
-    out = given.out or Path("runs") / given.experiment
-    study = STUDIES[given.experiment](given.scale, given.seeds)
-    chosen = choose(study, given.only or ())
+    Args:
+        name: ablation: the choices of the paper, a sweep of the settings, transfer and horizon, on Point Gather and
+            Maze; learning: what each piece of the walker's learning is worth, on Ant Flagrun.
+        out: Where its runs, tables and figures are kept, and not done again; runs/ and its name if none.
+        workers: Runs at a time; 0 is one for every core.
+        scale: laptop: hours on two cores; smoke: a minute, to see that everything works.
+        seeds: Seeds of every variant; if none 10, and 5 in a sweep and in learning (smoke: 2).
+        only: Groups to run, and always the base; all if none.
+        json: Print one JSON object.
+    """
+    if only == ():
+        raise ConfigError(f"--only needs at least one group: {', '.join(_GROUPS[name])}. Leave it away to run all.")
+    if workers < 0:
+        raise ConfigError(f"workers must be a whole number of at least 0, got {workers}. Set --workers.")
+    out = out or Path("runs") / name
+    study = STUDIES[name](scale, seeds)
+    chosen = choose(study, only or ())
     check_study(study, out)
     left = {cell.name for cell in cells_left(chosen, out)}
-    workers = WorkerSettings(num_workers=given.workers).count
+    workers = WorkerSettings(num_workers=workers).count
     failed: list[Outcome] = []
     outcomes = run_study(chosen, out, num_workers=workers)
-    with _Progress(chosen, left, workers, is_silent=given.json) as progress, closing(outcomes):
+    with _Progress(chosen, left, workers, is_silent=json) as progress, closing(outcomes):
         for outcome in outcomes:
             progress.show(outcome)
             if outcome.summary is None:
@@ -88,7 +85,7 @@ def _run(values: dict[str, Any]) -> int:
     write_tables(study.ordered(), summaries, out)
     write_csv(out / "comparison.csv", [comparison.row() for comparison in comparisons])
     figures = draw_figures(study, summaries, comparisons, out)
-    if given.json:
+    if json:
         facts = {
             "out": str(out),
             "cells": len(chosen.cells),
@@ -113,8 +110,6 @@ class _Progress:
     """Says what is ahead, what every finished run came to and how long the rest takes; after Ctrl-C, how to go on."""
 
     def __init__(self, study: Study, left: set[str], workers: int, *, is_silent: bool) -> None:
-        from shes.studies.study import cell_steps
-
         self._design = study.design
         self._steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
         self._left = {name: steps for name, steps in self._steps.items() if name in left}
@@ -122,8 +117,6 @@ class _Progress:
         self._start, self._made = monotonic(), 0
 
     def __enter__(self) -> _Progress:
-        from shes.cli.progress_display import format_duration
-
         total, ahead = sum(self._steps.values()), sum(self._left.values())
         at_once = max(1, min(self._workers, len(self._left)))
         runs = f"{len(self._steps)} runs, {total / 1e6:,.1f} M environment steps"
@@ -142,8 +135,6 @@ class _Progress:
 
     def show(self, outcome: Outcome) -> None:
         """Say what came of a cell."""
-        from shes.cli.progress_display import format_duration
-
         for event in outcome.events:
             self._say(event)
         self._made += self._left.pop(outcome.cell.name)
@@ -174,17 +165,3 @@ def _print_comparisons(design: StudyDesign, comparisons: list[Comparison]) -> No
         print_line(env)
         print_table(("group", "variant", "seeds", "mean [95 %]", "p"), rows)
         print_line(f"mean: {design.metrics[env].words}, over seeds; p: to the base, by permutation, corrected by Holm.")
-
-
-COMMAND = Command(
-    name="experiment",
-    description="Run a study of many runs and draw its figures. Stopped, it goes on by the same command.",
-    examples=(
-        "shes experiment ablation --out results/ablation --workers 2",
-        "shes experiment ablation --out runs/try --scale smoke --only choices transfer",
-        "shes experiment learning --out results/learning --only pieces",
-    ),
-    groups=(Group(heading="experiment and flags", options=options_of(Arguments)),),
-    run=_run,
-    is_help_alone=True,
-)

@@ -1,58 +1,62 @@
-"""`shes list`: the shipped agents."""
+"""`shes list`: the runs below runs/, and the shipped agents."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
-from typing import Any
+import json as json_text
+from pathlib import Path
+from typing import Annotated
 
-from shes.cli.command import Command
-from shes.cli.options import Group, options_of
+import tyro
+
 from shes.cli.output import print_line, print_table
+from shes.errors import ShesError
+from shes.runs.folder import RunFolder
+from shes.runs.shipped import read_agent, shipped_names
+from shes.runs.state import RunState, run_state
 
 
-@dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """What `shes list` takes."""
+def list_(folder: Annotated[Path, tyro.conf.Positional] = Path("runs"), *, json: bool = False) -> int:
+    """List the runs below a folder, and the shipped agents. A name of an agent stands wherever a run may.
 
-    json: bool = False
-    """Print one JSON object: what is told of each agent, by name."""
-
-
-def _run(values: dict[str, Any]) -> int:
-    from shes.runs.shipped import read_agent, shipped_names
-
+    Args:
+        folder: The folder.
+        json: Print one JSON object: runs, and agents by name.
+    """
+    runs = _runs_below(folder)
     agents = {name: read_agent(name) for name in shipped_names()}
-    if Arguments(**values).json:
-        print(json.dumps({name: agent.to_dict() for name, agent in agents.items()}))
+    if json:
+        told = {name: agent.to_dict() for name, agent in agents.items()}
+        print(json_text.dumps({"runs": [run.to_dict() for run in runs], "agents": told}))
         return 0
-    if not agents:
-        print_line("This version of SHES ships no agent.")
-        return 0
-    rows = [
-        (
-            name,
-            agent.env,
-            f"{agent.evaluation.score_mean:.2f} ± {agent.evaluation.score_std:.2f}",
-            f"{agent.env_steps:,}",
-            agent.description,
+    if runs:
+        print_table(
+            ("run", "environment", "generation", "best score", "state"),
+            [(run.run, run.env, f"{run.generation} / {run.generations}", run.shown_score, run.state) for run in runs],
         )
-        for name, agent in agents.items()
-    ]
-    print_table(("agent", "environment", "score", "steps", "description"), rows)
-    print_line(
-        "Score: mean and standard deviation over fresh episodes. Steps: environment steps of its training. A name "
-        "stands wherever a run folder may: shes evaluate NAME. More: --json."
-    )
+    else:
+        print_line(f"There is no run below {folder}.")
+    if agents:
+        rows = [
+            (
+                name,
+                agent.env,
+                f"{agent.evaluation.score_mean:.2f} ± {agent.evaluation.score_std:.2f}",
+                f"{agent.env_steps:,}",
+                agent.description,
+            )
+            for name, agent in agents.items()
+        ]
+        print_table(("agent", "environment", "score", "steps", "description"), rows)
+        print_line("Score: mean and standard deviation over fresh episodes. Steps: environment steps of its training.")
     return 0
 
 
-COMMAND = Command(
-    name="list",
-    description=(
-        "List the shipped agents: trained ones that are part of the package. A name stands wherever a run folder may."
-    ),
-    examples=("shes list --json",),
-    groups=(Group(heading="flags", options=options_of(Arguments)),),
-    run=_run,
-)
+def _runs_below(folder: Path) -> list[RunState]:
+    """Return what there is to say of the runs below `folder`, in alphabetical order; what is no run is left out."""
+    found: list[RunState] = []
+    for file in sorted(folder.glob("**/config.json")):
+        try:
+            found.append(run_state(RunFolder(file.parent)))
+        except ShesError:
+            continue
+    return found

@@ -2,40 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
-from shes.cli.command import Command
-from shes.cli.options import Group, Shown, options_of
+import tyro
 
-X_AXES = ("env_steps", "generation", "wall_time_s")  # those of `viewing.plot`, which imports matplotlib
-
-
-@dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """What `shes plot` takes."""
-
-    runs: Annotated[tuple[str, ...], Shown(metavar="RUN ...", noun="at least one run folder", is_run=True)]
-    """Run folders, or names of shipped agents."""
-    out: Path = Path("curves.png")
-    """The picture: .png, .pdf or .svg."""
-    x: Annotated[str, Shown(choices=X_AXES)] = "env_steps"
-    """What to draw over."""
+from shes.viewing.plot import plot as draw
 
 
-def _run(values: dict[str, Any]) -> int:
-    from shes.viewing.plot import plot
+def plot(
+    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")],
+    *,
+    out: Path = Path("curves.png"),
+    x: Literal["env_steps", "generation", "wall_time_s"] = "env_steps",
+) -> int:
+    """Draw learning curves; runs that differ in the seed alone become a mean with an interval of 95 %.
 
-    given = Arguments(**values)
-    print(f"Learning curves: {plot(given.runs, given.out, x=given.x)}")
+    shes plot runs/seed1 runs/seed2 runs/seed3 --out mean.pdf --x generation
+
+    Args:
+        runs: Run folders, or names of shipped agents.
+        out: The picture: .png, .pdf or .svg.
+        x: What to draw over.
+    """
+    print(f"Learning curves: {draw(runs, out, x=x)}")
     return 0
-
-
-COMMAND = Command(
-    name="plot",
-    description="Draw learning curves; runs that differ in the seed alone become a mean with an interval of 95 %.",
-    examples=("shes plot runs/first", "shes plot runs/seed1 runs/seed2 runs/seed3 --out mean.pdf --x generation"),
-    groups=(Group(heading="runs and flags", options=options_of(Arguments)),),
-    run=_run,
-)

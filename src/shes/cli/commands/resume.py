@@ -2,56 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from shes.cli.command import Command
-from shes.cli.options import Group, Shown, options_in, options_of
+import tyro
 
-
-@dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """What `shes resume` takes beside the settings."""
-
-    run: Annotated[Path, Shown(metavar="RUN", noun="a run folder")]
-    """The run folder."""
+from shes.cli.parsing import ExecutionFlags
+from shes.cli.progress import show_progress
+from shes.training.train import resume as go_on
 
 
-def _groups(words: Sequence[str] = ()) -> tuple[Group, ...]:
-    del words  # its help shows no values: they are the run's own
-    from shes.cli.settings import asked_config, setting_groups
+def resume(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")], settings: ExecutionFlags) -> int:
+    """Go on with a run as if it had never stopped. What is not given stays as it is.
 
-    settings = setting_groups(asked_config([]), only_execution=True)
-    return (Group(heading="run folder", options=options_of(Arguments)), *settings)
+    shes resume runs/first --generations 200 --workers 4
 
-
-def _explain_unknown(flag: str) -> str | None:
-    """Say why a flag of `train` is none of `resume`."""
-    from shes.runs.config import known_settings
-
-    name = flag.removeprefix("--").removeprefix("no-").replace("-", "_")
-    if name not in known_settings():
-        return None
-    allowed = ", ".join(sorted(option.flags[0] for option in options_in(_groups()) if option.flags))
-    return f"{flag} would change the numbers of the run; resume takes {allowed}. Start another run to change it."
-
-
-def _run(values: dict[str, Any]) -> int:
-    from shes.cli.progress import show_progress
-    from shes.training.train import resume
-
-    run: Path = values.pop("run")
-    # As text: of a shipped agent by name it is to say what may be done instead.
-    return show_progress(lambda display: resume(str(run), listener=display, **values), run)
-
-
-COMMAND = Command(
-    name="resume",
-    description="Go on with a run as if it had never stopped. What is not given stays as it is.",
-    examples=("shes resume runs/first", "shes resume runs/first --generations 200 --workers 4"),
-    groups=_groups,
-    run=_run,
-    explain_unknown=_explain_unknown,
-)
+    Args:
+        run: The run folder.
+        settings: Settings by name.
+    """
+    return show_progress(lambda display: go_on(run, listener=display, **settings), run)

@@ -2,65 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from shes.cli.command import Command
-from shes.cli.options import Group, Shown, options_of
+import tyro
+
+from shes.cli.progress import show_progress
+from shes.training.presets import make_config
+from shes.training.train import start_run
 
 
-@dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """What `shes train` takes beside the settings."""
+def train(
+    env: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ENV")],
+    settings: dict[str, Any],
+    *,
+    out: Path | None = None,
+) -> int:
+    """Train on an environment, with live progress. Ctrl-C stops, and nothing is lost: shes resume goes on.
 
-    out: Annotated[Path | None, Shown(metavar="FOLDER")] = None
-    """The run folder, which must not hold a run yet; a new one below runs/ if none."""
+    shes train point-gather --generations 60 --out runs/first
 
-
-def _groups(words: Sequence[str]) -> tuple[Group, ...]:
-    from shes.cli.settings import asked_config, environment_group, setting_groups
-
-    config = asked_config(words)
-    run, *others = setting_groups(config)
-    run = Group(heading=run.heading, options=(*run.options, *options_of(Arguments)))
-    return (environment_group(is_required=True), run, *others)
-
-
-def _notes(words: Sequence[str]) -> str:
-    from shes.cli.settings import asked_config
-
-    config = asked_config(words)
-    return (
-        f"The values shown are those of the preset {config.run.preset!r} for {config.run.env}; "
-        f"`shes train ENV --preset NAME --help` shows others."
-    )
-
-
-def _explain_unknown(flag: str) -> str | None:
-    return f"the environment comes first, without a flag: shes train ENV; got {flag}." if flag == "--env" else None
-
-
-def _run(values: dict[str, Any]) -> int:
-    from shes.cli.progress import show_progress
-    from shes.cli.settings import make_asked_config
-    from shes.training.train import start_run
-
-    out: Path | None = values.pop("out", None)
-    config = make_asked_config(values)
+    Args:
+        env: Environment, see shes envs; or a file (.toml, .json) that describes another one.
+        settings: Settings by name.
+        out: The run folder, which must not hold a run yet; a new one below runs/ if none.
+    """
+    config = make_config(env, settings.pop("preset", "laptop"), settings)
     return show_progress(lambda display: start_run(config, out, display), out)
-
-
-COMMAND = Command(
-    name="train",
-    description="Train on an environment, with live progress. Ctrl-C stops, and nothing is lost: shes resume goes on.",
-    examples=(
-        "shes train point-gather --generations 60 --out runs/first",
-        "shes train ant-gather --preset paper --workers 8 --minutes 60 --seed 2",
-    ),
-    groups=_groups,
-    run=_run,
-    notes=_notes,
-    explain_unknown=_explain_unknown,
-)

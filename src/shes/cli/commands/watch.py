@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
-from shes.cli.command import Command
-from shes.cli.options import Group, Shown, options_of
+import tyro
 
 
-@dataclass(frozen=True, kw_only=True)
-class Arguments:
-    """What `shes watch` takes."""
+def watch(
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
+    *,
+    checkpoint: str = "best",
+    seed: int | None = None,
+) -> int:
+    """Look at a run's policy in a window, episode after episode. It needs a display.
 
-    run: Annotated[str, Shown(metavar="RUN", noun="a run folder", is_run=True)]
-    """The run folder, or the name of a shipped agent."""
-    checkpoint: Annotated[str, Shown(metavar="{best,last,NUMBER}", choices=("best", "last"))] = "best"
-    """Which checkpoint; a number is that of a generation."""
-    seed: int | None = None
-    """Seed of the episodes; a stream of the run's own, apart from its training, if none."""
+    Args:
+        run: The run folder, or the name of a shipped agent.
+        checkpoint: Which checkpoint: best, last or the number of a generation.
+        seed: Seed of the episodes; a stream of the run's own, apart from its training, if none.
+    """
+    from shes.viewing.watch import watch as show
 
-
-def _run(values: dict[str, Any]) -> int:
-    from shes.viewing.watch import watch
-
-    given = Arguments(**values)
-    watch(given.run, checkpoint=given.checkpoint, seed=given.seed)
+    show(run, checkpoint=checkpoint, seed=seed)
     return 0
-
-
-COMMAND = Command(
-    name="watch",
-    description="Look at a run's policy in a window, episode after episode. It needs a display.",
-    examples=("shes watch runs/first",),
-    groups=(Group(heading="run and flags", options=options_of(Arguments)),),
-    run=_run,
-)

@@ -17,7 +17,7 @@ class Fall(TargetTask):
     """
 
     name: ClassVar[str] = "fall"
-    Options: ClassVar[type[BlockOptions]] = BlockOptions
+    Options = BlockOptions
     grid: ClassVar[Grid] = FALL
     ground_m: ClassVar[float] = WALL_HEIGHT_M
     block_axes: ClassVar[str] = "yz"

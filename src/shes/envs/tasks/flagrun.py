@@ -63,7 +63,7 @@ class Flagrun(Task):
     name: ClassVar[str] = "flagrun"
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     sets_goals: ClassVar[bool] = True
-    Options: ClassVar[type[FlagrunOptions]] = FlagrunOptions
+    Options = FlagrunOptions
     options: FlagrunOptions
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="1 - d/d_c, where d is the distance to the goal and d_c what it was when the goal was drawn; "

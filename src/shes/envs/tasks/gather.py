@@ -73,7 +73,7 @@ class Gather(Task):
 
     name: ClassVar[str] = "gather"
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
-    Options: ClassVar[type[GatherOptions]] = GatherOptions
+    Options = GatherOptions
     options: GatherOptions
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="+1 for each piece of food and -1 for each piece of poison collected; hiro: -10 in the step of a fall",

@@ -44,8 +44,8 @@ class Maze(TargetTask):
     """
 
     name: ClassVar[str] = "maze"
-    Options: ClassVar[type[MazeOptions]] = MazeOptions
-    options: MazeOptions
+    Options = MazeOptions
+    options: MazeOptions  # type: ignore[assignment] - narrower than that of every target task
     grid: ClassVar[Grid] = MAZE
     own_target: ClassVar[tuple[float, ...]] = (0.0, 16.0)
     target_scale: ClassVar[float] = 0.01

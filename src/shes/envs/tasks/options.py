@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from shes.envs.worlds import INTEGRATORS
-from shes.settings import Choices, Example, Ge, Le, Lt, Settings, Shown, Unasked
+from shes.settings import Choices, Example, Ge, Le, Lt, Settings, Unasked
 
 __all__ = ["FURTHEST_M", "SPECS", "Place", "TaskOptions"]
 
@@ -27,7 +27,7 @@ Place = Annotated[tuple[float, ...], Ge(-FURTHEST_M), Le(FURTHEST_M), Example("0
 class TaskOptions(Settings):
     """The options of every task."""
 
-    spec: Annotated[str, Choices(SPECS), Shown(everyday=True)] = "shes"
+    spec: Annotated[str, Choices(SPECS)] = "shes"
     """Published specification of the environment: shes (the SHES authors'), or hiro (Nachum et al. 2018, rllab)."""
     integrator: Annotated[str, Choices(("default", *INTEGRATORS))] = "default"
     """MuJoCo's integrator; default is that of the specification: euler for shes, rk4 for hiro."""

@@ -18,7 +18,7 @@ class Push(TargetTask):
     """
 
     name: ClassVar[str] = "push"
-    Options: ClassVar[type[BlockOptions]] = BlockOptions
+    Options = BlockOptions
     grid: ClassVar[Grid] = PUSH
     block_axes: ClassVar[str] = "xy"
     own_target: ClassVar[tuple[float, ...]] = (0.0, 19.0)

@@ -85,7 +85,7 @@ class Task(EpisodeBatch):
             options = self.Options(**vars(options))
         self.check_options(options)
         self.body = body
-        self.options: Any = options
+        self.options: Any = options  # any: a subclass says by its annotation of which class
         """Its options, of class `Options`; a subclass with its own says so in its annotations."""
         self.num_episodes = num_episodes
         self.sim = simulator(self.build_world(body, options).compile(), num_episodes)

@@ -1,0 +1,89 @@
+"""How far a run came: what `shes list` and `shes info` say of it."""
+
+from __future__ import annotations
+
+import fcntl
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from shes.errors import CheckpointError
+from shes.runs.folder import RunFolder
+
+__all__ = ["RunState", "run_state"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunState:
+    """How far a run came."""
+
+    run: str
+    """The run folder."""
+    env: str
+    algorithm: str
+    preset: str
+    seed: int
+    generation: int
+    """Generations made."""
+    generations: int
+    """Generations asked for."""
+    env_steps: int
+    """Environment steps of training."""
+    best_score: float | None
+    """Score of the best evaluation; None before the first one."""
+    state: Literal["running", "finished", "stopped", "damaged", "tables only"]
+    """`stopped` runs can be resumed; one of `tables only` has no checkpoints."""
+
+    @property
+    def shown_score(self) -> str:
+        """The best score in words."""
+        return "-" if self.best_score is None else f"{self.best_score:.2f}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as JSON holds it."""
+        return asdict(self)
+
+
+def run_state(folder: RunFolder) -> RunState:
+    """Return how far the run in `folder` came.
+
+    Raises:
+        RunFolderError: Its record is damaged.
+        ConfigError: A setting in it is unknown or not allowed.
+    """
+    config = folder.read_config()
+    generation, steps, score, is_over = 0, 0, None, False
+    name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has the best alone
+    try:
+        checkpoint = folder.load(name)
+        generation, steps = checkpoint.generation, checkpoint.env_steps
+        score = checkpoint.best.score if checkpoint.best.generation >= 0 else None
+        is_over = config.run.is_over(generation, steps) or name == "best"
+    except CheckpointError:
+        state = "damaged" if folder.checkpoint_path(name).is_file() else "tables only"
+    else:
+        state = "running" if _is_locked(folder) else "finished" if is_over else "stopped"
+    return RunState(
+        run=str(folder.path),
+        env=config.run.env,
+        algorithm=config.run.algorithm,
+        preset=config.run.preset,
+        seed=config.run.seed,
+        generation=generation,
+        generations=config.run.generations,
+        env_steps=steps,
+        best_score=score,
+        state=state,
+    )
+
+
+def _is_locked(folder: RunFolder) -> bool:
+    """Tell whether a process trains in `folder`."""
+    file = folder.path / ".lock"
+    if not file.is_file():
+        return False
+    with file.open() as opened:
+        try:
+            fcntl.flock(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return True
+    return False
