@@ -11,7 +11,6 @@ agent = shes.load(run.path)
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import version
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ from shes.envs.gymnasium_ids import register_known
 from shes.errors import ConfigError
 
 if TYPE_CHECKING:
+    __version__: str
     from shes import es
     from shes.algorithms.registry import register_algorithm
     from shes.envs.registry import register_environment, register_external_environment
@@ -46,8 +46,6 @@ __all__ = [
     "resume",
     "train",
 ]
-
-__version__ = version("shes")
 
 # Loaded when first asked for: a worker process imports this package too, and needs none of it.
 _HOMES = {
@@ -85,6 +83,8 @@ def import_module(name: str) -> ModuleType:
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("shes")
     if name == "es":
         return import_module("shes.es")
     if name in _HOMES:

@@ -14,8 +14,8 @@ import pytest
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.point import FallingPoint, Point
-from shes.envs.gymnasium_ids import register_known
-from shes.envs.registry import ENVIRONMENTS, Environment
+from shes.envs.gymnasium_ids import register_ids
+from shes.envs.registry import ENVIRONMENTS
 from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun
 from shes.envs.tasks.gather import Gather
@@ -397,8 +397,8 @@ def test_every_environment_has_its_id_in_both_specifications_and_no_id_is_missin
 def test_there_is_no_hiro_id_of_a_task_without_that_specification(monkeypatch):
     monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
-    monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Corner))
-    register_known()
+    monkeypatch.setattr("shes.envs.gymnasium.registration.SPECS_OF", {})
+    register_ids("point-corner", Corner.specs)
     assert "shes/PointCorner-v0" in gymnasium.registry
     assert "shes/PointCornerHiro-v0" not in gymnasium.registry
 

@@ -6,6 +6,7 @@ import pytest
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.point import Point
+from shes.envs.gymnasium.registration import SPECS_OF
 from shes.envs.registry import ENVIRONMENTS, Environment, check_name, find_environment, make_task, register_environment
 from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.options import TaskOptions
@@ -192,3 +193,7 @@ def test_a_class_without_a_class_attribute_is_refused(registry):
         ConfigError, match=r"Nameless lacks name, description\. shes\.envs\.tasks\.task\.Task says what"
     ):
         register_environment("nameless", Point, nameless)
+
+
+def test_gymnasium_is_told_of_every_environment_without_importing_it():
+    assert SPECS_OF.items() >= {name: each.task.specs for name, each in ENVIRONMENTS.items()}.items()

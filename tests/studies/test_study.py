@@ -297,7 +297,7 @@ def test_a_row_does_not_stand_for_a_primitive_that_is_not_finished(tmp_path, in_
     whole = read_summaries(study, first)
     second.mkdir()
     write_tables(study.ordered(), {name: whole[name] for name in (trained.name, followers[0].name)}, second)
-    training.start_run(replace(cell_config(trained, second), minutes=1e-9), second / trained.name)  # stopped at once
+    training.start_run(cell_config(trained, second).having(minutes=1e-9), second / trained.name)  # stopped at once
     left = cells_left(study, second)
     assert [some.name for some in left] == [trained.name, followers[1].name]
     progress = experiment._Progress(study, {some.name for some in left}, 1, is_silent=True)
