@@ -14,13 +14,14 @@ from shes.es.noise import NoiseTable
 from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.clock import Clock
 from shes.hierarchy.episodes import PARTS, EpisodeTask, Generation
+from shes.hierarchy.exploration import EXPLORATION_STD
 from shes.hierarchy.flat import FlatDesign
 from shes.hierarchy.goals import AngleEncoding
 from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.outputs import VectorOutput
 from shes.hierarchy.primitive import PrimitiveDesign
 from shes.hierarchy.rewards import ProgressReward
-from shes.hierarchy.rollout import EXPLORATION_STD, Rollout
+from shes.hierarchy.rollout import Rollout
 from shes.policies.mlp import MLP
 from shes.types import CONTROLLER, PRIMITIVE
 from tests.hierarchy.fake_task import FakeEnvironment, FakeTask, Script, make_seed

@@ -1,4 +1,4 @@
-"""Results without roll-outs, drawn at random: what the parent does with results is measured by itself with them."""
+"""Results without rollouts, drawn at random: what the parent does with results is measured by itself with them."""
 
 from __future__ import annotations
 

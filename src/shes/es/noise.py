@@ -148,4 +148,4 @@ class NoiseTable:
 
 
 _COPIES: WeakValueDictionary[tuple[str, Path | int], NoiseTable] = WeakValueDictionary()
-"""Tables on devices, by module and file: a gigabyte that roll-out and update share."""
+"""Tables on devices, by module and file: a gigabyte that rollout and update share."""

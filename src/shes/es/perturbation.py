@@ -1,7 +1,7 @@
 """Which levels a generation perturbs: both at once, or one while the other stays the mean policy.
 
 Source: SHES paper II-E (many-to-many, one-to-many) and II-F (mirroring). One array of signs says everything, to the
-roll-out (which perturbation) and to the update (which sign a fitness gets): 0 leaves a level as it is.
+rollout (which perturbation) and to the update (which sign a fitness gets): 0 leaves a level as it is.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The environments as Gymnasium sees them: single, vector, registered."""
+"""The environments as Gymnasium sees them: single and vector."""

@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 PARTS = ("physics", "policy", "task")
-"""What a roll-out spends its time on: MuJoCo; the agent; the task's observations and rewards, and the rest."""
+"""What a rollout spends its time on: MuJoCo; the agent; the task's observations and rewards, and the rest."""
 
 
 Outcomes: TypeAlias = NDArray[np.void]

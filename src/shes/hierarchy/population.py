@@ -34,14 +34,14 @@ takes the difference between episodes out of the comparison within a group.
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """The roll-outs of a population, and how its members are perturbed."""
+    """The rollouts of a population, and how its members are perturbed."""
 
     signs: Signs
     """Signs of every member at each level [G, M, L]; 0 where it is not perturbed."""
     noise_index: IntArray
     """Start of the noise slice of each group [L, G]."""
     tasks: list[EpisodeTask]
-    """The roll-outs, in the order of the members."""
+    """The rollouts, in the order of the members."""
     generation: Generation
     """What they have in common."""
 

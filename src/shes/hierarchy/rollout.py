@@ -35,13 +35,11 @@ from shes.hierarchy.episodes import (
     Snapshot,
     empty_outcomes,
 )
+from shes.hierarchy.exploration import Exploration
 from shes.hierarchy.snapshots import Notes
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
-__all__ = ["EXPLORATION_STD", "Rollout"]
-
-EXPLORATION_STD = 0.01
-"""Standard deviation of the exploration noise on the controller's output and on the control (authors' code)."""
+__all__ = ["Rollout"]
 
 NumberedTask = tuple[int, EpisodeTask]
 """A task with its number in the order of results."""
@@ -82,17 +80,11 @@ class Rollout:
         self.agent = design.make(num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
         self._lanes: list[_Lane | None] = [None] * num_lanes
         rows = num_lanes * rows_per_lane
-        decisions = -(-horizon // design.controller_interval)
-        shapes = ((decisions, design.decision_size), (horizon, self.task.action_size))
-        self._drawn: list[F32Array] = [
-            np.zeros((steps, num_lanes, rows_per_lane, size), np.float32) for steps, size in shapes
-        ]
-        self._decision_noise, self._control_noise = self._drawn  # on a device, copies
+        self._exploration = Exploration(self.agent, horizon, self.task.action_size)
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
         self._running: IntArray = np.zeros(0, dtype=np.int64)
         self._steps: IntArray = np.zeros(rows, dtype=np.int64)
         self._intrinsic_return: F64Array = self.xp.zeros(rows)
-        self._explores = self._has_frozen_control = False
         self._seconds: F64Array = np.zeros(len(PARTS))
         self._notes: Notes | None = None
 
@@ -109,9 +101,8 @@ class Rollout:
         Raises:
             PolicyError: A policy returned NaN or infinity.
         """
-        self._explores = not generation.is_evaluation and not generation.branch_steps
+        self._exploration.begin(generation)
         self._notes = self._make_notes(generation.goals_noted)
-        self._has_frozen_control = generation.has_frozen_control
         self.agent.normalise_by(generation.levels)
         if self.agent.shares_noise:
             self.agent.centre_on(generation.levels)
@@ -145,8 +136,8 @@ class Rollout:
             self._perturb(place, task, means, generation.sigma, table)
             slots += [place * self.rows_per_lane + slot for slot in task.slots]
             seeds += task.seeds
-            if self._explores:
-                self._draw_exploration(place, task)
+            if self._exploration.is_on:
+                self._exploration.draw(place, task)
             results = _empty_results(task, self.design.observation_sizes)
             self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(task.slots))), results=results)
         rows = np.array(slots)
@@ -158,8 +149,8 @@ class Rollout:
                 self.agent.go_on(place, task.start.steps, task.start.goals)
         if self._notes is not None:
             self._notes.begin(started)
-        if self._explores:
-            self._decision_noise, self._control_noise = (self.xp.asarray(noise) for noise in self._drawn)
+        if self._exploration.is_on:
+            self._exploration.upload()
         self._intrinsic_return[self.xp.asarray(rows)] = 0
         self._steps[rows] = 0
         self._is_running[rows] = True
@@ -179,14 +170,6 @@ class Rollout:
             else:
                 perturb(mean, noise, scales[0], agent.theta[level][place])
 
-    def _draw_exploration(self, place: int, task: EpisodeTask) -> None:
-        """Draw the exploration noise of whole episodes from their seeds: no draw depends on another episode."""
-        for slot, seed in zip(task.slots, task.seeds, strict=True):
-            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
-            for noise in self._drawn:
-                drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
-                np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, place, slot])
-
     def _until_one_ends(self) -> Iterator[tuple[int, EpisodeResults]]:
         """Advance every running episode until one of them has ended; yield the tasks that this finished."""
         ended = np.zeros(0, dtype=np.int64)
@@ -200,7 +183,7 @@ class Rollout:
         start, physics_s = perf_counter(), task.physics_s
         seen = (task.observe(), task.position, task.heading)
         observed = perf_counter()
-        action = agent.act(*seen, goal=task.goal, **self._exploration())
+        action = agent.act(*seen, goal=task.goal, **self._exploration.of_step())
         if not np.isfinite(action).all():
             self._refuse(action)
         if self._notes is not None:
@@ -218,21 +201,6 @@ class Rollout:
         # A device computes the physics while the rest is prepared: what is left of the time is the task's.
         self._seconds += (physics_s, policy_s, perf_counter() - start - physics_s - policy_s)
         return np.flatnonzero(ended)
-
-    def _exploration(self) -> dict[str, F32Array]:
-        """Return this step's noise [P, R, decision_size] and [P, R, A], or none in evaluation."""
-        if not self._explores:
-            return {}
-        clock, last = self.agent.clock, self.horizon - 1
-        first = int(clock[0])
-        # Mostly all lanes are at the same step: then the noise is a view.
-        step = min(first, last) if (clock == first).all() else np.minimum(clock, last)
-        noise: dict[str, F32Array] = {}
-        if self.design.decision_size:
-            noise["decision_noise"] = _at(self._decision_noise, step // self.design.controller_interval)
-        if not self._has_frozen_control:
-            noise["control_noise"] = _at(self._control_noise, step)
-        return noise
 
     def _finish(self, rows: IntArray) -> Iterator[tuple[int, EpisodeResults]]:
         """Take the results of the episodes in `rows`; yield the lanes in which none is left."""
@@ -324,11 +292,6 @@ def _begin(batch: EpisodeBatch, rows: IntArray, seeds: list[int], tasks: list[Ep
         batch.reset(rows, seeds, starts)
     else:
         batch.reset(rows, seeds)
-
-
-def _at(noise: F32Array, place: int | IntArray) -> F32Array:
-    """Return `noise[place[p], p]` [P, ...] for each lane p, or that of all at one place: a view."""
-    return noise[place] if isinstance(place, int) else noise[place, np.arange(len(place))]
 
 
 def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:

@@ -1,0 +1,71 @@
+"""Exploration noise: on the outputs of the level that decides, and on the controls, in whole episodes of training."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from shes.hierarchy.agent import AgentBatch
+from shes.hierarchy.episodes import EpisodeTask, Generation
+from shes.types import F32Array, IntArray
+
+__all__ = ["EXPLORATION_STD", "Exploration"]
+
+EXPLORATION_STD = 0.01
+"""Standard deviation of the exploration noise on the controller's output and on the control (authors' code)."""
+
+
+class Exploration:
+    """The noise of the episodes that `agent` plays. It is drawn when they start: a device is then sent all of it."""
+
+    def __init__(self, agent: AgentBatch[Any], horizon: int, action_size: int) -> None:
+        """Make room for episodes of `horizon` steps with `action_size` controls."""
+        self._agent, self._horizon = agent, horizon
+        decisions = -(-horizon // agent.design.controller_interval)
+        shapes = ((decisions, agent.design.decision_size), (horizon, action_size))
+        self._drawn: list[F32Array] = [
+            np.zeros((steps, agent.num_lanes, agent.rows_per_lane, size), np.float32) for steps, size in shapes
+        ]
+        self._decision_noise, self._control_noise = self._drawn  # on a device, copies
+        self.is_on = False
+        """Whether there is any in this generation."""
+        self._has_frozen_control = False
+
+    def begin(self, generation: Generation) -> None:
+        """Begin a generation: its evaluations and branches do not explore."""
+        self.is_on = not generation.is_evaluation and not generation.branch_steps
+        self._has_frozen_control = generation.has_frozen_control
+
+    def draw(self, lane: int, task: EpisodeTask) -> None:
+        """Draw the noise of the episodes of `task` in `lane` from their seeds: no draw depends on another episode."""
+        for slot, seed in zip(task.slots, task.seeds, strict=True):
+            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
+            for noise in self._drawn:
+                drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
+                np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, lane, slot])
+
+    def upload(self) -> None:
+        """Send what has been drawn to the agent's device."""
+        self._decision_noise, self._control_noise = (self._agent.xp.asarray(noise) for noise in self._drawn)
+
+    def of_step(self) -> dict[str, F32Array]:
+        """Return this step's noise [P, R, decision_size] and [P, R, A] by the names of `act`; none if it is not on."""
+        if not self.is_on:
+            return {}
+        clock, last = self._agent.clock, self._horizon - 1
+        first = int(clock[0])
+        # Mostly all lanes are at the same step: then the noise is a view.
+        step = min(first, last) if (clock == first).all() else np.minimum(clock, last)
+        noise: dict[str, F32Array] = {}
+        design = self._agent.design
+        if design.decision_size:
+            noise["decision_noise"] = _at(self._decision_noise, step // design.controller_interval)
+        if not self._has_frozen_control:
+            noise["control_noise"] = _at(self._control_noise, step)
+        return noise
+
+
+def _at(noise: F32Array, place: int | IntArray) -> F32Array:
+    """Return `noise[place[p], p]` [P, ...] for each lane p, or that of all at one place: a view."""
+    return noise[place] if isinstance(place, int) else noise[place, np.arange(len(place))]
