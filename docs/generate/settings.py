@@ -17,7 +17,7 @@ def settings(page: str) -> str:
     del page
     docs = field_docs(TrainConfig)
     configs = [make_config("ant-gather", preset) for preset in PRESETS]
-    names = [field.name for field in fields(TrainConfig) if field.name not in ("env", "external", "preset")]
+    names = [field.name for field in fields(TrainConfig) if field.name not in ("env", "preset")]
     rows = [
         (f"`{flag(name)}`", docs.get(name, ""), *(_shown(getattr(config, name)) for config in configs))
         for name in names

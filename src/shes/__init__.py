@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from shes import es
-    from shes.envs.registry import register_environment, register_external_environment
+    from shes.envs.registry import register_environment, register_external
     from shes.hierarchy.goals import register_goal_encoding
     from shes.hierarchy.outputs import register_controller_output
     from shes.hierarchy.rewards import register_primitive_reward
@@ -33,7 +33,7 @@ __all__ = [
     "load",
     "register_controller_output",
     "register_environment",
-    "register_external_environment",
+    "register_external",
     "register_goal_encoding",
     "register_primitive_reward",
     "resume",
@@ -49,7 +49,7 @@ _HOMES = {
     "load": "shes.training.play",
     "register_controller_output": "shes.hierarchy.outputs",
     "register_environment": "shes.envs.registry",
-    "register_external_environment": "shes.envs.registry",
+    "register_external": "shes.envs.registry",
     "register_goal_encoding": "shes.hierarchy.goals",
     "register_primitive_reward": "shes.hierarchy.rewards",
     "resume": "shes.training.train",

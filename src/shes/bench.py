@@ -20,7 +20,7 @@ import numpy as np
 
 from shes.algorithms.evolution.algorithm import evolve, generation_work
 from shes.algorithms.evolution.worker import WorkerPlan
-from shes.envs.registry import make_task
+from shes.envs.registry import find_environment, make_task
 from shes.envs.tasks.task import FRAME_SKIP, Task
 from shes.errors import ConfigError
 from shes.es.gradient import group_weights, weighted_noise_sum
@@ -65,10 +65,10 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
     Raises:
         ConfigError: The environment is an external one, which has no bare loop.
     """
-    if config.external is not None:
+    if find_environment(config.env).has_own_physics:
         raise ConfigError(
-            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.env}, which Gymnasium "
-            "makes. Name one of `shes envs` with a world of our own, e.g. ant-gather."
+            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.env}, whose "
+            "physics is its own. Name one of `shes envs` with a world of our own, e.g. ant-gather."
         )
     design = build_design(config)
     table = open_noise_table(config, design).on(array_module(config.device))

@@ -88,7 +88,6 @@ OTHERS = [
     "controller",
     "controller_checkpoint",
     "env",
-    "external",
     "population_size",
     "preset",
     "primitive",
@@ -527,8 +526,10 @@ def test_an_estimate_that_cannot_be_made_is_refused(settings, message):
 
 
 def test_an_external_environment_cannot_be_branched():
-    with pytest.raises(ConfigError, match=r"the physics of robotics-point-maze is Gymnasium's and cannot be branched"):
-        make_config("robotics-point-maze", "smoke", {"primitive_estimate": "interval"})
+    with pytest.raises(
+        ConfigError, match=r"the physics of gymnasium:shes/PointMaze-v0 is its own and cannot be branched"
+    ):
+        make_config("gymnasium:shes/PointMaze-v0", "smoke", {"primitive_estimate": "interval"})
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def environment_group(*, is_required: bool) -> Group:
     env = Option(
         name="env",
         kind=str,
-        text=f"What to train on: {', '.join(names)}; or a file (.toml, .json) that describes another environment.",
+        text=f"What to train on: {', '.join(names)}; or gymnasium:ID.",
         metavar="ENV",
         choices=names,
         default="" if is_required else DEFAULT_ENV,

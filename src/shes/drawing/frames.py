@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from shes.drawing.drawer import Drawer, Picture
 from shes.drawing.markers import Marker
+from shes.drawing.opengl import offer_opengl
 
-__all__ = ["FrameDrawer"]
+__all__ = ["FrameDrawer", "FrameWindow"]
 
 
 class FrameDrawer(Drawer):
@@ -18,7 +20,8 @@ class FrameDrawer(Drawer):
     cameras = ("own",)
 
     def __init__(self, width: int, height: int) -> None:
-        """Make pictures of `width` times `height` pixels."""
+        """Make pictures of `width` times `height` pixels; the environment is offered the OpenGL that there is."""
+        offer_opengl()
         self.size = (width, height)
 
     def draw(self, pose: Picture, /, markers: Sequence[Marker] = (), camera: str = "own") -> Picture:
@@ -33,3 +36,15 @@ class FrameDrawer(Drawer):
 
     def close(self) -> None:
         """Hold nothing: the environment draws."""
+
+
+class FrameWindow:
+    """The window of an environment that shows its own steps, and closes it by itself."""
+
+    is_open = True
+
+    def show(self, pose: Any, /, markers: Sequence[Marker] = (), *, is_new_episode: bool = False) -> None:
+        """Do nothing: the environment has shown it."""
+
+    def close(self) -> None:
+        """Do nothing: the environment closes it."""

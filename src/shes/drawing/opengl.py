@@ -12,7 +12,7 @@ from mujoco.rendering.classic import gl_context
 
 from shes.errors import ConfigError
 
-__all__ = ["HOW_TO_GET_OPENGL", "find_opengl", "is_switched_off", "use_opengl"]
+__all__ = ["HOW_TO_GET_OPENGL", "find_opengl", "is_switched_off", "offer_opengl", "use_opengl"]
 
 HOW_TO_GET_OPENGL = (
     "For three-dimensional pictures install EGL or OSMesa, on Debian and Ubuntu: "
@@ -65,6 +65,13 @@ def _works(name: str) -> bool:
     except (OSError, subprocess.TimeoutExpired):
         return False
     return done.returncode == 0
+
+
+def offer_opengl() -> None:
+    """Let an environment that draws itself find OpenGL: those of Gymnasium look at MUJOCO_GL."""
+    found = find_opengl()
+    if found is not None and not os.environ.get("MUJOCO_GL"):
+        os.environ["MUJOCO_GL"] = found
 
 
 def use_opengl(name: str) -> None:

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from shes.envs.external.description import ExternalDescription
-from shes.envs.registry import check_external_name, find_description, find_environment
+from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import check_perturbation
@@ -40,8 +39,8 @@ EXECUTION_FIELDS = frozenset(
 None changes a number of a generation but the device, which rounds otherwise: a run's record says where it changed.
 """
 
-WITHOUT_FLAG = frozenset({"env", "external"})
-"""Settings that `shes train` takes as its first word: a name, or a file that describes an external environment."""
+WITHOUT_FLAG = frozenset({"env"})
+"""Settings that `shes train` takes as its first word."""
 
 HEADINGS: dict[str, str] = {
     "env": "run",
@@ -69,13 +68,11 @@ class TrainConfig:
     # Deviation: the defaults are the preset `laptop`, not the paper's Table I; the docstrings name its values.
 
     env: str
-    """Environment; `shes envs` lists them."""
+    """Environment; `shes envs` lists them. Or `gymnasium:` and an id of Gymnasium."""
     algorithm: str = "shes"
     """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES."""
     preset: str = "laptop"
     """What the other settings start from: paper, laptop or smoke."""
-    external: ExternalDescription | None = None
-    """What describes the environment if Gymnasium makes it; that of its name if none."""
     seed: int = 1
     """Seed of every random draw."""
     generations: int = 1000
@@ -255,13 +252,13 @@ class TrainConfig:
         for name in ("env", *NAMES):
             if not isinstance(getattr(self, name), str):
                 raise out_of_range(name, getattr(self, name), "a name")
-        self._find_description()
+        environment = find_environment(self.env)
         for name in (field.name for field in fields(self)):
             check_value(name, getattr(self, name))
-        if self.external is not None and self.device != "cpu":
+        if environment.has_own_physics and self.device != "cpu":
             raise ConfigError(
-                f"device is {self.device!r}, but {self.env} is Gymnasium's, with physics of its own: it runs on the "
-                "CPU alone. Set --device cpu."
+                f"device is {self.device!r}, but {self.env} has physics of its own: it runs on the CPU alone. "
+                "Set --device cpu."
             )
         if self.seed >= 2**63:
             raise out_of_range("seed", self.seed, "less than 2**63")
@@ -333,9 +330,9 @@ class TrainConfig:
             )
         if self.primitive_estimate != "interval" or "primitive" not in self.level_names:
             return
-        if self.external is not None:
+        if find_environment(self.env).has_own_physics:
             raise ConfigError(
-                f"primitive_estimate is 'interval', but the physics of {self.env} is Gymnasium's and cannot be "
+                f"primitive_estimate is 'interval', but the physics of {self.env} is its own and cannot be "
                 "branched. Set --primitive-estimate episode."
             )
         is_beside = self.level_names == ("controller", "primitive")
@@ -365,23 +362,13 @@ class TrainConfig:
         """What the levels of the run are called."""
         if self.algorithm == "es":
             return ("policy",)
-        sets_goals = self.external is None and find_environment(self.env).sets_goals
-        return ("primitive",) if sets_goals else ("controller", "primitive")
+        return ("primitive",) if find_environment(self.env).sets_goals else ("controller", "primitive")
 
     @property
     def learns(self) -> tuple[bool, ...]:
         """Which levels learn."""
         is_frozen = self.primitive is not None and self.freeze_primitive
         return tuple(not (is_frozen and name == "primitive") for name in self.level_names)
-
-    def _find_description(self) -> None:
-        """Take in what describes an external environment, so that nobody has to say it again."""
-        if self.external is None:
-            object.__setattr__(self, "external", find_description(self.env))
-        elif not isinstance(self.external, ExternalDescription):
-            raise ConfigError(f"external must be an ExternalDescription, got {self.external!r}.")
-        else:
-            check_external_name(self.env)
 
     def is_over(self, generation: int, env_steps: int) -> bool:
         """Return whether a run of these settings ends after `generation` generations and `env_steps` of training."""
@@ -397,7 +384,6 @@ class TrainConfig:
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON holds them."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        values["external"] = None if self.external is None else self.external.to_dict()
         return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
     def numbers(self) -> dict[str, Any]:
@@ -411,15 +397,13 @@ class TrainConfig:
         Raises:
             ConfigError: A key is unknown or missing, or a value is out of range.
         """
+        values = in_words_of_today(values)
         check_fields(values)
         if "env" not in values:
             raise ConfigError("the configuration names no environment (key 'env').")
         settings: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in in_words_of_today(values).items()
+            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
-        if settings.get("external") is not None:
-            settings["external"] = ExternalDescription.from_dict(settings["external"])
         return cls(**settings)
 
 
@@ -428,7 +412,8 @@ def in_words_of_today(values: Mapping[str, Any]) -> dict[str, Any]:
 
     What did not say whether tied levels stay was written when they did not.
     """
-    return {"hold_tied": False, **values, **_FORMER.get(str(values.get("common_random_numbers")), {})}
+    today = {name: value for name, value in values.items() if name != "external"}  # an environment's name is enough now
+    return {"hold_tied": False, **today, **_FORMER.get(str(values.get("common_random_numbers")), {})}
 
 
 def check_fields(names: Mapping[str, Any]) -> None:

@@ -30,7 +30,8 @@ def new_folder(config: TrainConfig) -> Path:
     Raises:
         StorageError: It cannot be made.
     """
-    name = f"{config.env}-{config.preset}-seed{config.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    env = config.env.removeprefix("gymnasium:").replace("/", "-")
+    name = f"{env}-{config.preset}-seed{config.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     number = 1
     while True:
         path = Path("runs") / (name if number == 1 else f"{name}-{number}")

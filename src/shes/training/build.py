@@ -16,7 +16,6 @@ from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.registry import EnvironmentMaker, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError, ShapeError
@@ -65,11 +64,9 @@ def build_environment(config: TrainConfig) -> EnvironmentMaker:
     """Return what makes episodes of the environment of `config`.
 
     Raises:
-        UnknownNameError: There is none of its name, or Gymnasium knows none of its id.
-        MissingExtraError: It comes with a package that is not installed.
-        ConfigError: It is not as it is described.
+        UnknownNameError: There is none of its name.
     """
-    return find_environment(config.env) if config.external is None else ExternalEnvironment.find(config.external)
+    return find_environment(config.env)
 
 
 def build_options(config: TrainConfig, env: EnvironmentMaker, *, is_evaluation: bool) -> TaskOptions:
@@ -103,7 +100,7 @@ def build_design(config: TrainConfig) -> AgentDesign:
 
     Raises:
         ShapeError: The environment observes another number of values than its layout names.
-        ConfigError: There is no position to hide.
+        ConfigError: There is no position to hide, or nobody knows where the robot is.
     """
     task = build_task(config, 1, is_evaluation=False)
     task.reset(np.array([0]), [0])
@@ -113,6 +110,8 @@ def build_design(config: TrainConfig) -> AgentDesign:
             f"environment {config.env!r} must observe [N, {task.observation_size}], as many values as its layout "
             f"names; for 1 episode it observed {shape}. Change its layout or its observe()."
         )
+    if config.level_names != ("policy",) or config.novelty != "none":
+        task.check_position()
     task.close()
     clock = None
     if config.clock_frequency is not None:

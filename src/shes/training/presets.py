@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from shes.envs.external.description import is_description_file, read_description
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.novelty import NOVELTY_RULES
@@ -104,14 +103,8 @@ _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
         "horizon": 500,
         "generations": 80,
     },
-    # Gymnasium's own time limits; cells of the point's maze are 1 m wide, those of the ant's 4 m.
-    ("laptop", "robotics-ant-maze"): {"horizon": 700, "evaluation_horizon": 700},
-    ("laptop", "robotics-point-maze"): {
-        "goal_distance": 1.0,
-        "minimum_goal_distance": False,
-        "horizon": 300,
-        "evaluation_horizon": 300,
-    },
+    # Cells of the point's maze are 1 m wide, those of the ant's 4 m.
+    ("laptop", "robotics-point-maze"): {"goal_distance": 1.0, "minimum_goal_distance": False},
 }
 """What a preset sets otherwise for an environment: (preset, environment) -> settings."""
 
@@ -119,19 +112,17 @@ _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
     """Return the settings of `preset` for `env`, with `overrides` by name.
 
-    `env` may be the path of a file (.toml, .json) that describes an external environment; its stem is the name then.
+    An environment that brings a time limit has it in training and evaluation.
 
     Raises:
         UnknownNameError: `preset` or `env` is not known.
-        ConfigError: A setting is unknown or out of range, or a file holds no description.
+        ConfigError: A setting is unknown or out of range, or `env` cannot be made.
+        MissingExtraError: `env` comes with a package that is not installed.
     """
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError("preset", str(preset), PRESETS, "Set --preset.")
     overrides = dict(overrides or {})
     check_fields(overrides)
-    if is_description_file(env):
-        path = Path(env)
-        env, overrides["external"] = path.stem, read_description(path)
     for name in ("hidden", "primitive_hidden"):
         if isinstance(overrides.get(name), int):
             overrides[name] = (overrides[name],)
@@ -140,7 +131,9 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
             overrides[name] = str(overrides[name])
     has_walker = preset == "laptop" and overrides.get("algorithm", "shes") == "shes"
     own = _WALKERS.get(env, {}) if has_walker else {}
-    values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **own, **overrides}
+    limit = find_environment(env).max_episode_steps
+    limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}
+    values = {**PRESETS[preset], **limits, **_PER_ENVIRONMENT.get((preset, env), {}), **own, **overrides}
     for level in TRANSFERRED:
         if values.get(level) is not None:
             checkpoint = values.get(f"{level}_checkpoint", "best")
@@ -258,7 +251,7 @@ def _refuse_unheeded(config: TrainConfig, overrides: Mapping[str, Any]) -> None:
     if config.level_names == ("primitive",):
         unheeded = _OF_CONTROLLERS
     elif config.level_names == ("policy",):
-        sets_goals = config.external is None and find_environment(config.env).sets_goals
+        sets_goals = find_environment(config.env).sets_goals
         unheeded = _OF_PRIMITIVES - (_OF_RANDOM_CONTROLLERS if sets_goals else frozenset())
     for name in sorted(unheeded & set(overrides)):
         raise ConfigError(

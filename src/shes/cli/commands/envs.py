@@ -9,7 +9,7 @@ from typing import Any
 from shes.cli.command import Command
 from shes.cli.options import Group, options_of
 from shes.cli.output import print_table
-from shes.envs.external.description import ExternalDescription
+from shes.envs.external.environment import ExternalEnvironment
 from shes.errors import ShesError
 
 
@@ -47,7 +47,7 @@ def _run(values: dict[str, Any]) -> int:
                 "about": " ".join((environment.task.__doc__ or "").split("\n\n", maxsplit=1)[0].split()),
             }
         )
-    others = [_external_row(name, description) for name, description in EXTERNAL_ENVIRONMENTS.items()]
+    others = [_external_row(environment) for environment in EXTERNAL_ENVIRONMENTS.values()]
     if Arguments(**values).json:
         print(json.dumps([*rows, *others], indent=2))
         return 0
@@ -69,23 +69,22 @@ def _run(values: dict[str, Any]) -> int:
     return 0
 
 
-def _external_row(name: str, description: ExternalDescription) -> dict[str, Any]:
+def _external_row(environment: ExternalEnvironment) -> dict[str, Any]:
     """Return what there is to say of an environment of others; no numbers where it cannot be made."""
-    from shes.envs.external.environment import ExternalEnvironment
-
+    env_id = environment.source if isinstance(environment.source, str) else "made by a function"
     row: dict[str, Any] = {
-        "name": name,
+        "name": environment.name,
         "task": "external",
-        "gymnasium": [description.id],
+        "gymnasium": [env_id],
         "observation": {},
         "action": None,
         "reward": "its own",
         "ends": "by its own rule",
-        "score": description.score,
-        "about": f"Gymnasium's {description.id}",
+        "score": "success" if environment.is_scored_by_success else "return",
+        "about": f"Gymnasium's {env_id}",
     }
     try:
-        task = ExternalEnvironment.find(description).make(1)
+        task = environment.make(1)
     except ShesError as error:
         return {**row, "about": str(error)}
     return {**row, "observation": {"external": task.observation_size}, "action": task.action_size}

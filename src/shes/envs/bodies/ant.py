@@ -13,6 +13,7 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.observation_spec import ObservationElement, elements
+from shes.sim.root import yaw
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Ant"]
@@ -105,8 +106,7 @@ class Ant(Body):
 
     def heading(self, qpos: F64Array) -> F64Array:
         """Return the angle [N] of the torso's x axis, rotated by its quaternion, in the xy plane."""
-        w, x, y, z = (qpos[..., i] for i in range(3, 7))
-        return np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
+        return yaw(*(qpos[..., i] for i in range(3, 7)))
 
     def fallen(self, qpos: F64Array) -> BoolArray:
         """Return whether the torso's height is outside `HEALTHY_Z_M` [N]."""

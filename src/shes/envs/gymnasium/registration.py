@@ -6,7 +6,7 @@ import gymnasium
 
 from shes.envs.registry import ENVIRONMENTS, check_name
 
-__all__ = ["MAX_EPISODE_STEPS", "gymnasium_id", "register_all"]
+__all__ = ["MAX_EPISODE_STEPS", "find_id", "gymnasium_id", "register_all"]
 
 MAX_EPISODE_STEPS = 500
 """Control steps after which Gymnasium truncates an episode (Table I)."""
@@ -21,6 +21,14 @@ def gymnasium_id(name: str, spec: str = "shes") -> str:
     check_name(name)
     variant = "" if spec == "shes" else spec.title()
     return f"shes/{name.title().replace('-', '')}{variant}-v0"
+
+
+def find_id(name: str) -> str | None:
+    """Return the id in Gymnasium that `name` spells in any case, with or without its version; None if there is none."""
+    ids: dict[str, str] = {}
+    for env_id in gymnasium.registry:  # the latest version comes last
+        ids |= {env_id.casefold(): env_id, env_id.casefold().rpartition("-v")[0]: env_id}
+    return ids.get(name.casefold())
 
 
 def register_all() -> None:
