@@ -284,7 +284,7 @@ def test_an_episode_that_ends_without_a_word_of_success_is_refused_if_it_is_the_
     task = start(2, make=Silent, score="success", **{kind: 3})
     assert not play(task, np.zeros((2, 3)))["score"].any()
     with pytest.raises(
-        ConfigError, match=r"^tested cannot step: its score is success, but info .* is_success: nothing"
+        ConfigError, match=r"^tested cannot step: its score is success, but the last info has none: nothing"
     ):
         play(task, np.zeros((1, 3)))
 

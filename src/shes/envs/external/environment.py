@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["ExternalEnvironment"]
 
 _ROBOTICS = ("AntMaze", "PointMaze", "Fetch", "HandManipulate", "HandReach", "AdroitHand", "FrankaKitchen")
-_TELLS_NOTHING = ("reset_noise", "evaluation")  # presets set these; an external environment has them its own way
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,13 +75,13 @@ class ExternalEnvironment:
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> ExternalTask:
-        """Return `num_episodes` episodes; a ConfigError refuses what environments of our own alone have."""
+        """Return `num_episodes` episodes; a ConfigError refuses options of ours, but for those that presets set."""
         from shes.envs.external.task import ExternalTask
 
         if simulator is not CpuSimulator:
             raise ConfigError(f"{self.name} has physics of its own: it runs on the CPU alone. Set --device cpu.")
         for name, value in vars(TaskOptions()).items():
-            if options is not None and getattr(options, name) != value and name not in _TELLS_NOTHING:
+            if getattr(options or TaskOptions(), name) != value and name not in ("reset_noise", "evaluation"):
                 raise ConfigError(f"{self.name} has no {name}. Leave --{name.replace('_', '-')} away.")
         return ExternalTask(self, num_episodes)
 

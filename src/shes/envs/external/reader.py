@@ -45,8 +45,7 @@ class ExternalReader(Reader):
 
     def flat(self, observation: Any) -> F64Array:
         """Return one observation of the environment as a row [O]; a ValueError says that its size is wrong."""
-        flat: Any = flatten(self._seen, observation)
-        return np.asarray(flat, dtype=np.float64).reshape(self.observation_size)
+        return np.asarray(flatten(self._seen, observation), np.float64).reshape(self.observation_size)
 
     def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
         """Return the observation of `num_envs` environments as rows [num_envs, O]; see `Reader.rows`."""

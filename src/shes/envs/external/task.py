@@ -1,13 +1,14 @@
+# pyright: reportIncompatibleMethodOverride=false
 """N single Gymnasium environments as a batch of episodes: stepped one after another, never at once."""
 
-# pyright: reportIncompatibleMethodOverride=false
 from __future__ import annotations
 
 from collections.abc import Sequence
 from operator import attrgetter
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import gymnasium
 import numpy as np
 
 from shes.drawing.frames import FrameDrawer, FrameWindow
@@ -18,26 +19,20 @@ from shes.errors import ConfigError
 from shes.sim.cpu import count_divergences, forget_divergences
 from shes.types import F64Array, FloatArray, IntArray
 
-if TYPE_CHECKING:
-    import gymnasium
-
 __all__ = ["ExternalTask"]
 
 _SEEDS = 2**31  # seeds are taken modulo this: some environments hand theirs on to generators that take no more
 
 
 class ExternalTask(EpisodeBatch):
-    """N episodes of an environment of others, each of which is made when its first episode begins.
-
-    An episode depends on its seed alone if the environment's own `reset(seed=...)` sees to that.
-    """
+    """N episodes of an environment of others; each depends on its seed alone if the environment sees to that."""
 
     # The contract's properties, which pyright does not know from `attrgetter`: nothing is computed when asked for.
     reader = property(attrgetter("_reader"))
     observation_size = property(attrgetter("_reader.observation_size"))
     action_size = property(attrgetter("_reader.action_size"))
     control_limit = property(lambda _: 1.0)
-    observation_names = property(attrgetter("_names"))
+    observation_names = property(lambda own: tuple(f"{own.environment.name}[{i}]" for i in range(own.observation_size)))
     position_columns = property(lambda _: np.zeros(0, np.int64))  # nobody knows them
     primitive_view = proprioception = property(attrgetter("_reader.primitive_view"))
     position, heading = property(attrgetter("_position")), property(attrgetter("_heading"))
@@ -52,12 +47,11 @@ class ExternalTask(EpisodeBatch):
         env = self._env(0)
         with environment.explained("be used"):
             self._reader = ExternalReader(env, environment.locate, environment.primitive_view)
-        self._names = tuple(f"{environment.name}[{i}]" for i in range(self._reader.observation_size))
         self.step_s = 1 / (env.metadata.get("render_fps") or 10)
         self.time: IntArray = np.zeros(num_episodes, np.int64)
         self.reward, self.running_return, self._score, self._heading = np.zeros((4, num_episodes))
         self._terminated, self._diverged, self._success = np.zeros((3, num_episodes), np.bool_)
-        self._position, self._rows = np.zeros((num_episodes, 2)), np.zeros((num_episodes, len(self._names)))
+        self._position, self._rows = np.zeros((num_episodes, 2)), np.zeros((num_episodes, self.observation_size))
 
     def check_position(self) -> None:
         """Refuse a robot that nobody can find; see `EpisodeBatch.check_position`."""
@@ -101,10 +95,9 @@ class ExternalTask(EpisodeBatch):
     def _take(self, i: int, env: gymnasium.Env[Any, Any], observation: Any, reward: float, info: Any) -> None:
         """Write down what environment `i` shows, pays and reports; what has diverged neither pays nor scores."""
         row, physics = self._reader.flat(observation), find_physics(env)
-        is_finite = bool(np.isfinite(row).all()) and np.isfinite(reward)
-        has_blown_up = bool(info.get("diverged", False)) or (physics is not None and count_divergences(physics) > 0)
+        is_broken = bool(info.get("diverged", False)) or not (np.isfinite(reward) and np.isfinite(row).all())
         self._rows[i] = np.nan_to_num(row, nan=0.0, posinf=0.0, neginf=0.0)
-        self._diverged[i] |= has_blown_up or not is_finite
+        self._diverged[i] |= is_broken or (physics is not None and count_divergences(physics) > 0)
         if self._diverged[i]:
             self.reward[i] = self._score[i] = self._success[i] = 0
             return
@@ -112,8 +105,7 @@ class ExternalTask(EpisodeBatch):
         self.running_return[i] += reward
         success, is_score = info.get("success", info.get("is_success")), self.environment.is_scored_by_success
         if is_score and success is None and self._terminated[i]:
-            shown = ", ".join(info) or "nothing"
-            raise ConfigError(f"its score is success, but info at the end has neither success nor is_success: {shown}.")
+            raise ConfigError(f"its score is success, but the last info has none: {', '.join(info) or 'nothing'}.")
         self._success[i] = bool(success)
         self._score[i] = self._success[i] if is_score else self.running_return[i]
         if self._reader.can_locate:
@@ -135,8 +127,7 @@ class ExternalTask(EpisodeBatch):
 
     def _draw_by(self, mode: str) -> None:
         """Make the environments anew, at their next reset, with render mode `mode`."""
-        modes = self._env(0).metadata.get("render_modes") or ["none"]
-        if mode not in modes:
+        if mode not in (modes := self._env(0).metadata.get("render_modes") or ["none"]):
             raise ConfigError(f"{self.environment.name} has no render mode {mode!r}, only {', '.join(modes)}.")
         self.close()
         self._render_mode = mode
