@@ -115,7 +115,8 @@ class ExternalEnvironment:
             entry = getattr(gymnasium.registry.get(str(getattr(self.source, "id", self.source))), "entry_point", "")
             room = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")  # its extra's name
             extra = f"gymnasium[{room}]" if room else "shes[robotics]" if "gymnasium_robotics" in told else None
-            raise MissingExtraError(f"{told} (pip install '{extra}')" if extra else told) from error
+            is_told = extra is None or "pip install" in told
+            raise MissingExtraError(told if is_told else f"{told} (pip install '{extra}')") from error
 
 
 def _import_robotics(env_id: str) -> None:
