@@ -134,7 +134,7 @@ def test_errors_of_other_checks_have_the_same_form():
 def test_every_setting_of_the_package_says_what_it_is_for_and_has_a_default_that_is_allowed():
     for name, setting in known_settings().items():
         assert setting.text.endswith("."), name
-        if name not in ("env", "external"):
+        if name != "env":
             assert setting.checked(setting.default) == setting.default, name
 
 

@@ -21,7 +21,7 @@ def settings(page: str) -> str:
         rows = [
             (f"`{each.flag}`", each.text, *(_shown(config.settings[each.name]) for config in configs))
             for each in setting_fields(type(room)).values()
-            if each.name not in ("env", "external", "preset")
+            if each.name not in ("env", "preset")
         ]
         parts += [f"### {_title(type(room))}", table(["flag", "meaning", *(f"`{name}`" for name in PRESETS)], rows)]
     return "\n\n".join([*parts, "### Environment", _options()])

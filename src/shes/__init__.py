@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     __version__: str
     from shes import es
     from shes.algorithms.registry import register_algorithm
-    from shes.envs.registry import register_environment, register_external_environment
+    from shes.envs.registry import register_environment, register_external
     from shes.hierarchy.goals import register_goal_encoding
     from shes.hierarchy.outputs import register_controller_output
     from shes.hierarchy.rewards import register_primitive_reward
@@ -40,7 +40,7 @@ __all__ = [
     "register_algorithm",
     "register_controller_output",
     "register_environment",
-    "register_external_environment",
+    "register_external",
     "register_goal_encoding",
     "register_primitive_reward",
     "resume",
@@ -57,7 +57,7 @@ _HOMES = {
     "register_algorithm": "shes.algorithms.registry",
     "register_controller_output": "shes.hierarchy.outputs",
     "register_environment": "shes.envs.registry",
-    "register_external_environment": "shes.envs.registry",
+    "register_external": "shes.envs.registry",
     "register_goal_encoding": "shes.hierarchy.goals",
     "register_primitive_reward": "shes.hierarchy.rewards",
     "resume": "shes.training.train",

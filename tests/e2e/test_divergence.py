@@ -1,5 +1,7 @@
 """Breaking the physics must not pay, though it ends an episode: where every step costs, that would be the best way."""
 
+from functools import partial
+
 import gymnasium
 import numpy as np
 import pytest
@@ -43,14 +45,12 @@ class Glass(gymnasium.Env):
 @pytest.fixture(scope="module", autouse=True)
 def registries():
     """The registries with the glass in them, as it is and in two other kinds; afterwards all is forgotten."""
-    known, described = dict(gymnasium.registry), dict(EXTERNAL_ENVIRONMENTS)
-    gymnasium.register("tests/Glass-v0", entry_point=Glass)
+    before = dict(EXTERNAL_ENVIRONMENTS)
     for name, breaks_at in (("glass", 0.0), ("steel", 2.0), ("dust", -2.0)):
-        shes.register_external_environment(name, id="tests/Glass-v0", position=[0, 1], kwargs={"breaks_at": breaks_at})
+        shes.register_external(name, partial(Glass, breaks_at), locate=lambda seen, _: (seen[0], seen[1], 0.0))
     yield
-    for registry, before in ((gymnasium.registry, known), (EXTERNAL_ENVIRONMENTS, described)):
-        registry.clear()
-        registry.update(before)
+    EXTERNAL_ENVIRONMENTS.clear()
+    EXTERNAL_ENVIRONMENTS.update(before)
 
 
 @pytest.fixture(scope="module", params=["shes", "es"])

@@ -1,9 +1,11 @@
-"""Runs on environments of others: the same numbers on any worker, and a run folder that needs no other word."""
+"""Runs on environments of others: the same numbers on any worker, and a run folder that keeps the name alone."""
 
 import json
 import os
+import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -13,38 +15,35 @@ from PIL import Image
 import shes
 from shes.bench.measure import bench_rollout
 from shes.cli import main
-from shes.envs.external.description import ExternalDescription
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
-from shes.errors import CheckpointError, ConfigError, UnknownNameError
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
+from shes.errors import ConfigError, ShesError
 from shes.es.streams import Purpose
 from shes.training.evaluate import evaluation_seeds
 from shes.training.presets import make_config
 from shes.viewing.render import render
 from shes.viewing.watch import watch
 from tests.e2e import runs
-from tests.envs.external_envs import CAR, register
+from tests.envs.external_envs import Car, locate_by_info, locate_car, register
 
 pytestmark = pytest.mark.extras  # the fast tests have three minutes
 
 TINY = {**runs.TINY, "horizon": 12, "evaluation_horizon": 15, "generations": 2, "controller_interval": 5}
+FLAT = {name: value for name, value in TINY.items() if name not in ("controller_interval", "backend")}
 WORDS = runs.flags(**{name: value for name, value in TINY.items() if name != "backend"})
-MAZE = """
-id = "shes/PointMaze-v0"
-position = [0, 1]
-proprioception = "0:4"
-score = "success"
-kwargs = {reset_noise = 0.0}
-"""
+
+
+def make_car(render_mode=None):
+    return Car(render_mode, terminates_after=9)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def registries():
     """The registries with the car in them; afterwards all is forgotten."""
-    known, described = dict(gymnasium.registry), dict(EXTERNAL_ENVIRONMENTS)
+    known, named = dict(gymnasium.registry), dict(EXTERNAL_ENVIRONMENTS)
     register()
-    shes.register_external_environment("car", **CAR, kwargs={"terminates_after": 9})
+    shes.register_external("car", make_car, locate=locate_car)
     yield
-    for registry, before in ((gymnasium.registry, known), (EXTERNAL_ENVIRONMENTS, described)):
+    for registry, before in ((gymnasium.registry, known), (EXTERNAL_ENVIRONMENTS, named)):
         registry.clear()
         registry.update(before)
 
@@ -52,12 +51,6 @@ def registries():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory, registries):
     return shes.train("car", out=tmp_path_factory.mktemp("car") / "run", **{**TINY, "generations": 3})
-
-
-@pytest.fixture
-def stranger(monkeypatch):
-    """A process in which nobody has described the car."""
-    monkeypatch.delitem(EXTERNAL_ENVIRONMENTS, "car")
 
 
 @pytest.mark.parametrize("settings", [{"num_workers": 2}, {"num_workers": 2, "chunk_size": 3}])
@@ -68,18 +61,21 @@ def test_workers_find_the_numbers_of_one_process(run, tmp_path, settings):
     assert runs.differences(run.path, path) == []
 
 
-def test_a_resumed_run_goes_on_as_if_it_had_never_stopped(run, tmp_path, stranger):
-    path = shes.train("car", out=tmp_path / "run", external=run.config.run.external, **{**TINY, "generations": 1}).path
+def test_a_resumed_run_goes_on_as_if_it_had_never_stopped(run, tmp_path):
+    path = shes.train("car", out=tmp_path / "run", **{**TINY, "generations": 1}).path
     shes.resume(path, generations=3)
     assert runs.differences(run.path, path) == []
 
 
-def test_the_folder_holds_the_description(run):
-    record = json.loads((run.path / "config.json").read_text())
-    assert ExternalDescription.from_dict(record["config"]["external"]) == EXTERNAL_ENVIRONMENTS["car"]
+def test_the_folder_keeps_the_name_and_it_must_be_registered_again(run, monkeypatch):
+    assert json.loads((run.path / "config.json").read_text())["config"]["run"]["env"] == "car"
+    monkeypatch.delitem(EXTERNAL_ENVIRONMENTS, "car")
+    for use in (shes.load, shes.resume, shes.evaluate):
+        with pytest.raises(ConfigError, match=r"unknown environment 'car'\..*shes\.register_external"):
+            use(run.path)
 
 
-def test_evaluation_loading_and_pictures_need_no_other_word(run, tmp_path, stranger):
+def test_evaluation_and_pictures(run, tmp_path):
     one, other = (shes.evaluate(run.path, episodes=4, num_workers=number) for number in (1, 2))
     assert one.summary() == other.summary()
     assert one.summary()["episode_steps_mean"] == 9
@@ -91,7 +87,7 @@ def test_a_loaded_agent_plays_as_evaluation_does(run):
     evaluation = shes.evaluate(run.path, episodes=1, num_workers=1, seed=11)
     (seed,) = evaluation_seeds(11, 0, 1, Purpose.FRESH_EPISODES)
     agent = shes.load(run.path)
-    env = gymnasium.make("tests/Car-v0", terminates_after=9, max_episode_steps=-1)
+    env = make_car()
     observation, _ = env.reset(seed=seed % 2**31)
     earned, is_over = 0.0, False
     while not is_over:
@@ -101,6 +97,23 @@ def test_a_loaded_agent_plays_as_evaluation_does(run):
         earned, is_over = earned + reward, terminated or truncated
     assert earned == evaluation.returns[0]
     assert agent.goal.shape == (1, 2)
+
+
+def test_an_agent_of_goals_may_need_info_or_the_environment(run, tmp_path):
+    shes.register_external("told-car", make_car, locate=locate_by_info)
+    agent = shes.load(shes.train("told-car", out=tmp_path / "car", **TINY).path)
+    env = make_car()
+    observation, info = env.reset(seed=1)
+    with pytest.raises(ConfigError, match=r"agent\.act\(observation, info\)"):
+        agent.act(observation)
+    assert env.action_space.contains(agent.act(observation, info))
+    agent = shes.load(shes.train("gymnasium:Ant-v5", out=tmp_path / "ant", **TINY).path)
+    env = gymnasium.make("Ant-v5")
+    observation, info = env.reset(seed=1)
+    with pytest.raises(ConfigError, match=r"agent\.act\(observation, env=env\)"):
+        agent.act(observation, info)
+    assert env.action_space.contains(agent.act(observation, env=env))
+    assert np.abs(agent.goal - env.unwrapped.data.qpos[:2]).max() <= agent.config.hierarchy.goal_distance + 1e-6
 
 
 def test_an_agent_acts_in_a_vector_environment(run):
@@ -122,7 +135,7 @@ def test_watching_uses_the_environments_own_window(run, monkeypatch):
         if len(shown) == 12:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.envs.external.task._OwnWindow.show", show)
+    monkeypatch.setattr("shes.drawing.frames.FrameWindow.show", show)
     with pytest.raises(KeyboardInterrupt):
         watch(run.path)
     assert [number for number, is_new in enumerate(shown) if is_new] == [0, 10]
@@ -136,74 +149,21 @@ def test_a_camera_that_there_is_not_is_refused(run, tmp_path):
 def test_an_environment_of_this_script_goes_to_the_workers(tmp_path):
     """Registered in `__main__` alone: no worker could import it by name."""
     script = tmp_path / "own.py"
-    text = (runs.Path(__file__).parents[1] / "envs" / "external_envs.py").read_text()
+    text = (Path(__file__).parents[1] / "envs" / "external_envs.py").read_text()
     script.write_text(
-        f"{text}\nimport shes\nregister()\nshes.register_external_environment('car', **CAR)\n"
+        f"{text}\nimport shes\nshes.register_external('car', lambda: Car(), locate=lambda seen, _: seen['pose'])\n"
         f"print(shes.train('car', out='run', **{ {**TINY, 'backend': 'processes', 'num_workers': 2}!r}).generation)\n"
     )
     done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr, done.stdout) == (0, "", "2\n")
 
 
-# On the command line.
-
-
-@pytest.mark.extras
-def test_a_file_is_all_that_the_command_line_needs(tmp_path):
-    (tmp_path / "own-maze.toml").write_text(MAZE)
-    for kind, settings in (("serial", ["--backend", "serial"]), ("two", ["--workers", "2"])):
-        words = ["train", tmp_path / "own-maze.toml", *WORDS, *settings, "--out", tmp_path / kind]
-        code, _, err = runs.run(*words)
-        assert code == 0, err
-    assert runs.differences(tmp_path / "serial", tmp_path / "two") == []
-    (tmp_path / "own-maze.toml").unlink()
-    code, _, err = runs.run("resume", tmp_path / "two", "--generations", "3")
-    assert code == 0, err
-    code, out, err = runs.run("evaluate", tmp_path / "two", "--episodes", "3", "--json")
-    assert code == 0, err
-    assert json.loads(out)["episodes"] == 3
-    assert json.loads((tmp_path / "two" / "config.json").read_text())["config"]["env"] == "own-maze"
-
-
-def test_python_takes_the_file_too(tmp_path):
-    (tmp_path / "own-maze.json").write_text('{"id": "shes/PointMaze-v0", "position": [0, 1]}')
-    config = make_config(str(tmp_path / "own-maze.json"), "smoke")
-    assert (config.run.env, config.run.external) == (
-        "own-maze",
-        ExternalDescription(id="shes/PointMaze-v0", position=(0, 1)),
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("maze.toml", 'id = "shes/PointMaze-v0"\nposition = [0, 9]', "position: 9 is out of range"),
-        ("maze.toml", 'id = "shes/PointMaez-v0"\nposition = [0, 1]', "Did you mean 'shes/PointMaze-v0'"),
-        ("ant-maze.toml", MAZE, "environment 'ant-maze' is one of our own already"),
-        ("Maze.toml", MAZE, "environment name must be lower-case words"),
-    ],
-)
-def test_a_wrong_file_is_one_line_and_leaves_no_folder(tmp_path, capsys, name, text, message):
-    (tmp_path / name).write_text(text)
-    assert main(["train", str(tmp_path / name), *WORDS, "--out", str(tmp_path / "run")]) == 2
-    assert message in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "run").exists()
-
-
-def test_a_position_that_the_primitive_does_not_see_cannot_be_hidden(tmp_path):
-    shes.register_external_environment("blind-car", **{**CAR, "primitive_view": "target"})
-    message = r"hide_position: a primitive in blind-car sees no absolute position that could be .*Leave --hide-position"
-    with pytest.raises(ConfigError, match=message):
-        shes.train("blind-car", out=tmp_path / "run", **TINY, hide_position=True)
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize(
     ("settings", "sizes"),
     [
-        ({"algorithm": "es"}, [12]),
-        ({"hide_position": True}, [12, 3 + 6 - 2]),  # goal; gear and pose, of which two are the position
-        ({"primitive_view": "proprioception", "clock_frequency": 1.0}, [12, 3 + 2 + 3]),
+        ({"algorithm": "es"}, [8]),
+        ({}, [8, 3 + 6]),  # goal; gear and pose, not the desired goal
+        ({"primitive_view": "proprioception", "clock_frequency": 1.0}, [8, 3 + 2 + 6]),
     ],
 )
 def test_the_levels_of_a_run_see_what_they_are_told_to(tmp_path, settings, sizes):
@@ -213,58 +173,85 @@ def test_the_levels_of_a_run_see_what_they_are_told_to(tmp_path, settings, sizes
     assert [len(level.statistics.total) for level in levels] == sizes
 
 
+def test_the_view_of_the_primitive_may_be_registered(tmp_path):
+    shes.register_external("blind-car", make_car, locate=locate_car, primitive_view=[0, 1])
+    path = shes.train("blind-car", out=tmp_path / "run", **TINY).path
+    assert len(runs.state(path, "last").levels[1].statistics.total) == 3 + 2
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "message"),
+    [
+        ("tests/Car-v0", {}, r"'tests/Car-v0' is an id of Gymnasium\. Write gymnasium:tests/Car-v0"),
+        ("gymnasium:tests/Car-v0", {}, r"nobody has told where the robot of gymnasium:tests/Car-v0 is.*--algorithm es"),
+        ("gymnasium:tests/Car-v0", {"algorithm": "es", "novelty": "ns"}, r"nobody has told where the robot of"),
+        ("car", {"hide_position": True}, r"sees no absolute position that could be .*Leave --hide-position"),
+    ],
+)
+def test_what_does_not_go_is_one_line_and_leaves_no_folder(tmp_path, env, settings, message):
+    tiny = {name: value for name, value in TINY.items() if name != "controller_interval"}
+    with pytest.raises(ConfigError, match=message):
+        shes.train(env, out=tmp_path / "run", **tiny, **settings)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_primitive_that_learned_there_serves_there_again(run, tmp_path):
     path = shes.train("car", out=tmp_path / "run", primitive=run.path, **TINY).path
     before, after = (runs.state(each, name).levels[1] for each, name in ((run.path, "best"), (path, "last")))
     assert before.theta.tobytes() == after.theta.tobytes()
-    with pytest.raises(
-        ConfigError, match=r"It was trained on car: 9 inputs .*tests/Car-v0\[0\], .*\nHere there is: 28 "
-    ):
+    with pytest.raises(ConfigError, match=r"It was trained on car: 9 inputs .*car\[0\], .*\nHere there is: 28 "):
         shes.train("point-gather", out=tmp_path / "other", primitive=run.path, goal_encoding="angle", **TINY)
 
 
 def test_bench_rollout_has_no_bare_loop_of_it():
-    with pytest.raises(ConfigError, match=r"bench rollout compares with MuJoCo alone, .* got car, which Gymnasium"):
+    with pytest.raises(
+        ConfigError, match=r"bench rollout compares with MuJoCo alone, .* got car, whose physics is its own"
+    ):
         bench_rollout(make_config("car", "smoke"))
 
 
-# A run folder of a stranger.
+# Gymnasium's own, on the command line.
 
 
-def changed(run, tmp_path, **changes):
-    """Return a copy of the run folder whose description is another."""
-    subprocess.run(["cp", "-r", run.path, tmp_path / "run"], check=True)
-    file = tmp_path / "run" / "config.json"
-    record = json.loads(file.read_text())
-    record["config"]["external"] |= changes
-    file.write_text(json.dumps(record))
-    return tmp_path / "run"
+def test_an_id_of_gymnasium_is_all_that_the_command_line_needs(tmp_path):
+    """Actions are discrete, the time limit is its own, and the kill finds it inside a generation."""
+    words = ["gymnasium:CartPole-v1", "--algorithm", "es", *runs.flags(**{**FLAT, "horizon": 60, "generations": 6})]
+    for kind, settings in (("serial", ["--backend", "serial"]), ("two", ["--workers", "2"])):
+        code, _, err = runs.run("train", *words, *settings, "--out", tmp_path / kind)
+        assert code == 0, err
+    process = runs.start("train", *words, "--workers", "2", "--out", tmp_path / "killed")
+    runs.stop_inside_generation(process, tmp_path / "killed", 2)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    code, _, err = runs.run("resume", tmp_path / "killed")
+    assert code == 0, err
+    for other in ("two", "killed"):
+        assert runs.differences(tmp_path / "serial", tmp_path / other) == []
+    code, out, err = runs.run("evaluate", tmp_path / "two", "--episodes", "3", "--json")
+    assert code == 0, err
+    assert json.loads(out)["episodes"] == 3
+    agent = shes.load(tmp_path / "two")
+    observation, _ = gymnasium.make("CartPole-v1").reset(seed=1)
+    assert agent.act(observation) in (0, 1)
+
+
+def test_a_gymnasium_id_that_is_misspelled_is_one_line(tmp_path, capsys):
+    assert main(["train", "gymnasium:CratPole-v1", "--algorithm", "es", "--out", str(tmp_path / "run")]) == 2
+    assert "Did you mean 'CartPole-v1'" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("name", ["evil_module:Car-v0", "evil_module/Car-v0", "GymV26Environment-v0"])
 def test_a_strangers_folder_imports_nothing(run, tmp_path, monkeypatch, name):
     (tmp_path / "evil_module.py").write_text("raise SystemExit('the stranger runs')")
     monkeypatch.syspath_prepend(tmp_path)
-    path = changed(run, tmp_path, id=name, kwargs={"env_id": "evil_module:Car-v0"})
+    subprocess.run(["cp", "-r", run.path, tmp_path / "run"], check=True)
+    file = tmp_path / "run" / "config.json"
+    file.write_text(file.read_text().replace('"car"', f'"gymnasium:{name}"'))
     for use in (shes.load, shes.resume, shes.evaluate):
-        with pytest.raises((ConfigError, UnknownNameError, CheckpointError)):
-            use(path)
+        with pytest.raises(ShesError):
+            use(tmp_path / "run")
     assert "evil_module" not in sys.modules
-
-
-def test_a_checkpoint_of_another_description_is_refused(run, tmp_path):
-    path = changed(run, tmp_path, kwargs={"terminates_after": 3})
-    with pytest.raises(CheckpointError, match="is of another run: external is"):
-        shes.load(path)
-
-
-def test_our_own_names_cannot_be_described(run, tmp_path):
-    path = changed(run, tmp_path)
-    record = json.loads((path / "config.json").read_text())
-    record["config"]["env"] = "ant-gather"
-    (path / "config.json").write_text(json.dumps(record))
-    with pytest.raises(ConfigError, match="environment 'ant-gather' is one of our own already"):
-        shes.load(path)
 
 
 # Gymnasium-Robotics.
@@ -286,7 +273,7 @@ def test_the_mazes_of_gymnasium_robotics_train_from_python(robotics, tmp_path, n
     one, other = (shes.evaluate(whole.path, episodes=3, num_workers=number).summary() for number in (1, 2))
     assert one == other
     agent = shes.load(whole.path)
-    env = gymnasium.make(whole.config.run.external.id)
+    env = gymnasium.make(INCLUDED[name].source)
     observation, _ = env.reset(seed=1)
     action = agent.act(observation)
     assert (agent.observation_size, *action.shape) == size
@@ -333,7 +320,7 @@ def test_a_maze_whose_physics_blows_up_diverges(robotics, tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     task = shes.training.build.build_task(make_config("robotics-ant-maze", "smoke"), 2, is_evaluation=False)
     task.reset(np.arange(2), [1, 2])
-    task._physics[1].qvel[0] = 1e12
+    task._envs[1].unwrapped.ant_env.data.qvel[0] = 1e12
     for _ in range(2):
         task.step(np.arange(2), np.zeros((2, 8)))
         assert task.diverged.tolist() == [False, True]

@@ -1,43 +1,47 @@
-"""Environments as users have them, and their descriptions: small, exact, and of every shape that Gymnasium allows."""
+"""Environments as users have them: small, exact, and of every shape that Gymnasium allows."""
 
 import gymnasium
+import mujoco
 import numpy as np
 from gymnasium.spaces import Box, Dict, Discrete
 
 STEP_M = 0.1
+MAX_STEPS = 7
+"""Time limit of the registration of every environment here."""
 
 
 class Car(gymnasium.Env):
-    """Goes where it is pushed, and turns. How it ends is in its arguments."""
+    """Goes where it is pushed, and turns. How it ends, or fails, is in its arguments."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 20}  # noqa: RUF012 - Gymnasium's own
     action_space = Box(np.array([-2, 0, -1], np.float32), np.array([2, 4, 1], np.float32))
     observation_space = Dict(
         gear=Discrete(3),
         pose=Box(-np.inf, np.inf, (3,), np.float64),
-        target=Box(-1, 1, (2,), np.float64),
-        turn=Box(-1, 1, (4,), np.float32),
+        desired_goal=Box(-1, 1, (2,), np.float64),
     )
 
-    def __init__(self, render_mode=None, terminates_after=0, truncates_after=0, nan_after=0, bad_reward_after=0):
-        self.render_mode = render_mode
+    def __init__(
+        self, render_mode=None, terminates_after=0, truncates_after=0, nan_after=0, bad_reward_after=0, fault=""
+    ):
+        self.render_mode, self.fault = render_mode, fault
         self.ends = (terminates_after, truncates_after, nan_after, bad_reward_after)
         self.shown = 0
 
     def _observe(self):
-        half = self.yaw / 2
         return {
             "pose": np.array([*self.place, np.nan if 0 < self.ends[2] <= self.age else self.yaw]),
             "gear": self.gear,
-            "target": self.target.copy(),
-            "turn": np.array([np.cos(half), 0, 0, np.sin(half)], np.float32),
+            "desired_goal": self.target.copy(),
         }
 
     def _info(self):
         near = bool(np.abs(self.place - self.target).max() < 0.5)
-        return {"is_success": near, "x": self.place[0], "y": self.place[1], "where": self.place.copy(), "name": "car"}
+        return {"is_success": near, "where": self.place.copy(), "yaw": self.yaw}
 
     def reset(self, *, seed=None, options=None):
+        if self.fault == "reset" and seed != 0:
+            raise RuntimeError("no\n  fuel")
         super().reset(seed=seed)
         self.age, self.yaw, self.gear = 0, float(self.np_random.uniform(-3, 3)), int(self.np_random.integers(3))
         self.place, self.target = self.np_random.uniform(-1, 1, 2), self.np_random.uniform(-1, 1, 2)
@@ -51,9 +55,27 @@ class Car(gymnasium.Env):
         self.shown += self.render_mode == "human"
         terminated, truncated, _, bad = (0 < after <= self.age for after in self.ends)
         reward = np.nan if bad else -float(np.abs(self.place - self.target).sum())
-        return self._observe(), reward, terminated, truncated, self._info()
+        return self._fail(self._observe(), reward, terminated, truncated, self._info())
+
+    def _fail(self, observation, reward, terminated, truncated, info):
+        """Return something else than was said, from the second step on."""
+        if self.age < 2:
+            return observation, reward, terminated, truncated, info
+        if self.fault == "step":
+            raise RuntimeError("no\n  fuel")
+        if self.fault == "shape":
+            observation["pose"] = np.zeros(5)
+        if self.fault == "scalar":
+            observation = np.float64(1)
+        if self.fault == "where":
+            del info["where"]
+        if self.fault == "success":
+            info["is_success"] = np.array([True, False])
+        return observation, None if self.fault == "pay" else reward, terminated, truncated, info
 
     def render(self):
+        if self.fault == "draw":
+            raise RuntimeError("no lamp")
         picture = np.zeros((60, 80, 3), np.uint8)
         picture[:, :, 0] = 50 + self.age
         return picture if self.render_mode == "rgb_array" else None
@@ -68,10 +90,23 @@ class Silent(Car):
         return {}
 
 
-class Stepper(Car):
-    """Is steered by four buttons."""
+class Late(Car):
+    """Reports success where an episode ends, and there alone."""
 
-    action_space = Discrete(4)
+    def _info(self):
+        return {"success": bool(self.place[0] > self.target[0])} if 0 < self.ends[0] <= self.age else {}
+
+
+class Stepper(Car):
+    """Is steered by four buttons, the first of which is number 3: right, up, left, down."""
+
+    action_space = Discrete(4, start=3)
+
+    def step(self, action):
+        assert self.action_space.contains(action), action
+        self.age += 1
+        self.place = self.place + np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])[action - 3]
+        return self._observe(), 0.0, False, False, self._info()
 
 
 class Unbounded(Car):
@@ -86,89 +121,57 @@ class Growing(Car):
     observation_space = gymnasium.spaces.Sequence(Box(-1, 1, (2,)))
 
 
-class Broken(Car):
-    """Cannot begin."""
+class Body(gymnasium.Env):
+    """A MuJoCo body with joints `joints`; the observation does not say where it is."""
+
+    action_space = Box(-1, 1, (1,))
+    observation_space = Box(-1, 1, (1,))
+
+    def __init__(self, joints):
+        world = f"<mujoco><worldbody><body><geom size='.1'/>{joints}</body></worldbody></mujoco>"
+        self.data = mujoco.MjData(mujoco.MjModel.from_xml_string(world))
 
     def reset(self, *, seed=None, options=None):
-        raise ZeroDivisionError("no road")
-
-
-class Faulty(Car):
-    """Does as it said in its first step, and from the second on, or in episodes of other seeds than 0, no longer."""
-
-    def __init__(self, render_mode=None, fault="none"):
-        super().__init__(render_mode)
-        self.fault = fault
-
-    def reset(self, *, seed=None, options=None):
-        if self.fault == "reset" and seed != 0:
-            raise RuntimeError("no\n  fuel")
-        return super().reset(seed=seed)
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.data.model, self.data)
+        self.data.qpos[:] = self.np_random.uniform(-1, 1, self.data.model.nq)
+        mujoco.mj_normalizeQuat(self.data.model, self.data.qpos)
+        return np.zeros(1, np.float32), {}
 
     def step(self, action):
-        observation, reward, terminated, truncated, info = super().step(action)
-        if self.age < 2:
-            return observation, reward, terminated, truncated, info
-        if self.fault == "step":
-            raise RuntimeError("no\n  fuel")
-        if self.fault == "shape":
-            observation["pose"] = np.zeros(5)
-        if self.fault == "scalar":
-            observation = np.float64(1)
-        changes = {
-            "info": {"where": np.zeros(3)},
-            "one": {"where": 1.0},
-            "text": {"where": "here"},
-            "success": {"is_success": np.array([True, False])},
-        }
-        return (
-            observation,
-            None if self.fault == "pay" else reward,
-            terminated,
-            truncated,
-            info | changes.get(self.fault, {}),
-        )
+        mujoco.mj_step(self.data.model, self.data)
+        return np.zeros(1, np.float32), 0.0, False, False, {}
 
 
-class Late(Car):
-    """Reports success where an episode ends, and there alone."""
+class Holder(gymnasium.Env):
+    """Holds the environment that has the physics, as those of Gymnasium-Robotics do."""
 
-    key = "is_success"
+    action_space, observation_space = Body.action_space, Body.observation_space
 
-    def _info(self):
-        near = bool(self.place[0] > self.target[0])
-        return {self.key: near} if 0 < self.ends[0] <= self.age else {}
+    def __init__(self, joints):
+        self.inner = Body(joints)
 
+    def reset(self, *, seed=None, options=None):
+        return self.inner.reset(seed=seed)
 
-class Mute(Late):
-    """Calls it otherwise."""
-
-    key = "won"
-
-
-class Dark(Car):
-    """Cannot be drawn."""
-
-    def render(self):
-        raise RuntimeError("no lamp")
+    def step(self, action):
+        return self.inner.step(action)
 
 
-CLASSES = (Car, Dark, Silent, Stepper, Unbounded, Growing, Broken, Faulty, Late, Mute)
+CLASSES = (Car, Silent, Late, Stepper, Unbounded, Growing, Body, Holder)
 
-CAR = {
-    "id": "tests/Car-v0",
-    "position": "pose[0:2]",
-    "heading": "pose[2]",
-    "proprioception": "pose",
-    "primitive_view": ["gear", "pose"],
-}
-"""What `register_external_environment` is told of the car. Flat: gear 0:3, pose 3:6, target 6:8, turn 8:12."""
 
-POINT_MAZE = {"id": "shes/PointMaze-v0", "position": [0, 1], "proprioception": "0:4", "score": "success"}
-"""Point Maze as if it were another's."""
+def locate_car(observation, info):
+    """Return the place of the car, by its observation."""
+    return tuple(observation["pose"])
+
+
+def locate_by_info(observation, info):
+    """Return the place of the car, by what it reports."""
+    return *info["where"], info["yaw"]
 
 
 def register():
     """Let Gymnasium know the classes."""
     for cls in CLASSES:
-        gymnasium.register(f"tests/{cls.__name__}-v0", entry_point=cls, max_episode_steps=7)
+        gymnasium.register(f"tests/{cls.__name__}-v0", entry_point=cls, max_episode_steps=MAX_STEPS)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from shes.envs.gymnasium.registration import SPECS_OF
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.point import Point
-from shes.envs.gymnasium.registration import SPECS_OF
 from shes.envs.registry import ENVIRONMENTS, Environment, check_name, find_environment, make_task, register_environment
 from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.options import TaskOptions

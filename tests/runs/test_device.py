@@ -12,7 +12,6 @@ import shes.runs.device
 import shes.training.build
 from shes.backends.serial import SerialBackend
 from shes.bench.measure import bench_update
-from shes.envs.external.description import ExternalDescription
 from shes.errors import ConfigError
 from shes.runs.config import TrainConfig, WorkerSettings, execution_settings
 from shes.runs.device import check_asked_device, device_changes, device_facts
@@ -103,10 +102,11 @@ def test_what_a_run_was_told_for_another_device_stays():
 
 
 def test_an_environment_of_gymnasium_runs_on_the_cpu_alone(stand_in):
-    description = ExternalDescription.from_dict({"id": "Ant-v5", "position": [0, 1]})
-    message = r"device is 'cuda', but own-ant is Gymnasium's.* it runs on the CPU alone\. Set --device cpu"
+    message = (
+        r"device is 'cuda', but gymnasium:Ant-v5 has physics of its own: it runs on the CPU alone\. Set --device cpu"
+    )
     with pytest.raises(ConfigError, match=message):
-        TrainConfig.of(env="own-ant", external=description, device="cuda")
+        TrainConfig.of(env="gymnasium:Ant-v5", device="cuda")
 
 
 def test_a_device_that_is_not_there_is_an_error_before_there_is_a_folder(no_card, tmp_path):

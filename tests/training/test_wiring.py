@@ -332,8 +332,6 @@ SHOWN: dict[str, tuple[dict[str, Any], Callable[..., Any], Any]] = {
     ),
     "env": ({}, lambda path, _: RunFolder.open(path).read_config().run.env, "point-gather"),
 }  # fmt: skip
-OF_EXTERNAL = {"external"}
-"""Tested with external environments."""
 
 
 @pytest.mark.parametrize("name", SHOWN)
@@ -344,4 +342,4 @@ def test_a_setting_shows_in_the_run(name, source, tmp_path):
 
 
 def test_every_setting_has_a_row():
-    assert ROWS.keys() | SHOWN.keys() | OF_EXTERNAL == known_settings().keys()
+    assert ROWS.keys() | SHOWN.keys() == known_settings().keys()

@@ -24,6 +24,7 @@ from shes.backends.serial import SerialBackend
 from shes.bench.bare_physics import record_generation
 from shes.bench.random_results import RandomResults
 from shes.bench.update_parts import learning_levels, time_parts, timed
+from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.perturbation import ManyToMany
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
@@ -52,10 +53,10 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
     Raises:
         ConfigError: The environment is an external one, which has no bare loop.
     """
-    if config.run.external is not None:
+    if find_environment(config.run.env).has_own_physics:
         raise ConfigError(
-            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.run.env}, which "
-            "Gymnasium makes. Name one of `shes envs` with a world of our own, e.g. ant-gather."
+            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.run.env}, whose "
+            "physics is its own. Name one of `shes envs` with a world of our own, e.g. ant-gather."
         )
     algorithm = _evolution_strategy(config)
     plan, settings, state = algorithm.plan(), algorithm.settings, algorithm.start(config.run.seed)

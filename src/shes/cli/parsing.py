@@ -12,9 +12,8 @@ from typing import Annotated, Any, Literal, get_type_hints
 
 import tyro
 
-from shes.envs.external.description import is_description_file
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
 from shes.runs.config import TrainConfig, execution_settings, known_settings
 from shes.settings import Setting, Unasked, flag, setting_fields
@@ -24,7 +23,7 @@ __all__ = ["DEFAULT_ENV", "call", "program_of"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows where none is named."""
-_POSITIONAL = ("env", "external")
+_POSITIONAL = ("env",)
 _ALL = "--help-all"
 _METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", str: "TEXT"}
 
@@ -192,7 +191,7 @@ def _asked_config(words: Sequence[str]) -> TrainConfig:
 
 
 def _is_environment(word: str, known: Container[str]) -> bool:
-    return word in known or (not word.startswith("-") and is_description_file(word))
+    return word in known or word.startswith(GYMNASIUM)
 
 
 def _spelled(words: Sequence[str]) -> list[str]:

@@ -42,11 +42,16 @@ class Reader(ABC):
         """
 
     @abstractmethod
-    def locate(self, rows: F64Array, info: Mapping[str, Any] | None) -> tuple[F64Array, F64Array]:
+    def locate(self, rows: F64Array, info: Mapping[str, Any] | None, env: Any = None) -> tuple[F64Array, F64Array]:
         """Return position [N, 2] in metres and heading [N] in radians of robots that observe `rows` [N, O].
 
+        Args:
+            rows: What they observe.
+            info: What the environment says beside it.
+            env: The environment itself.
+
         Raises:
-            ConfigError: They are in `info`, which was not given.
+            ConfigError: What they are read from was not given: `info` or `env`.
         """
 
     def goal(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array | None:
@@ -102,6 +107,13 @@ class EpisodeBatch(ABC):
 
         Raises:
             ConfigError: Contacts or constraints were left out.
+        """
+
+    def check_position(self) -> None:  # noqa: B027 - most know it
+        """Refuse a robot whose position nobody knows: goals need it; ask after the first reset.
+
+        Raises:
+            ConfigError: It is not known.
         """
 
     @property

@@ -9,7 +9,7 @@ from collections.abc import Collection
 
 from shes.errors import UnknownNameError
 
-__all__ = ["MAX_EPISODE_STEPS", "SPECS_OF", "gymnasium_id", "register_ids", "register_known"]
+__all__ = ["MAX_EPISODE_STEPS", "SPECS_OF", "find_id", "gymnasium_id", "register_ids", "register_known"]
 
 MAX_EPISODE_STEPS = 500
 """Control steps after which Gymnasium truncates an episode (Table I)."""
@@ -31,6 +31,16 @@ def gymnasium_id(name: str, spec: str = "shes") -> str:
         raise UnknownNameError("environment", name, SPECS_OF, "`shes envs` lists them.")
     variant = "" if spec == "shes" else spec.title()
     return f"shes/{name.title().replace('-', '')}{variant}-v0"
+
+
+def find_id(name: str) -> str | None:
+    """Return the id in Gymnasium that `name` spells in any case, with or without its version; None if there is none."""
+    import gymnasium
+
+    ids: dict[str, str] = {}
+    for env_id in gymnasium.registry:  # the latest version comes last
+        ids |= {env_id.casefold(): env_id, env_id.casefold().rpartition("-v")[0]: env_id}
+    return ids.get(name.casefold())
 
 
 def register_ids(name: str, specs: Collection[str]) -> None:

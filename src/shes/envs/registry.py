@@ -1,22 +1,21 @@
 """The environments by name: a body and a task each. Adding one is one line here, or `register_environment`.
 
-Environments of others, made by Gymnasium, have names too: `register_external_environment`.
+Environments of others, made by Gymnasium, have names too: `register_external`, or `gymnasium:` and an id.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.point import FallingPoint, Point
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.description import ExternalDescription
-from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, READY
-from shes.envs.external.selection import Selection
-from shes.envs.gymnasium_ids import register_ids
+from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
+from shes.envs.gymnasium_ids import SPECS_OF, find_id, gymnasium_id, register_ids
 from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun
 from shes.envs.tasks.gather import Gather
@@ -24,25 +23,35 @@ from shes.envs.tasks.maze import Maze
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.push import Push
 from shes.envs.tasks.task import SimulatorFactory, Task
+from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, check_class, check_name_form
 from shes.settings import Settings
 from shes.sim.cpu import CpuSimulator
 
+if TYPE_CHECKING:
+    import gymnasium
+
+    from shes.envs.external.reader import Locate
+
 __all__ = [
     "ENVIRONMENTS",
+    "GYMNASIUM",
     "Environment",
     "EnvironmentMaker",
-    "check_description_name",
-    "check_external_name",
-    "find_description",
     "find_environment",
     "make_task",
     "register_environment",
-    "register_external_environment",
+    "register_external",
 ]
 
-_HOW_TO_REGISTER = "`shes envs` lists them. Register your own first: shes.register_environment, or --import MODULE."
+_HOW_TO_REGISTER = (
+    "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: shes.register_environment, "
+    "shes.register_external, or --import MODULE."
+)
+GYMNASIUM = "gymnasium:"
+"""What stands before an id of Gymnasium where the name of an environment may stand."""
+_SCORES = ("return", "success")
 
 
 class EnvironmentMaker(Protocol):
@@ -56,6 +65,16 @@ class EnvironmentMaker(Protocol):
     @property
     def sets_goals(self) -> bool:
         """Whether it tells the robot where to go, so that a primitive learns in it without a controller."""
+        ...
+
+    @property
+    def has_own_physics(self) -> bool:
+        """Whether its physics is no simulator of ours: it runs on the CPU alone, and its episodes have no branches."""
+        ...
+
+    @property
+    def max_episode_steps(self) -> int | None:
+        """Time limit that it brings, in training and evaluation; None if the preset says."""
         ...
 
     def make(
@@ -79,6 +98,16 @@ class Environment(NamedTuple):
     def options(self) -> type[TaskOptions]:
         """The class of its task's options."""
         return self.task.Options
+
+    @property
+    def has_own_physics(self) -> bool:
+        """Return False: our simulators compute it."""
+        return False
+
+    @property
+    def max_episode_steps(self) -> None:
+        """Return None: the preset says how long its episodes are."""
+        return
 
     @property
     def sets_goals(self) -> bool:
@@ -140,120 +169,102 @@ def register_environment(name: str, body: type[Body], task: type[Task]) -> None:
     Raises:
         ConfigError: A class is none or not complete, or the name is malformed or stands for other classes.
     """
-    _check_is_not_external(name)
+    if name in EXTERNAL_ENVIRONMENTS:
+        raise ConfigError(f"environment {name!r} is one of Gymnasium already. Choose another name.")
     ENVIRONMENTS.register(name, Environment(body, task))
     register_ids(name, task.specs)
 
 
-def register_external_environment(
+def register_external(
     name: str,
-    id: str,  # noqa: A002 - Gymnasium's own word
+    make: str | Callable[..., gymnasium.Env[Any, Any]],
     *,
-    position: Selection,
-    heading: Selection = (),
-    proprioception: Selection = (),
-    primitive_view: Selection = (),
+    locate: Locate | None = None,
+    primitive_view: Sequence[int] | None = None,
     score: str = "return",
-    kwargs: Mapping[str, Any] | None = None,
 ) -> None:
-    """Make an environment of Gymnasium known as environment `name`, in this process; a run's folder keeps all of it.
+    """Make an environment of others known as environment `name`, in this process; Gymnasium makes it, or a function.
 
     ```python
-    shes.register_external_environment(
-        "wide-maze", "AntMaze_Open-v5", position="achieved_goal", heading="observation[1:5]", score="success"
-    )
+    shes.register_external("wide-maze", "AntMaze_Open-v5", score="success")
     shes.train("wide-maze")
     ```
 
-    Where something is: indices in the flat observation (`[0, 1]`, `"0:27"`), a key of a dict observation or of `info`
-    (`"achieved_goal"`), or some of a key's values (`"observation[1:5]"`); or a list of these. Whether the environment
-    has them there is looked at when it is first made: when training begins.
+    A run's folder keeps the name alone: register again before `resume`, `evaluate` or `load` in another process. An
+    environment that needs no more than its id needs no registration: it is called `gymnasium:ID`.
 
     Args:
         name: Lower-case words joined by `-`.
-        id: Its id in Gymnasium. Import what registers it first; Gymnasium-Robotics is imported by itself.
-        position: Where x and y of the robot are, in metres.
-        heading: Where its yaw is in radians, or its quaternion w x y z; 0 if nothing is given.
-        proprioception: The robot's own part of the observation: what the primitive sees with
-            `--primitive-view proprioception`, and one that `--primitive` brings if it was trained so. The same as
-            `primitive_view` if nothing is given.
-        primitive_view: What of the observation the primitive sees otherwise; all of it if nothing is given.
-        score: `return`, or `success` by what `info` reports at the end, under `success` or `is_success`.
-        kwargs: Arguments of `gymnasium.make`, as JSON holds them.
+        make: Its id in Gymnasium, whose package you import first (Gymnasium-Robotics is imported by itself); or a
+            function that returns a new environment. For pictures it is called with `render_mode="rgb_array"`.
+        locate: Returns (x, y, heading) of the robot, in metres and radians, from an observation and its `info`. If
+            none, they are read from MuJoCo: from the free joint of the first body, or from its slide joints along x
+            and y. S-ES needs no position.
+        primitive_view: Indices in the flat observation that the primitive sees; all but `desired_goal` if none.
+        score: `return`, or `success`: 1 for what `info` reports at the end, under `success` or `is_success`.
 
     Raises:
         ConfigError: A value is not allowed, or the name is malformed or taken.
         UnknownNameError: `score` is not known.
     """
-    check_external_name(name)
-    if name in READY:
-        raise ConfigError(f"environment {name!r} comes with SHES: it is {READY[name].id}. Choose another name.")
-    EXTERNAL_ENVIRONMENTS[name] = ExternalDescription.from_dict(
-        {
-            "id": id,
-            "position": position,
-            "heading": heading,
-            "proprioception": proprioception,
-            "primitive_view": primitive_view,
-            "score": score,
-            "kwargs": {} if kwargs is None else kwargs,
-        }
+    check_name_form("environment", name)
+    if name in ENVIRONMENTS or name in INCLUDED:
+        raise ConfigError(f"environment {name!r} comes with SHES. Choose another name.")
+    if not callable(make) and not isinstance(make, str):
+        raise ConfigError(f"make must be an id of Gymnasium or a function that returns an environment, got {make!r}.")
+    if locate is not None and not callable(locate):
+        raise ConfigError(f"locate must be a function of an observation and its info, got {locate!r}.")
+    view = None if primitive_view is None else tuple(primitive_view)
+    if view is not None and not all(is_whole(index) for index in view):
+        raise ConfigError(f"primitive_view must be indices in the flat observation, got {primitive_view!r}.")
+    if score not in _SCORES:
+        raise UnknownNameError("score", str(score), _SCORES)
+    EXTERNAL_ENVIRONMENTS[name] = ExternalEnvironment(
+        name=name,
+        source=make.removeprefix(GYMNASIUM) if isinstance(make, str) else make,
+        locate=locate,
+        primitive_view=view,
+        is_scored_by_success=score == "success",
     )
 
 
-def check_external_name(name: str) -> None:
-    """Refuse a name that an external environment cannot have.
+def find_environment(name: str) -> EnvironmentMaker:
+    """Return environment `name`: one of our own, of others, or `gymnasium:` and an id, which is not looked up yet.
 
     Raises:
-        ConfigError: It is malformed, or that of an environment of our own.
+        UnknownNameError: There is none.
+        ConfigError: It is an id of Gymnasium; the message says what to write.
     """
-    check_name_form("environment", name)
-    if name in ENVIRONMENTS:
-        raise ConfigError(f"environment {name!r} is one of our own already. Choose another name.")
-
-
-def check_description_name(name: str, description: ExternalDescription) -> None:
-    """Refuse a name that a file's `description` cannot have.
-
-    Raises:
-        ConfigError: It is malformed, or that of another environment.
-    """
-    check_external_name(name)
-    known = EXTERNAL_ENVIRONMENTS.get(name, description)
-    if known.id != description.id:
-        raise ConfigError(f"environment {name!r} is Gymnasium's {known.id} already, not {description.id}.")
-
-
-def _check_is_not_external(name: str) -> None:
+    if name.startswith(GYMNASIUM):
+        return ExternalEnvironment(name=name, source=name.removeprefix(GYMNASIUM))
     if name in EXTERNAL_ENVIRONMENTS:
-        external = EXTERNAL_ENVIRONMENTS[name].id
-        raise ConfigError(f"environment {name!r} is Gymnasium's {external} already. Choose another name.")
-
-
-def find_description(name: str) -> ExternalDescription | None:
-    """Return the description of environment `name`; None if it is one of our own.
-
-    Raises:
-        UnknownNameError: It is neither.
-    """
-    if name not in ENVIRONMENTS and name not in EXTERNAL_ENVIRONMENTS:
+        return EXTERNAL_ENVIRONMENTS[name]
+    if name not in ENVIRONMENTS:
+        _refuse_id(name)
         raise UnknownNameError("environment", name, [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS], _HOW_TO_REGISTER)
-    return EXTERNAL_ENVIRONMENTS.get(name)
+    return ENVIRONMENTS[name]
 
 
-def find_environment(name: str) -> Environment:
-    """Return environment `name`.
+def _refuse_id(name: str) -> None:
+    """Refuse an id of Gymnasium where a name is meant.
 
     Raises:
-        UnknownNameError: `name` is not in `ENVIRONMENTS`.
+        ConfigError: It is one, in whatever case, with or without its version.
     """
-    return ENVIRONMENTS.find(name)
+    env_id = find_id(name)
+    for own, specs in SPECS_OF.items():
+        for spec in specs:
+            if gymnasium_id(own, spec) == env_id:
+                flags = "" if spec == "shes" else f" --spec {spec}"
+                raise ConfigError(f"{name!r} is an id of Gymnasium. Here it is called {own}{flags}.")
+    if env_id is not None:
+        raise ConfigError(f"{name!r} is an id of Gymnasium. Write {GYMNASIUM}{env_id}.")
 
 
 def make_task(
     name: str, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
 ) -> Task:
-    """Return `num_episodes` episodes of environment `name`.
+    """Return `num_episodes` episodes of environment `name`, one of our own.
 
     Raises:
         UnknownNameError: `name` is not in `ENVIRONMENTS`.

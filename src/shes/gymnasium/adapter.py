@@ -14,7 +14,7 @@ from shes.drawing.drawer import Drawer, Picture, Window
 from shes.drawing.renderer import check_camera
 from shes.drawing.rendering import make_drawer, open_window
 from shes.envs.observation_spec import bounds
-from shes.envs.registry import Environment, find_environment
+from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
@@ -50,7 +50,7 @@ class TaskAdapter:
         if render_mode is not None and render_mode not in render_modes:
             raise UnknownNameError("render_mode", str(render_mode), render_modes)
         self._render_mode = render_mode
-        environment = find_environment(name)
+        environment = ENVIRONMENTS.find(name)
         of_task, of_body, self._picture = _split_options(environment, options)
         if of_body is not None:
             environment = environment.with_body_options(of_body)

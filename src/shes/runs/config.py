@@ -20,8 +20,7 @@ from shes.algorithms.evolution.rooms import (
 )
 from shes.algorithms.registry import ALGORITHMS, find_algorithm, learners
 from shes.cores import num_cores
-from shes.envs.external.description import ExternalDescription
-from shes.envs.registry import ENVIRONMENTS, check_external_name, find_description, find_environment
+from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
@@ -62,7 +61,7 @@ class RunSettings(Settings):
     """Run."""
 
     env: str
-    """Environment; `shes envs` lists them."""
+    """Environment; `shes envs` lists them. Or `gymnasium:` and an id of Gymnasium."""
     algorithm: Annotated[
         str,
         Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE."),
@@ -71,8 +70,6 @@ class RunSettings(Settings):
     """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES."""
     preset: Annotated[str, Execution(), Shown(everyday=True)] = "laptop"
     """What the other settings start from: paper, laptop or smoke."""
-    external: ExternalDescription | None = None
-    """What describes the environment if Gymnasium makes it; that of its name if none."""
     seed: Annotated[int, Ge(0), Lt(2**63), Shown(everyday=True)] = 1
     """Seed of every random draw."""
     generations: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] = 1000
@@ -171,7 +168,6 @@ class TrainConfig:
             ConfigError: A setting is unknown, or its value is out of range, or values do not go together.
             UnknownNameError: A name is in no registry.
         """
-        values = _with_description(values)
         classes = check_names(values)
         self.__dict__["rooms"] = {room: cls.of(values) for room, cls in classes.items()}
         self._check()
@@ -243,8 +239,6 @@ class TrainConfig:
             if not isinstance(values, Mapping):
                 raise ConfigError(f"settings are kept in rooms, and {room!r} is none: {values!r}.")
         values = {name: value for room in rooms.values() for name, value in room.items()}
-        if values.get("external") is not None:
-            values["external"] = ExternalDescription.from_dict(values["external"])
         config = cls(values)
         for room in rooms:
             if room not in config:
@@ -298,10 +292,10 @@ class TrainConfig:
 
     def _check(self) -> None:
         """Refuse settings that do not go together."""
-        if self.run.external is not None and self.workers.device != "cpu":
+        if self.workers.device != "cpu" and find_environment(self.run.env).has_own_physics:
             raise ConfigError(
-                f"device is {self.workers.device!r}, but {self.run.env} is Gymnasium's, with physics of its own: it "
-                "runs on the CPU alone. Set --device cpu."
+                f"device is {self.workers.device!r}, but {self.run.env} has physics of its own: it runs on the CPU "
+                "alone. Set --device cpu."
             )
         if "schedules" in self:
             self._check_schedules()
@@ -352,9 +346,9 @@ class TrainConfig:
 
     def _check_branches(self) -> None:
         """Refuse branches of a primitive that cannot be branched."""
-        if self.run.external is not None:
+        if find_environment(self.run.env).has_own_physics:
             raise ConfigError(
-                f"primitive_estimate is 'interval', but the physics of {self.run.env} is Gymnasium's and cannot be "
+                f"primitive_estimate is 'interval', but the physics of {self.run.env} is its own and cannot be "
                 "branched. Set --primitive-estimate episode."
             )
         is_beside = len(self.level_names) > 1
@@ -371,44 +365,22 @@ class TrainConfig:
 
 def learner(run: RunSettings) -> type[Algorithm[Any]]:
     """Return what learns in a run."""
-    sets_goals = run.env in ENVIRONMENTS and find_environment(run.env).sets_goals
-    return find_algorithm(run.algorithm, sets_goals=sets_goals)
+    return find_algorithm(run.algorithm, sets_goals=find_environment(run.env).sets_goals)
 
 
 def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
     """Return the classes of settings that a run has, by room, in the order of the help."""
-    is_ours = run.env in ENVIRONMENTS
-    environment: type[Settings] = find_environment(run.env).options if is_ours else TaskOptions
-    body = find_environment(run.env).body.Options if is_ours else Settings
+    env = find_environment(run.env)
+    body = env.body.Options if isinstance(env, Environment) else Settings
     return {
         "run": _OF_EVERY_RUN["run"],
         "workers": _OF_EVERY_RUN["workers"],
         **learner(run).rooms,
-        "environment": environment,
+        "environment": env.options,
         **({"body": body} if setting_fields(body) else {}),
         "episodes": _OF_EVERY_RUN["episodes"],
         "evaluation": _OF_EVERY_RUN["evaluation"],
     }
-
-
-def _with_description(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `values` with what describes an external environment, so that nobody has to say it again.
-
-    Raises:
-        ConfigError: There is no environment, or its description is none.
-        UnknownNameError: The environment is not known.
-    """
-    env, external = values.get("env"), values.get("external")
-    if env is None:
-        raise ConfigError("the configuration names no environment (key 'env').")
-    if not isinstance(env, str):
-        raise out_of_range("env", env, "a name")
-    if external is None:
-        return {**values, "external": find_description(env)}
-    if not isinstance(external, ExternalDescription):
-        raise ConfigError(f"external must be an ExternalDescription, got {external!r}.")
-    check_external_name(env)
-    return dict(values)
 
 
 def _settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
@@ -436,6 +408,8 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
     Raises:
         ConfigError: There is one; the message names the nearest.
     """
+    if "env" not in values:
+        raise ConfigError("the configuration names no environment (key 'env').")
     classes = rooms_of(RunSettings.of(values))
     here, everywhere = _settings_in(classes.values()), known_settings()
     for name, value in values.items():

@@ -11,6 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from shes.envs.registry import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs.checkpoint import Checkpoint, load_checkpoint
 from shes.runs.config import TrainConfig
@@ -30,7 +31,8 @@ def new_folder(config: TrainConfig) -> Path:
     Raises:
         StorageError: It cannot be made.
     """
-    name = f"{config.run.env}-{config.run.preset}-seed{config.run.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    env = config.run.env.removeprefix(GYMNASIUM).replace("/", "-")
+    name = f"{env}-{config.run.preset}-seed{config.run.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     number = 1
     while True:
         path = Path("runs") / (name if number == 1 else f"{name}-{number}")

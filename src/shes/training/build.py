@@ -16,8 +16,7 @@ from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.environment import ExternalEnvironment
-from shes.envs.registry import EnvironmentMaker, find_environment
+from shes.envs.registry import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError
 from shes.runs.checkpoint import restore
@@ -41,14 +40,10 @@ def build_environment(config: TrainConfig) -> EnvironmentMaker:
     """Return what makes episodes of the environment of `config`.
 
     Raises:
-        UnknownNameError: There is none of its name, or Gymnasium knows none of its id.
-        MissingExtraError: It comes with a package that is not installed.
-        ConfigError: It is not as it is described.
+        UnknownNameError: There is none of its name.
     """
-    if config.run.external is not None:
-        return ExternalEnvironment.find(config.run.external)
     env = find_environment(config.run.env)
-    return env.with_body_options(config.body) if "body" in config else env
+    return env.with_body_options(config.body) if isinstance(env, Environment) and "body" in config else env
 
 
 def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:

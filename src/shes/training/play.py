@@ -52,13 +52,15 @@ class Agent:
         for number in range(self.num_envs) if env is None else (env,):
             self._agent.start(np.array([number]))
 
-    def act(self, observation: Any, info: Mapping[str, Any] | None = None) -> FloatArray:
+    def act(self, observation: Any, info: Mapping[str, Any] | None = None, env: Any = None) -> FloatArray:
         """Return the action for one step: in [-1, 1], or within the action space's bounds of an external environment.
 
         Args:
             observation: What the environment shows: [O], or [num_envs, O] for several; of an external environment
                 also its own observation, a dictionary for example, or that of a vector environment.
-            info: What the environment says beside it; needed where an external environment's position is in it.
+            info: What an external environment says beside it, if its robot's place is read from there.
+            env: An external environment itself, if its robot's place is read from its MuJoCo joints. S-ES, which
+                knows no goals, needs neither.
 
         Returns:
             [A], or [num_envs, A] if several observations were given.
@@ -66,7 +68,7 @@ class Agent:
         Raises:
             ShapeError: `observation` has another shape.
             PolicyError: `observation` holds NaN or infinity.
-            ConfigError: `info` is needed.
+            ConfigError: `info` or `env` is needed.
         """
         try:
             rows, is_single = self._reader.rows(observation, self.num_envs)
@@ -78,8 +80,10 @@ class Agent:
             raise PolicyError(
                 "the observation holds NaN or infinity: the simulation has blown up. Reset the environment."
             )
-        position, heading = self._reader.locate(rows, info)
-        goal = self._reader.goal(rows, position, heading)
+        position, heading, goal = np.zeros((len(rows), 2)), np.zeros(len(rows)), None
+        if self._agent.goal is not None:
+            position, heading = self._reader.locate(rows, info, env)
+            goal = self._reader.goal(rows, position, heading)
         action = self._reader.to_action(self.control(rows, position, heading, goal))
         return action[0] if is_single else action
 

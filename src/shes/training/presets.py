@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from shes.envs.external.description import is_description_file, read_description
+from shes.envs.registry import find_environment
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import RunSettings, TrainConfig, check_names, rooms_of
 from shes.runs.device import check_asked_device
@@ -103,14 +103,8 @@ _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
         "horizon": 500,
         "generations": 80,
     },
-    # Gymnasium's own time limits; cells of the point's maze are 1 m wide, those of the ant's 4 m.
-    ("laptop", "robotics-ant-maze"): {"horizon": 700, "evaluation_horizon": 700},
-    ("laptop", "robotics-point-maze"): {
-        "goal_distance": 1.0,
-        "minimum_goal_distance": False,
-        "horizon": 300,
-        "evaluation_horizon": 300,
-    },
+    # Cells of the point's maze are 1 m wide, those of the ant's 4 m.
+    ("laptop", "robotics-point-maze"): {"goal_distance": 1.0, "minimum_goal_distance": False},
 }
 """What a preset sets otherwise for an environment: (preset, environment) -> settings."""
 
@@ -118,18 +112,16 @@ _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
     """Return the settings of `preset` for `env`, with `overrides` by name.
 
-    `env` may be the path of a file (.toml, .json) that describes an external environment; its stem is the name then.
+    An environment that brings a time limit has it in training and evaluation.
 
     Raises:
         UnknownNameError: `preset` or `env` is not known.
-        ConfigError: A setting is unknown, out of range or without effect, or a file holds no description.
+        ConfigError: A setting is unknown, out of range or without effect, or `env` cannot be made.
+        MissingExtraError: `env` comes with a package that is not installed.
     """
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError("preset", str(preset), PRESETS, "Set --preset.")
     asked = dict(overrides or {})
-    if is_description_file(env):
-        path = Path(env)
-        env, asked["external"] = path.stem, read_description(path)
     for name in ("hidden", "primitive_hidden"):
         if isinstance(asked.get(name), int):
             asked[name] = (asked[name],)
@@ -155,7 +147,9 @@ def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str,
     classes = rooms_of(RunSettings.of({"env": env, **run}))
     has_walker = preset == "laptop" and run.get("algorithm", "shes") == "shes"
     own = _WALKERS.get(env, {}) if has_walker else {}
-    values = {**PRESETS[preset], **_PER_ENVIRONMENT.get((preset, env), {}), **own}
+    limit = find_environment(env).max_episode_steps
+    limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}
+    values = {**PRESETS[preset], **limits, **_PER_ENVIRONMENT.get((preset, env), {}), **own}
     return {name: values[name] for cls in classes.values() for name in setting_fields(cls) if name in values}
 
 

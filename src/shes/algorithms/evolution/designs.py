@@ -33,8 +33,14 @@ __all__ = [
 
 
 def flat_design(problem: Problem) -> FlatDesign:
-    """Return the design of one policy without goals."""
+    """Return the design of one policy without goals.
+
+    Raises:
+        ConfigError: It is to seek novelty, which is of positions, and nobody knows where the robot is.
+    """
     task, settings = problem.sample(), problem.settings
+    if settings.novelty.novelty != "none":
+        task.check_position()
     inputs = _clock_size(settings) + task.observation_size
     return FlatDesign(policy=MLP(inputs, settings.networks.hidden, task.action_size), **_acting(settings, task))
 
@@ -43,7 +49,8 @@ def primitive_design(problem: Problem) -> PrimitiveDesign:
     """Return the design of a primitive alone.
 
     Raises:
-        ConfigError: There is no position to hide, or nobody knows how to look at this robot from its own frame.
+        ConfigError: There is no position to hide, or nobody knows where the robot is, or how to look at it from its
+            own frame.
     """
     return PrimitiveDesign(**_reaching(problem.settings, problem.sample()))
 
@@ -52,7 +59,8 @@ def hierarchical_design(problem: Problem) -> HierarchicalDesign:
     """Return the design of a controller and its primitive.
 
     Raises:
-        ConfigError: There is no position to hide, or nobody knows how to look at this robot from its own frame.
+        ConfigError: There is no position to hide, or nobody knows where the robot is, or how to look at it from its
+            own frame.
     """
     task, settings = problem.sample(), problem.settings
     output, view = make_controller_output(settings.hierarchy.controller_output), _controller_view(settings, task)
@@ -85,6 +93,7 @@ def branch_design(settings: Any, design: AgentDesign) -> BranchDesign | None:
 def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
     """Return what an agent of `settings` is made of that concerns its primitive."""
     hierarchy = settings.hierarchy
+    task.check_position()
     encoding, view = make_goal_encoding(hierarchy.goal_encoding), primitive_view(settings, task)
     return {
         "primitive": MLP(

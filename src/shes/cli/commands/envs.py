@@ -6,7 +6,6 @@ import json as json_text
 from typing import Any
 
 from shes.cli.output import print_table
-from shes.envs.external.description import ExternalDescription
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.gymnasium_ids import gymnasium_id
@@ -38,7 +37,7 @@ def envs(*, json: bool = False) -> int:
                 "about": " ".join((environment.task.__doc__ or "").split("\n\n", maxsplit=1)[0].split()),
             }
         )
-    others = [_external_row(name, description) for name, description in EXTERNAL_ENVIRONMENTS.items()]
+    others = [_external_row(environment) for environment in EXTERNAL_ENVIRONMENTS.values()]
     if json:
         print(json_text.dumps([*rows, *others], indent=2))
         return 0
@@ -60,21 +59,22 @@ def envs(*, json: bool = False) -> int:
     return 0
 
 
-def _external_row(name: str, description: ExternalDescription) -> dict[str, Any]:
+def _external_row(environment: ExternalEnvironment) -> dict[str, Any]:
     """Return what there is to say of an environment of others; no numbers where it cannot be made."""
+    env_id = environment.source if isinstance(environment.source, str) else "made by a function"
     row: dict[str, Any] = {
-        "name": name,
+        "name": environment.name,
         "task": "external",
-        "gymnasium": [description.id],
+        "gymnasium": [env_id],
         "observation": {},
         "action": None,
         "reward": "its own",
         "ends": "by its own rule",
-        "score": description.score,
-        "about": f"Gymnasium's {description.id}",
+        "score": "success" if environment.is_scored_by_success else "return",
+        "about": f"Gymnasium's {env_id}",
     }
     try:
-        task = ExternalEnvironment.find(description).make(1)
+        task = environment.make(1)
     except ShesError as error:
         return {**row, "about": str(error)}
     return {**row, "observation": {"external": task.observation_size}, "action": task.action_size}

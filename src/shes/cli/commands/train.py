@@ -23,7 +23,7 @@ def train(
     shes train point-gather --generations 60 --out runs/first
 
     Args:
-        env: Environment, see shes envs; or a file (.toml, .json) that describes another one.
+        env: Environment, see shes envs; or gymnasium:ID, one of Gymnasium.
         settings: Settings by name.
         out: The run folder, which must not hold a run yet; a new one below runs/ if none.
     """

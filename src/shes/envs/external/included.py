@@ -1,30 +1,29 @@
-"""Descriptions of environments of others: those that come with SHES, and those that users add."""
+"""The environments of others that SHES knows by name: those that come with it, and those that users register."""
 
 from __future__ import annotations
 
-from shes.envs.external.description import ExternalDescription
+from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.quaternions import yaw
 
-__all__ = ["EXTERNAL_ENVIRONMENTS", "READY"]
+__all__ = ["EXTERNAL_ENVIRONMENTS", "INCLUDED"]
 
-READY: dict[str, ExternalDescription] = {
-    # Observation: z, quaternion, 8 joints; 14 velocities; contact forces.
-    "robotics-ant-maze": ExternalDescription(
-        id="AntMaze_UMaze-v5",
-        position=("achieved_goal",),
-        heading=("observation[1:5]",),
-        proprioception=("observation[0:27]",),
-        primitive_view=("observation",),
-        score="success",
+INCLUDED = {
+    "robotics-ant-maze": ExternalEnvironment(
+        name="robotics-ant-maze",
+        source="AntMaze_UMaze-v5",
+        locate=lambda seen, _: (*seen["achieved_goal"].tolist(), float(yaw(seen["observation"][1:5]))),
+        primitive_view=tuple(range(4, 109)),  # not the achieved and the desired goal, which come first
+        is_scored_by_success=True,
     ),
-    # Observation: x, y, their velocities.
-    "robotics-point-maze": ExternalDescription(
-        id="PointMaze_UMaze-v3",
-        position=("achieved_goal",),
-        primitive_view=("observation",),
-        score="success",
+    "robotics-point-maze": ExternalEnvironment(
+        name="robotics-point-maze",
+        source="PointMaze_UMaze-v3",
+        locate=lambda seen, _: (*seen["achieved_goal"].tolist(), 0.0),
+        primitive_view=tuple(range(4, 8)),
+        is_scored_by_success=True,
     ),
 }
 """Gymnasium-Robotics' mazes, for the extra `robotics`."""
 
-EXTERNAL_ENVIRONMENTS: dict[str, ExternalDescription] = dict(READY)
-"""The external environments by name; `shes.register_external_environment` adds to them."""
+EXTERNAL_ENVIRONMENTS: dict[str, ExternalEnvironment] = dict(INCLUDED)
+"""The external environments by name; `shes.register_external` adds to them."""

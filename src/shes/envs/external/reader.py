@@ -1,138 +1,99 @@
-"""Reads what a Gymnasium environment shows: flat observations, position and heading, actions within its bounds."""
+"""Reads what a Gymnasium environment shows, finds its robot, and writes actions of its own action space."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
 
+import gymnasium
+import mujoco
 import numpy as np
+from gymnasium.spaces import Box, Dict, Discrete, flatdim, flatten, unflatten
+from gymnasium.vector.utils import batch_space, iterate
 
 from shes.envs.episode_batch import Reader
-from shes.envs.quaternions import yaw
+from shes.envs.root import Place, find_root
 from shes.errors import ConfigError, ShapeError
-from shes.types import F64Array, FloatArray, IntArray
+from shes.types import F64Array, FloatArray
 
-if TYPE_CHECKING:
-    from gymnasium import Space
-    from gymnasium.spaces import Box
+__all__ = ["ExternalReader", "Locate", "find_physics"]
 
-__all__ = ["ExternalReader"]
+Locate: TypeAlias = Callable[[Any, Mapping[str, Any]], Place]
+"""Returns (x, y, heading) of the robot, in metres and radians, from an observation and its `info`."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class ExternalReader(Reader):
-    """What is known of an environment without making it. A row is the flat observation, then values of `info`."""
+    """The spaces of an environment, and where its robot is. Rows are observations, by `gymnasium.spaces.flatten`."""
 
-    observation_space: Space[Any]
-    action_space: Box
-    observation_size: int
-    info_keys: Mapping[str, int]
-    """Keys of `info` that are read, with the number of their values."""
-    position: IntArray
-    """Columns of x and y in a row."""
-    heading: IntArray
-    """Columns of the yaw, or of the quaternion w x y z; none is a yaw of 0."""
+    def __init__(self, env: gymnasium.Env[Any, Any], locate: Locate | None, view: Sequence[int] | None) -> None:
+        """Look at `env`; a ConfigError says why it cannot be used, or that `view` is no part of its observation."""
+        self._seen, physics, actions = env.observation_space, find_physics(env), env.action_space
+        if not self._seen.is_np_flattenable:
+            raise ConfigError(f"its observation space must have a fixed size, and is {self._seen}.")
+        is_box = isinstance(actions, Box) and actions.is_bounded() and np.issubdtype(actions.dtype, np.floating)
+        if not is_box and not isinstance(actions, Discrete):
+            raise ConfigError(f"its actions must be Discrete or a bounded Box of floats, and are {actions}.")
+        self._actions: Any = actions
+        self.observation_size, self.action_size = flatdim(self._seen), flatdim(actions)
+        parts = self._seen.spaces if isinstance(self._seen, Dict) else {"": self._seen}
+        shown = np.repeat([key != "desired_goal" for key in parts], [flatdim(part) for part in parts.values()])
+        self.primitive_view = np.flatnonzero(shown) if view is None else np.array(view, np.int64)
+        if len({*self.primitive_view} & {*range(len(shown))}) < len(self.primitive_view):
+            raise ConfigError(f"primitive_view must be indices below {len(shown)}, each once, got {view}.")
+        self._locate, self._root = locate, None if physics is None else find_root(physics.model)
+        self.can_locate = locate is not None or self._root is not None
 
-    @property
-    def row_size(self) -> int:
-        """Values of a row."""
-        return self.observation_size + sum(self.info_keys.values())
-
-    def write(self, observation: Any, info: Mapping[str, Any], out: F64Array) -> None:
-        """Write one environment's observation and values of `info` into the row `out`.
-
-        Raises:
-            ConfigError: They are not as large as at first, or `info` lacks a key.
-        """
-        flat = self._flattened(observation)
-        if flat.shape != (self.observation_size,):
-            raise ConfigError(
-                f"the observation must have {self.observation_size} values, as its space has, and has {flat.size}."
-            )
-        out[: self.observation_size] = flat
-        self._write_info(info, out)
-
-    def _write_info(self, info: Mapping[str, Any], out: F64Array) -> None:
-        start = self.observation_size
-        for key, size in self.info_keys.items():
-            if key not in info:
-                raise ConfigError(f"info has no {key!r} at this step, from which position or heading are read.")
-            values = np.ravel(info[key])
-            if values.size != size:
-                raise ConfigError(f"info[{key!r}] must have {size} values, as at first, and has {values.size}.")
-            out[start : start + size] = values
-            start += size
-
-    def whereabouts(self, rows: F64Array) -> tuple[F64Array, F64Array]:
-        """Return position [N, 2] in metres and heading [N] in radians from rows with the values of `info`."""
-        turn = rows[:, self.heading]
-        if not turn.shape[1]:
-            return rows[:, self.position], np.zeros(len(rows))
-        if turn.shape[1] == 1:
-            return rows[:, self.position], np.arctan2(np.sin(turn[:, 0]), np.cos(turn[:, 0]))
-        return rows[:, self.position], yaw(turn)
+    def flat(self, observation: Any) -> F64Array:
+        """Return one observation of the environment as a row [O]; a ValueError says that its size is wrong."""
+        return np.asarray(flatten(self._seen, observation), np.float64).reshape(self.observation_size)
 
     def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
-        """Return `observation`, flat or as the environment gives it, as rows [num_envs, O], and whether it is single.
-
-        Raises:
-            ShapeError: It is not an observation of `num_envs` environments.
-        """
+        """Return the observation of `num_envs` environments as rows [num_envs, O]; see `Reader.rows`."""
+        is_single = num_envs == 1 and np.shape(observation) != (1, *(self._seen.shape or ()))
         try:
-            flat = self._flat(observation)
-            if flat is None:
-                whole = np.array([self._flattened(each) for each in self._single_ones(observation, num_envs)])
-            else:
-                whole = np.atleast_2d(flat)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise ShapeError(f"this is no observation of {self.observation_space}: {error!r}.") from error
-        if whole.shape != (num_envs, self.observation_size):
-            raise ShapeError(f"there must be observations of {num_envs} environments, got {len(whole)}.")
-        return whole, num_envs == 1 if flat is None else flat.ndim == 1
+            each = [observation] if is_single else iterate(batch_space(self._seen, num_envs), observation)
+            return np.array([self.flat(one) for one in each]).reshape(num_envs, self.observation_size), is_single
+        except Exception as error:
+            raise ShapeError(f"this is no observation of {self._seen}, times {num_envs}: {error!r}.") from error
 
-    def _flat(self, observation: Any) -> F64Array | None:
-        """Return a flat observation [O] or several [N, O]; None if it is neither."""
-        if isinstance(observation, Mapping | tuple):
-            return None
-        seen = np.asarray(observation, dtype=np.float64)
-        return seen if seen.ndim in (1, 2) and seen.shape[-1] == self.observation_size else None
+    def place(self, row: F64Array, info: Mapping[str, Any], env: gymnasium.Env[Any, Any] | None) -> Place:
+        """Return where the robot is: by the function that was registered, or else by the joints of `env`."""
+        physics = None if env is None else find_physics(env)
+        if self._locate is not None:
+            found: Any = self._locate(unflatten(self._seen, row), info)
+        elif physics is None or self._root is None:
+            raise ConfigError("the robot is found in the environment itself: agent.act(observation, env=env).")
+        else:
+            found = self._root(physics.qpos)
+        if np.shape(found) != (3,):
+            raise ConfigError(f"locate must return (x, y, heading), got {found!r}.")
+        return found
 
-    def _single_ones(self, observation: Any, num_envs: int) -> Sequence[Any]:
-        """Return the observation of each environment: as it is, or out of those of a vector environment."""
-        from gymnasium.vector.utils import batch_space, iterate
+    def locate(self, rows: F64Array, info: Mapping[str, Any] | None, env: Any = None) -> tuple[F64Array, F64Array]:
+        """Return position [N, 2] in metres and heading [N] in radians; see `Reader.locate`."""
+        envs, places = getattr(env, "envs", [env] * len(rows)), np.empty((len(rows), 3))  # of a vector environment
+        for i, row in enumerate(rows):
+            own = {k: v[i] if len(rows) > 1 and np.ndim(v) else v for k, v in (info or {}).items()}
+            try:
+                places[i] = self.place(row, own, envs[i])
+            except LookupError as error:
+                raise ConfigError(f"locate failed ({error!r}). Give it info: agent.act(observation, info).") from error
+        return places[:, :2], places[:, 2]
 
-        if num_envs == 1:
-            return [observation]
-        return list(iterate(batch_space(self.observation_space, num_envs), observation))
-
-    def _flattened(self, observation: Any) -> F64Array:
-        from gymnasium.spaces import flatten
-
-        flat: Any = flatten(self.observation_space, observation)  # an array: `find` has refused other spaces
-        return np.asarray(flat, dtype=np.float64)
-
-    def locate(self, rows: F64Array, info: Mapping[str, Any] | None) -> tuple[F64Array, F64Array]:
-        """Return position [N, 2] in metres and heading [N] in radians.
-
-        Raises:
-            ConfigError: They are in `info`, which was not given.
-        """
-        if not self.info_keys:
-            return self.whereabouts(rows)
-        if info is None:
-            keys = ", ".join(map(repr, self.info_keys))
-            raise ConfigError(f"position or heading are in info ({keys}): agent.act(observation, info).")
-        whole = np.zeros((len(rows), self.row_size))
-        whole[:, : self.observation_size] = rows
-        for number, row in enumerate(whole):
-            # A vector environment has one value for each of its environments under every key.
-            own = info if len(rows) == 1 else {key: info[key][number] for key in self.info_keys if key in info}
-            self._write_info(own, row)
-        return self.whereabouts(whole)
-
-    def to_action(self, control: FloatArray) -> FloatArray:
-        """Return `control` [N, A], cut to [-1, 1] and stretched to the action space's bounds, as actions [N, ...]."""
-        low, high = (bound.ravel().astype(np.float64) for bound in (self.action_space.low, self.action_space.high))
+    def to_action(self, control: FloatArray) -> Any:
+        """Return actions [N, ...]: `control` [N, A] stretched from [-1, 1] to the bounds, or its largest's index."""
+        if isinstance(self._actions, Discrete):
+            return self._actions.start + np.argmax(control, axis=1)
+        low, high = (bound.ravel().astype(np.float64) for bound in (self._actions.low, self._actions.high))
         action: Any = (low + high) / 2 + np.clip(control, -1.0, 1.0) * ((high - low) / 2)
-        return action.astype(np.dtype(self.action_space.dtype)).reshape(-1, *self.action_space.shape)
+        return action.astype(np.dtype(self._actions.dtype)).reshape(-1, *self._actions.shape)
+
+
+def find_physics(env: gymnasium.Env[Any, Any]) -> mujoco.MjData | None:
+    """Return the MuJoCo simulation of an environment, or of one that it holds; None if there is none."""
+    inner = env.unwrapped
+    for holder in (inner, *(each.unwrapped for each in vars(inner).values() if isinstance(each, gymnasium.Env))):
+        data = vars(holder).get("data")
+        if isinstance(data, mujoco.MjData):
+            return data
+    return None

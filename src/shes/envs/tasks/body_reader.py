@@ -37,8 +37,8 @@ class BodyReader(Reader):
             raise ShapeError(f"observation must have shape ({size},) or ({num_envs}, {size}), got {seen.shape}.")
         return rows, seen.ndim == 1
 
-    def locate(self, rows: F64Array, info: Mapping[str, Any] | None) -> tuple[F64Array, F64Array]:
-        """Return position [N, 2] in metres and heading [N] in radians; `info` is not needed."""
+    def locate(self, rows: F64Array, info: Mapping[str, Any] | None, env: Any = None) -> tuple[F64Array, F64Array]:
+        """Return position [N, 2] in metres and heading [N] in radians; the observation tells."""
         qpos = rows[:, self._qpos]
         return self._body.position(qpos), self._body.heading(qpos)
 
