@@ -1,10 +1,9 @@
-"""A learner of one's own: random search on policies, which tries neighbours of the best one and keeps a better one.
+"""A learner of one's own: random search on policies, which tries neighbours of the best one and keeps a better one."""
 
-`python examples/random_search.py`, or `PYTHONPATH=examples shes train point-gather --import random_search --algorithm
-random-search`. The rest is as with any learner: workers, checkpoints, `shes resume` after a crash, plots, videos.
-"""
+# PYTHONPATH=examples shes train point-gather --import random_search --algorithm random-search --tries 32
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -13,67 +12,69 @@ from shes.algorithms.contract import Algorithm, Report
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.es.level import LevelParameters
 from shes.hierarchy.episodes import EpisodeTask, Generation
-
-TRIES, SIGMA = 64, 0.5
+from shes.settings import Ge, Gt, Settings
 
 
 @dataclass(frozen=True, kw_only=True)
-class State:
-    """What goes on from generation to generation."""
+class SearchSettings(Settings):
+    """Random search."""
+
+    tries: Annotated[int, Ge(1)] = 64
+    """Neighbours that a generation tries."""
+    spread: Annotated[float, Gt(0)] = 0.5
+    """Standard deviation of their distance from the best policy, in each parameter."""
+
+
+class State(NamedTuple):
+    """What goes on from generation to generation: the best policy [D] and its return among it."""
 
     seed: int
-    generation: int
-    env_steps: int
-    theta: np.ndarray  # the best policy so far [D]
-    best: float  # its return
+    theta: np.ndarray
+    generation: int = 0
+    env_steps: int = 0
+    best: float = -np.inf
 
 
 class RandomSearch(Algorithm[State]):
     """Linear policies without goals; workers draw the perturbations from the shared noise table."""
 
+    rooms: ClassVar = {"search": SearchSettings}
+
     def __init__(self, problem):
         super().__init__(problem, problem.flat_design(hidden=()))
 
     def start(self, seed):
-        return State(seed=seed, generation=0, env_steps=0, theta=np.zeros(self.design.dims[0], "f4"), best=-np.inf)
+        return State(seed=seed, theta=np.zeros(self.design.dims[0], np.float32))
 
     def run(self, state, backend):
-        dim = self.design.dims[0]
+        dim, own = self.design.dims[0], self.problem.settings.search
         while True:
             rng = np.random.default_rng((state.seed, state.generation))  # the same after a crash
-            places = rng.integers(0, self.table.size - dim + 1, TRIES).tolist()
-            seed = int(rng.integers(2**63))
-            tasks = [
-                EpisodeTask(member=number, noise_index=(place,), signs=((1,),), slots=(0,), seeds=(seed,))
-                for number, place in enumerate(places)
-            ]
-            levels = self.parameters(state)
-            generation = Generation(levels=levels, sigma=SIGMA, episodes_per_policy=1, is_evaluation=False)
-            results = roll_out_tasks(tasks, generation, backend)
+            places, seed = rng.integers(0, self.table.size - dim + 1, own.tries).tolist(), int(rng.integers(2**63))
+            task = {"signs": ((1,),), "slots": (0,), "seeds": (seed,)}
+            tasks = [EpisodeTask(member=i, noise_index=(place,), **task) for i, place in enumerate(places)]
+            common = {"sigma": own.spread, "episodes_per_policy": 1, "is_evaluation": False}
+            results = roll_out_tasks(tasks, Generation(levels=self.parameters(state), **common), backend)
             returns, theta, best = results.fitness[0], state.theta, state.best
-            winner = int(returns.argmax())
-            if returns[winner] > best:
-                best = float(returns[winner])
-                theta = theta + np.float32(SIGMA) * self.table.slice(places[winner], dim)
-            steps = state.env_steps + int(results.steps.sum())
-            state = State(seed=state.seed, generation=state.generation + 1, env_steps=steps, theta=theta, best=best)
+            if returns.max() > best:
+                step = self.table.slice(places[returns.argmax()], dim)
+                theta, best = theta + np.float32(own.spread) * step, float(returns.max())
+            state = State(state.seed, theta, state.generation + 1, state.env_steps + int(results.steps.sum()), best)
             columns = {"policy_return_mean": float(returns.mean()), "policy_return_max": best}
             yield Report(state=state, columns=columns, log=results.log)
 
     def to_arrays(self, state):
-        return {name: np.asarray(value) for name, value in vars(state).items()}
+        return {name: np.asarray(value) for name, value in state._asdict().items()}
 
     def from_arrays(self, arrays):
-        numbers = {name: int(arrays[name]) for name in ("seed", "generation", "env_steps")}
-        return State(**numbers, theta=arrays["theta"], best=float(arrays["best"]))
+        return State(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
 
     def parameters(self, state):
-        inputs = self.design.observation_sizes[0]
-        return (LevelParameters(theta=state.theta, mean=np.zeros(inputs), inverse_std=np.ones(inputs)),)
+        zeros = np.zeros(self.design.observation_sizes[0])
+        return (LevelParameters(theta=state.theta, mean=zeros, inverse_std=zeros + 1),)
 
 
 shes.register_algorithm("random-search", RandomSearch)
 
 if __name__ == "__main__":
-    run = shes.train("point-gather", algorithm="random-search", preset="smoke", generations=10, backend="serial")
-    print(f"best evaluation: score {run.best.score:.2f}, kept in {run.path}")
+    print(shes.train("point-gather", algorithm="random-search", preset="smoke", generations=10, backend="serial").best)

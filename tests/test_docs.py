@@ -14,12 +14,13 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import shes
+from shes.algorithms.registry import ALGORITHMS
 from shes.cli.program import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.runs.config import TrainConfig
-from shes.settings import setting_fields
+from shes.settings import flag, setting_fields
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -279,17 +280,20 @@ def run(script):
 
 @pytest.fixture(scope="session")
 def flags():
-    """Return every flag that a command explains."""
-    code = "import sys; from shes.cli import main\nfor name in sys.argv[1:]: main([name, '--help'])"
-    command = [sys.executable, "-c", code, *COMMANDS]
-    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    """Return every flag that a command, or `shes`, explains: of `train` those of every environment and algorithm."""
+    commands = [["--help"], *([name, "--help"] for name in COMMANDS)]
+    commands += [["train", name, "--help-all"] for name in ENVIRONMENTS]
+    commands += [["train", "ant-gather", "--algorithm", name, "--help-all"] for name in ALGORITHMS]
+    code = f"from shes.cli import main\nfor words in {commands}: assert main(words) == 0"
+    text = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     return set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
 def test_flags_and_commands_exist(path, flags):
     text = path.read_text(encoding="utf-8")
-    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= flags
+    own = {flag(name) for name in re.findall(r"^ +(\w+): Annotated\[", text, flags=re.MULTILINE)}  # of an example
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= flags | own
     commands = re.findall(r"(?:^|`)(?:PYTHONPATH=\. )?shes ([a-z]+)", text, flags=re.MULTILINE)
     assert set(commands) <= set(COMMANDS)
 

@@ -17,7 +17,7 @@ PRINTS = {
     "flat_es": r"generation 30: return [1-9]\.\d+",
     "hierarchical_run": r"one episode of 500 steps: return [+-]\d+",
     "own_environment": r"checkpoint last: score ([89]|\d\d)\.\d",
-    "random_search": r"best evaluation: score \d\.\d\d, kept in runs/point-gather-smoke-.*",
+    "random_search": r"Best\(generation=\d+, score=.*",
     "own_reward": r"after: the primitive earns [3-9]\d\.\d in an episode",
 }
 """The last line that an example prints: it worked, and learned."""

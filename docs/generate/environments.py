@@ -122,7 +122,7 @@ def _hiro(name: str, task: Task) -> list[str]:
     if "hiro" not in task.specs:
         return []
     other = make_task(name, 1, TaskOptions(spec="hiro"))
-    hidden = [f"`{each.name}`" for i, each in enumerate(other.layout) if i not in other.primitive_view]
+    hidden = [f"`{each.name}`" for i, each in enumerate(other.observation_spec) if i not in other.primitive_view]
     for_controller = f" For the controller alone: {', '.join(hidden)}." if hidden else ""
     gym, size, integrator = gymnasium_id(name, "hiro"), other.observation_size, other.options.integrator
     intro = f"`{gym}`, `--spec hiro`: {size} numbers, integrator `{integrator}`."

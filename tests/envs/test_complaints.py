@@ -397,7 +397,7 @@ def test_every_environment_has_its_id_in_both_specifications_and_no_id_is_missin
 def test_there_is_no_hiro_id_of_a_task_without_that_specification(monkeypatch):
     monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
-    monkeypatch.setattr("shes.envs.gymnasium.registration.SPECS_OF", {})
+    monkeypatch.setattr("shes.envs.gymnasium_ids.SPECS_OF", {})
     register_ids("point-corner", Corner.specs)
     assert "shes/PointCorner-v0" in gymnasium.registry
     assert "shes/PointCornerHiro-v0" not in gymnasium.registry

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from shes.envs.gymnasium.registration import SPECS_OF
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.point import Point
-from shes.envs.registry import ENVIRONMENTS, Environment, check_name, find_environment, make_task, register_environment
+from shes.envs.gymnasium_ids import SPECS_OF
+from shes.envs.registry import ENVIRONMENTS, Environment, find_environment, make_task, register_environment
 from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import Task
@@ -26,7 +26,7 @@ def test_a_name_is_its_body_and_its_task(name):
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_every_name_makes_its_task(name):
-    check_name(name)
+    find_environment(name)
     task = make_task(name, 2)
     body, kind = ENVIRONMENTS[name]
     assert type(task) is kind
@@ -40,7 +40,7 @@ def test_gather_is_there_for_ant_and_point():
     assert ENVIRONMENTS["point-gather"] == (Point, Gather)
 
 
-@pytest.mark.parametrize("call", [check_name, find_environment, lambda name: make_task(name, 1)])
+@pytest.mark.parametrize("call", [ENVIRONMENTS.find, find_environment, lambda name: make_task(name, 1)])
 @pytest.mark.parametrize(("wrong", "right"), [("ant-gathr", "ant-gather"), ("pointgather", "point-gather")])
 def test_an_unknown_environment_is_refused_with_the_nearest_name(call, wrong, right):
     with pytest.raises(UnknownNameError, match=rf"unknown environment '{wrong}'. Did you mean '{right}'\?") as caught:
@@ -54,7 +54,7 @@ def test_an_unknown_environment_is_refused_with_the_nearest_name(call, wrong, ri
 
 def test_a_name_unlike_any_other_gets_no_suggestion():
     with pytest.raises(UnknownNameError, match=r"unknown environment 'zzz'. Known: ant-fall, "):
-        check_name("zzz")
+        find_environment("zzz")
 
 
 def test_an_unknown_integrator_is_refused_with_the_nearest_name():
@@ -104,7 +104,7 @@ def registry():
 def test_a_registered_environment_is_known_by_its_name(registry):
     register_environment("point-corner", Point, Corner)
     assert registry["point-corner"] == find_environment("point-corner") == Environment(Point, Corner)
-    check_name("point-corner")
+    find_environment("point-corner")
     task = make_task("point-corner", 2)
     assert type(task) is Corner
     assert type(task.body) is Point
@@ -121,7 +121,10 @@ def test_the_same_environment_may_be_registered_again_and_made_anew(registry):
 
 @pytest.mark.parametrize("classes", [(Point, Corner), (Ant, Corner), (Point, Gather)])
 def test_a_taken_name_is_refused(registry, classes):
-    message = r"environment 'ant-gather' is shes\.envs\.bodies\.ant\.Ant with shes\.envs\.tasks\.gather\.Gather already"
+    message = (
+        r"environment 'ant-gather' is shes\.envs\.bodies\.ant\.Ant with shes\.envs\.tasks\.gather\.Gather already\. "
+        "Choose another name"
+    )
     with pytest.raises(ConfigError, match=message):
         register_environment("ant-gather", *classes)
     assert registry["ant-gather"] == (Ant, Gather)
@@ -139,7 +142,7 @@ def test_a_malformed_name_is_refused(registry, name):
 @pytest.mark.parametrize("name", ["corner", "point-corner", "point_corner_2", "a1-b2_c3"])
 def test_names_are_lower_case_words(registry, name):
     register_environment(name, Point, Corner)
-    check_name(name)
+    find_environment(name)
 
 
 class Sized(Point):
@@ -176,7 +179,7 @@ class Lonely(Corner):
             Corner,
             r"body shes\.envs\.bodies\.body\.Body lacks add_to, .*name, .*says what each of them is: add them",
         ),
-        (Point, Task, r"task shes\.envs\.tasks\.task\.Task lacks .*build_spec, .*observe, .*name, description\. "),
+        (Point, Task, r"task shes\.envs\.tasks\.task\.Task lacks .*build_world, .*observe, .*name, description\. "),
         (Sized, Corner, r"body .*Sized must be made from no arguments, and is not: .*'size'\. Change its __init__"),
         (Point, Lonely, r"task .*Lonely must be made from 4 arguments, and is not: too many .*Change its __init__"),
     ],

@@ -10,7 +10,7 @@ from shes.envs.registry import ENVIRONMENTS
 from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
 from shes.hierarchy.views import ColumnsView, EgocentricView
-from shes.training.build import build_design, build_task, primitive_inputs
+from shes.training.build import build_algorithm, build_task
 from shes.training.presets import make_config
 from tests.contracts.variants import VARIANTS
 
@@ -213,7 +213,7 @@ def _states(task, rows):
 @pytest.mark.parametrize("variant", [each for each in VARIANTS if not ENVIRONMENTS[each.name].sets_goals], ids="-".join)
 def test_a_controllers_egocentric_view_is_the_robots_then_all_else_in_order(variant):
     config = make_config(variant.name, "smoke", {"controller_view": "egocentric", "spec": variant.spec})
-    design, task = build_design(config), build_task(config, 3, is_evaluation=False)
+    design, task = build_algorithm(config).design, build_task(config, 3, is_evaluation=False)
     own = [each.name for each in task.robot.egocentric]
     coordinates = {each.name for each in (*task.robot.pose, *task.robot.velocity)}
     others = [i for i, name in enumerate(task.observation_names) if name not in coordinates]
@@ -232,7 +232,7 @@ def test_a_controllers_egocentric_view_is_the_robots_then_all_else_in_order(vari
     robot = task.robot
     assert out[:, : len(own)].tolist() == _view(robot, sees[:, : robot.num_qpos], sees[:, robot.num_qpos :]).tolist()
     assert out[:, len(own) :].tolist() == observed[:, others].tolist()
-    plain = build_design(config.having(controller_view="observation"))
+    plain = build_algorithm(config.having(controller_view="observation")).design
     assert plain.controller.sizes[0] == task.observation_size
 
 
@@ -240,10 +240,10 @@ def test_a_controllers_egocentric_view_is_the_robots_then_all_else_in_order(vari
 def test_a_primitives_egocentric_view_is_the_robots_alone(env):
     config = make_config(env, "smoke", {"primitive_view": "egocentric", "clock_frequency": 1.0})
     body = ENVIRONMENTS[env].body
-    design = build_design(config)
+    learner = build_algorithm(config)
     names = [f"egocentric {each.name}" for each in body.egocentric]
-    assert primitive_inputs(config)[5:] == tuple(names)
-    assert design.primitive.sizes[0] == len(primitive_inputs(config)) == 3 + 2 + len(names)
+    assert learner.inputs("primitive")[5:] == tuple(names)
+    assert learner.design.primitive.sizes[0] == len(learner.inputs("primitive")) == 3 + 2 + len(names)
 
 
 @pytest.mark.parametrize("setting", ["primitive_view", "controller_view"])
@@ -253,8 +253,8 @@ def test_a_robot_that_gymnasium_made_has_no_egocentric_view(tmp_path, setting):
     with pytest.raises(
         ConfigError, match=rf"{setting} is 'egocentric', but own-maze is Gymnasium's: .*Set --{name} to"
     ):
-        build_design(make_config(env, "smoke", {setting: "egocentric"}))
-    design = build_design(make_config(env, "smoke"))
+        build_algorithm(make_config(env, "smoke", {setting: "egocentric"}))
+    design = build_algorithm(make_config(env, "smoke")).design
     assert isinstance(design.controller_view, ColumnsView)
     assert isinstance(design.primitive_view, ColumnsView)
 
@@ -264,4 +264,4 @@ def test_the_symmetry_of_a_robot_that_gymnasium_made_is_not_asked_for(tmp_path):
     (tmp_path / "own-maze.json").write_text('{"id": "shes/PointMaze-v0", "position": [0, 1]}')
     settings = {"primitive_view": "egocentric", "symmetry": "rotation"}
     with pytest.raises(ConfigError, match="own-maze is Gymnasium's"):
-        build_design(make_config(str(tmp_path / "own-maze.json"), "smoke", settings))
+        build_algorithm(make_config(str(tmp_path / "own-maze.json"), "smoke", settings))

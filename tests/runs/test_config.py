@@ -11,6 +11,7 @@ import pytest
 import shes
 from shes.algorithms.evolution.rooms import SCHEDULED
 from shes.envs.bodies.point import Point
+from shes.envs.gymnasium_ids import register_ids
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
@@ -19,7 +20,7 @@ from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, VectorOutput
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
 from shes.runs.config import TrainConfig, WorkerSettings, execution_settings, known_settings
 from shes.settings import Gt, Settings, flag
-from shes.training.build import build_design, build_settings, build_task
+from shes.training.build import build_algorithm, build_task
 from shes.training.presets import make_config
 from tests.e2e import own_classes, runs
 
@@ -182,6 +183,8 @@ class HeavyPoint(Point):
 
 def test_a_task_and_a_body_from_outside_bring_their_own_settings(monkeypatch, tmp_path):
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(HeavyPoint, OwnCorner))
+    monkeypatch.setattr("shes.envs.gymnasium_ids.SPECS_OF", {})
+    register_ids("point-corner", OwnCorner.specs)
     own = {"corner_m": 3.0, "load_kg": 5.0}
     run = shes.train("point-corner", out=tmp_path / "run", **{**runs.TINY, "generations": 1}, **own)
     kept = json.loads((run.path / "config.json").read_text())["config"]
@@ -239,7 +242,7 @@ def test_a_learning_rate_may_fall_to_zero_where_a_schedule_reaches_it(how):
 
 def test_what_the_episodes_schedule_is_set_by_is_a_flag_that_there_is():
     config = make(episodes_schedule="linear", episodes_end=5)
-    assert flag(f"{build_settings(config).episodes_per_policy.quantity}_schedule") == "--episodes-schedule"
+    assert flag(f"{build_algorithm(config).settings.episodes_per_policy.quantity}_schedule") == "--episodes-schedule"
 
 
 # Levels, and what concerns one that is not there.
@@ -296,6 +299,8 @@ OF_CONTROLLERS = {
     "minimum_goal_distance": False,
     "primitive_hidden": (8,),
     "perturbation": "one_to_many",
+    "primitive_learning_rate": 0.1,
+    "primitive_population_size": 8,
     "primitive_sigma": 0.1,
 }
 OF_PRIMITIVES = {
@@ -305,10 +310,15 @@ OF_PRIMITIVES = {
     "goal_encoding": "vector",
     "hide_position": True,
     "fall_price": 2.0,
+    "freeze_primitive": False,
+    "intervals": 3,
     "primitive": "run",
+    "primitive_checkpoint": "last",
     "primitive_estimate": "interval",
+    "primitive_fitness_shaping": "z_score",
     "primitive_reward": "cosine",
     "primitive_view": "proprioception",
+    "symmetry": "dihedral",
 }
 UNHEEDED = [
     *(("point-flagrun", "shes", name) for name in (*OF_CONTROLLERS, "novelty")),
@@ -413,4 +423,4 @@ def test_an_external_environment_cannot_be_branched():
 )
 def test_a_robot_that_cannot_be_seen_so_is_refused(env, settings, message):
     with pytest.raises(ConfigError, match=message):
-        build_design(make_config(env, "smoke", settings))
+        build_algorithm(make_config(env, "smoke", settings))

@@ -4,7 +4,9 @@ The agents of most tests are tiny ones; those that are really shipped are held t
 """
 
 import json
+import shlex
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +65,7 @@ def none_shipped(tmp_path, monkeypatch):
 def test_a_name_is_found_and_a_path_wins_over_it(agents, run_copy):
     assert shipped_names() == ("point-gather", "point-walker")
     assert find_run("point-walker") == shipped_path("point-walker") == agents / "point-walker"
-    assert find_run("./point-walker") == Path("point-walker")
+    assert find_run("./point-walker") == find_run(Path("./point-walker")) == Path("point-walker")
     assert RunFolder.open("point-gather").path == agents / "point-gather"
     run_copy.rename("point-gather")
     assert RunFolder.open("point-gather").path == Path("point-gather")
@@ -77,6 +79,11 @@ def test_what_is_no_name_is_refused_with_the_names(agents):
         shes.load("point-wlker")
     with pytest.raises(RunFolderError, match=r"^point-walker does not exist\. .*\(its --out\)\.$"):
         shes.load("./point-walker")
+    message = r"^point-walker does not exist\. .*A pathlib\.Path is always a path: .*give the string 'point-walker'\.$"
+    with pytest.raises(RunFolderError, match=message):
+        shes.load(Path("./point-walker"))
+    with pytest.raises(RunFolderError, match=r"^point-walker does not exist\. .*\(its --out\)\.$"):
+        runs.train_tiny(Path("run"), primitive=Path("./point-walker"))
     with pytest.raises(
         UnknownNameError, match=r"unknown shipped agent 'x'\. Known: point-gather, point-walker\. `shes"
     ):
@@ -117,7 +124,7 @@ def test_the_primitive_of_a_shipped_agent_is_brought_by_name(agents):
     path = runs.train_tiny(Path("run"), primitive="point-walker", generations=1)
     record = json.loads((path / "config.json").read_text())
     assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "point-walker"
-    brought, own = (RunFolder.open(run).load("best").state.levels[-1] for run in ("point-walker", path))
+    brought, own = (runs.state(run, "best").levels[-1] for run in ("point-walker", path))
     assert own.theta.tobytes() == brought.theta.tobytes()
 
 
@@ -126,7 +133,7 @@ def test_a_shipped_agent_has_its_best_checkpoint_alone(agents):
         CheckpointError, match=r"agent point-gather has the checkpoint best alone, got 'last'\. Leave --"
     ):
         evaluate("point-gather", checkpoint="last")
-    with pytest.raises(CheckpointError, match=r"no checkpoint 'last'; there are best\. Set --primitive-checkpoint"):
+    with pytest.raises(CheckpointError, match=r"no checkpoint 'last'; it has best\. Leave --primitive-checkpoint away"):
         runs.train_tiny(Path("run"), primitive="point-walker", primitive_checkpoint="last")
 
 
@@ -156,8 +163,9 @@ def test_an_agent_is_a_small_run_folder(agents, walker_run):
     whole, small = walker_run / "checkpoints" / "best.npz", folder / "checkpoints" / "best.npz"
     assert small.stat().st_size < whole.stat().st_size
     one, other = load_checkpoint(whole), load_checkpoint(small)
-    assert (one.best, one.state.env_steps) == (other.best, other.state.env_steps)
-    for level, copy in zip(one.state.levels, other.state.levels, strict=True):
+    assert (one.best, one.generation, one.env_steps) == (other.best, other.generation, other.env_steps)
+    states = (runs.state(path, "best") for path in (walker_run, folder))
+    for level, copy in zip(*(state.levels for state in states), strict=True):
         assert level.theta.tobytes() == copy.theta.tobytes()
         assert level.statistics.total.tobytes() == copy.statistics.total.tobytes()
         assert (copy.optimizer.steps, copy.optimizer.slots.keys()) == (0, level.optimizer.slots.keys())
@@ -168,7 +176,7 @@ def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_ru
     told, checkpoint = read_agent("point-gather"), RunFolder.open(tiny_run).load("best")
     assert (told.description, told.commands) == (TOLD["description"], tuple(TOLD["commands"]))
     assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 640)
-    assert told.generation == checkpoint.state.generation
+    assert told.generation == checkpoint.generation
     assert 0 <= told.hours < 0.1
     found = evaluate("point-gather", episodes=3, seed=7, num_workers=1).summary()
     result = told.to_dict()["evaluation"]
@@ -200,13 +208,29 @@ def test_no_path_of_this_machine_is_shipped(walker_run, tmp_path):
     assert folder.load("best").numbers["primitive"] == "run"
 
 
+def test_the_record_names_runs_as_the_commands_do(walker_run, tmp_path):
+    run = runs.train_tiny(tmp_path / "gather_b", primitive=str(walker_run), generations=1)
+    record = json.loads((run / "config.json").read_text())
+    record["command"] = ["shes", "train", "run", f"--primitive={walker_run}", "--out", str(run)]
+    record["resumed"] = [{"command": ["shes", "resume", str(run), "--generations", "9"]}]
+    (run / "config.json").write_text(json.dumps(record))
+    told = {**TOLD, "commands": ["shes train a --out walker", "shes train run --primitive walker --out=gather"]}
+    ship(run, "gatherer", **told, episodes=1, num_workers=1, into=tmp_path / "agents")
+    folder = RunFolder.open(tmp_path / "agents" / "gatherer")
+    record = folder.read_record()
+    assert record["command"] == ["shes", "train", "run", "--primitive=walker", "--out", "gather"]
+    assert record["resumed"][0]["command"] == ["shes", "resume", "gather", "--generations", "9"]
+    assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "walker"
+    assert folder.load("best").numbers["primitive"] == "walker"
+
+
 def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
     generations = range(1, 1001)
     rows = [f"{number},{number * 12345678},{number / 7!r},nan" for number in generations]
     for table in ("progress.csv", "evaluation.csv"):
         header = "generation,env_steps,wall_time_s,score_mean"
         (run_copy / table).write_text("\n".join([header, *rows]) + "\n")
-    best = RunFolder.open(run_copy).load("best").state.generation
+    best = RunFolder.open(run_copy).load("best").generation
     told = ship(run_copy, "long", **TOLD, episodes=1, num_workers=1, into=tmp_path / "agents")
     assert told.env_steps == 12345678000
     for table in ("progress.csv", "evaluation.csv"):
@@ -218,12 +242,23 @@ def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
         assert np.isnan(columns["score_mean"]).all()
 
 
-def test_the_state_of_the_optimizer_stays_where_it_takes_little(tmp_path):
+def test_the_optimizer_of_an_agent_begins_anew_however_little_its_state_takes(tmp_path):
     run = runs.train_tiny(tmp_path / "run", "point-flagrun", hidden=(1,), generations=1)
     ship(run, "small", **TOLD, episodes=1, num_workers=1, into=tmp_path)
-    one, other = (RunFolder.open(path).load("best").state.levels[0].optimizer for path in (run, tmp_path / "small"))
-    assert one.steps == other.steps == 1
-    assert all(other.slots[slot].tobytes() == values.tobytes() for slot, values in one.slots.items())
+    one, other = (runs.state(path, "best").levels[0].optimizer for path in (run, tmp_path / "small"))
+    assert (one.steps, other.steps) == (1, 0)
+    for slot, values in one.slots.items():
+        assert (other.slots[slot].dtype, other.slots[slot].shape) == (values.dtype, values.shape)
+        assert values.any()
+        assert not other.slots[slot].any()
+
+
+def test_an_agent_keeps_no_episodes_that_go_on(tmp_path):
+    branches = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 5}
+    run = runs.train_tiny(tmp_path / "run", "point-flagrun", generations=1, horizon=40, **branches)
+    ship(run, "small", **TOLD, episodes=1, num_workers=1, into=tmp_path)
+    assert runs.state(run, "best").running is not None
+    assert runs.state(tmp_path / "small", "best").running is None
 
 
 @pytest.mark.parametrize(
@@ -237,6 +272,7 @@ def test_the_state_of_the_optimizer_stays_where_it_takes_little(tmp_path):
         ({"description": "two\nlines"}, r"description must be one line of text, got .*Set --description"),
         ({"description": " "}, r"description must be one line of text, got ' '"),
         ({"commands": []}, r"commands must name at least one, got \[\]\. Set --command"),
+        ({"commands": ["shes train '"]}, r"commands must be a shell's, got \"shes train '\" \(No closing quotation\)"),
         ({"episodes": 0}, r"episodes must be at least 1, got 0\. Set --episodes"),
     ],
 )
@@ -299,13 +335,19 @@ def test_every_shipped_agent_is_small_complete_and_acts():
         assert sum(path.stat().st_size for path in folder.path.rglob("*") if path.is_file()) < 500_000
         assert shipped_name(folder.path) == name
         assert folder.read_config().run.env == told.env
-        assert folder.load("best").state.generation == told.generation
+        assert folder.load("best").generation == told.generation
         assert told.description.strip()
         assert told.commands
         assert min(told.cores, told.hours, told.env_steps, told.generation, told.evaluation.episodes) > 0
         for values in (read_csv(folder.progress), read_csv(folder.evaluation)):
             assert 0 < len(values["generation"]) <= 300
         assert "/home/" not in folder.config.read_text()
+        record, last = folder.read_record(), shlex.split(told.commands[-1])
+        for option, given in pairwise(last):  # runs have one name everywhere
+            if option in ("--out", "--primitive"):
+                assert (option, given) in pairwise(record["command"])
+            if option == "--primitive":
+                assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == given
         agent, task = shes.load(shipped_path(name)), build_task(folder.read_config(), 1, is_evaluation=True)
         task.reset(np.array([0]), [1])
         control = agent.control(task.observe(), task.position, task.heading, task.goal)

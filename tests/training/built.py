@@ -9,7 +9,7 @@ from shes.es.level import TrainState
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
 from shes.runs.config import TrainConfig
-from shes.training.build import build_design, build_plan, build_settings, build_state, open_noise_table
+from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 
 BRANCHED = {"primitive_estimate": "interval", "primitive_view": "egocentric"}
@@ -30,10 +30,8 @@ class Built:
     @classmethod
     def of(cls, env, **settings):
         config = make_config(env, "smoke", settings)
-        design = build_design(config)
-        table = open_noise_table(config, design)
-        plan = build_plan(config, design, table)
-        return cls(config, design, build_settings(config), plan, build_state(config, design), table)
+        made = build_algorithm(config)
+        return cls(config, made.design, made.settings, made.plan(), made.start(config.run.seed), made.table)
 
     @property
     def intervals(self) -> Any:

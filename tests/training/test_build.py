@@ -12,9 +12,8 @@ import pytest
 from shes.envs.bodies.point import Point
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.errors import ShapeError
-from shes.es.noise import NoiseTable
 from shes.hierarchy.primitive import PrimitiveDesign
-from shes.training.build import build_design, build_plan
+from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 from tests.e2e.own_classes import Corner
 from tests.training.built import INTERVALS, Built
@@ -23,8 +22,7 @@ from tests.training.built import INTERVALS, Built
 def test_the_plan_carries_the_environment_and_not_its_name(monkeypatch):
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Corner))
     config = make_config("point-corner", "smoke")
-    design = build_design(config)
-    plan = build_plan(config, design, NoiseTable.open(config.evolution.noise_table_size))
+    plan = build_algorithm(config).plan()
     monkeypatch.delitem(ENVIRONMENTS, "point-corner")  # as in a worker process
     assert type(plan.env.make(1)) is Corner
     assert isinstance(plan.noise_table, Path)
@@ -35,13 +33,13 @@ class Shy(Corner):
         return super().observe()[:, :-1]
 
 
-def test_an_environment_that_observes_other_values_than_its_layout_names_is_refused(monkeypatch):
+def test_an_environment_that_observes_other_values_than_its_spec_names_is_refused(monkeypatch):
     monkeypatch.setitem(ENVIRONMENTS, "point-corner", Environment(Point, Shy))
     message = (
-        r"'point-corner' must observe \[N, 6\], .*for 1 episode it observed \(1, 5\)\. Change its layout or its obs"
+        r"'point-corner' must observe \[N, 6\], .*for 1 episode it observed \(1, 5\)\. Change observation_spec or obs"
     )
     with pytest.raises(ShapeError, match=message):
-        build_design(make_config("point-corner", "smoke"))
+        build_algorithm(make_config("point-corner", "smoke"))
 
 
 SCHEDULE = {"sigma_schedule": "linear", "sigma_end": 0.1, "schedule_generations": 2}

@@ -155,11 +155,11 @@ ROWS: dict[str, Row] = {
     # hierarchy
     "controller_interval": Row(
         7,
-        lambda b: (b.intervals.interval_steps, b.intervals.branch_steps, b.plan.branch_design.decision_interval),
+        lambda b: (b.intervals.controller_interval, b.intervals.branch_steps, b.plan.branch_design.controller_interval),
         (7, 14, 7), (25, 50, 25), **BY_INTERVALS,
     ),
     "goal_distance": Row(
-        2.5, lambda b: (b.intervals.goal_range, b.design.goal_distance), (2.5, 2.5), (4, 4), **BY_INTERVALS
+        2.5, lambda b: (b.intervals.goal_distance, b.design.goal_distance), (2.5, 2.5), (4, 4), **BY_INTERVALS
     ),
     "goal_encoding": Row("vector", lambda b: type(b.design.goal_encoding).__name__, "VectorEncoding", "AngleEncoding"),
     "primitive_reward": Row(
@@ -289,11 +289,11 @@ def evaluations(path):
 
 
 def generation(path):
-    return RunFolder.open(path).load("last").state.generation
+    return RunFolder.open(path).load("last").generation
 
 
 def theta(path, checkpoint, level):
-    return {each.name: each.theta.tobytes() for each in RunFolder.open(path).load(checkpoint).state.levels}[level]
+    return {each.name: each.theta.tobytes() for each in runs.state(path, checkpoint).levels}[level]
 
 
 SHORT = {"generations": 3, "evaluation_interval": 3, "keep_checkpoints": 3}
@@ -327,7 +327,7 @@ SHOWN: dict[str, tuple[dict[str, Any], Callable[..., Any], Any]] = {
     ),
     "preset": ({}, lambda path, _: RunFolder.open(path).read_config().run.preset, "smoke"),
     "algorithm": (
-        {"algorithm": "es"}, lambda path, _: [each.name for each in RunFolder.open(path).load("last").state.levels],
+        {"algorithm": "es"}, lambda path, _: [each.name for each in runs.state(path, "last").levels],
         ["policy"],
     ),
     "env": ({}, lambda path, _: RunFolder.open(path).read_config().run.env, "point-gather"),

@@ -178,7 +178,7 @@ def _with_names_of(command: str, record: dict[str, Any]) -> dict[str, Any]:
     pairs = [*pairwise(words), *(word.partition("=")[::2] for word in words)]
     names = {option: name for option, name in pairs if option in _RUN_OPTIONS and name}
     if "--primitive" in names and record.get("primitive") is not None:
-        record["config"]["primitive"] = record["primitive"]["run"] = names["--primitive"]
+        record["config"]["transfer"]["primitive"] = record["primitive"]["run"] = names["--primitive"]
     for part in (record, *record.get("resumed", ())):
         part["command"] = _rename_runs(part.get("command", ()), names)
     return record

@@ -12,7 +12,7 @@ from shes.cli.progress import show_progress
 from shes.training.train import resume as go_on
 
 
-def resume(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")], settings: ExecutionFlags) -> int:
+def resume(run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")], settings: ExecutionFlags) -> int:
     """Go on with a run as if it had never stopped. What is not given stays as it is.
 
     shes resume runs/first --generations 200 --workers 4
@@ -21,4 +21,4 @@ def resume(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN
         run: The run folder.
         settings: Settings by name.
     """
-    return show_progress(lambda display: go_on(run, listener=display, **settings), run)
+    return show_progress(lambda display: go_on(run, listener=display, **settings), Path(run))
