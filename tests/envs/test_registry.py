@@ -47,9 +47,7 @@ def test_an_unknown_environment_is_refused_with_the_nearest_name(call, wrong, ri
         call(wrong)
     for name in ENVIRONMENTS:
         assert name in str(caught.value)
-    assert "`shes envs` lists them. Register your own first: shes.register_environment, or --import MODULE." in str(
-        caught.value
-    )
+    assert "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: " in str(caught.value)
 
 
 def test_a_name_unlike_any_other_gets_no_suggestion():
