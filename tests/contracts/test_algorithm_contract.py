@@ -12,6 +12,7 @@ import shes
 from shes.algorithms.registry import ALGORITHMS, find_algorithm
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.runs.checkpoint import restore
+from shes.runs.config import TrainConfig
 from shes.runs.tables import read_csv
 from shes.training.build import build_algorithm, build_backend
 from shes.training.presets import make_config
@@ -39,12 +40,19 @@ def registered():
     ALGORITHMS.pop("random-search", None)
 
 
+def tiny(name):
+    """Return environment and settings of a tiny run: of the tiny sizes those that its algorithm has."""
+    algorithm, env, settings = LEARNERS[name]
+    config = TrainConfig.of(env=env, algorithm=algorithm)
+    sizes = {name: value for name, value in runs.TINY.items() if name in config.settings}
+    return env, {**sizes, **settings, "algorithm": algorithm}
+
+
 @pytest.fixture(params=LEARNERS)
 def learner(request, registered):
     """A learner of a tiny run."""
-    algorithm, env, settings = LEARNERS[request.param]
-    sizes = {name: value for name, value in runs.TINY.items() if name != "preset"}
-    return build_algorithm(make_config(env, "smoke", {**sizes, **settings, "algorithm": algorithm}))
+    env, settings = tiny(request.param)
+    return build_algorithm(make_config(env, settings.pop("preset"), settings))
 
 
 def reports(learner, state, count):
@@ -112,9 +120,9 @@ def test_its_state_is_arrays_without_objects(learner):
 
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_run_of_it_goes_on_and_its_agent_acts(name, tmp_path):
-    algorithm, env, settings = LEARNERS[name]
-    whole = runs.train_tiny(tmp_path / "whole", env, algorithm=algorithm, **settings)
-    half = runs.train_tiny(tmp_path / "half", env, algorithm=algorithm, **settings, generations=2)
+    env, settings = tiny(name)
+    whole = shes.train(env, out=tmp_path / "whole", **settings).path
+    half = shes.train(env, out=tmp_path / "half", **{**settings, "generations": 2}).path
     shes.resume(half, generations=4)
     assert runs.differences(whole, half) == []
     assert list(read_csv(whole / "progress.csv"))[:4] == ["generation", "env_steps", "wall_time_s", "env_steps_per_s"]

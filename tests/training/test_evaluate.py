@@ -23,7 +23,9 @@ def same(one, other):
 @pytest.fixture(scope="module")
 def threes(tmp_path_factory):
     """A run with three episodes per policy, so that blocks of evaluation are not full."""
-    return runs.train_tiny(tmp_path_factory.mktemp("threes") / "run", episodes_per_policy=3, backend="processes")
+    return runs.train_tiny(
+        tmp_path_factory.mktemp("threes") / "run", episodes_per_policy=3, backend="processes", num_workers=2
+    )
 
 
 def test_workers_change_no_number(threes):
