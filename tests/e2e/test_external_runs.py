@@ -39,14 +39,19 @@ kwargs = {reset_noise = 0.0}
 
 @pytest.fixture(scope="module", autouse=True)
 def registries():
-    """The registries with the car in them; afterwards all is forgotten."""
-    known, described = dict(gymnasium.registry), dict(EXTERNAL_ENVIRONMENTS)
+    """The registries with the car in them; afterwards the tests' own environments are forgotten.
+
+    Those of an imported package stay: they come with its first import alone.
+    """
+    known, described = set(gymnasium.registry), dict(EXTERNAL_ENVIRONMENTS)
     register()
     shes.register_external_environment("car", **CAR, kwargs={"terminates_after": 9})
     yield
-    for registry, before in ((gymnasium.registry, known), (EXTERNAL_ENVIRONMENTS, described)):
-        registry.clear()
-        registry.update(before)
+    for env_id in set(gymnasium.registry) - known:
+        if env_id.startswith("tests/"):
+            del gymnasium.registry[env_id]
+    EXTERNAL_ENVIRONMENTS.clear()
+    EXTERNAL_ENVIRONMENTS.update(described)
 
 
 @pytest.fixture(scope="module")
