@@ -67,7 +67,7 @@ class RandomSearch(Algorithm[State]):
         return {name: np.asarray(value) for name, value in state._asdict().items()}
 
     def from_arrays(self, arrays):
-        return State(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
+        return State(*(arrays[name] if name == "theta" else arrays[name].item() for name in State._fields))
 
     def parameters(self, state):
         zeros = np.zeros(self.design.observation_sizes[0])

@@ -75,15 +75,11 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["ablatoin"], r"unknown experiment 'ablatoin'\. Did you mean 'ablation'\?"),
-        (["ablation", "--scale", "large"], r"unknown scale 'large'\. Known: laptop, smoke\. Set --scale\."),
-        (["ablation", "--only", "sweeps"], r"unknown group 'sweeps'\. Did you mean 'sweep'\?"),
         (["learning", "--only", "choices"], r"unknown group 'choices'\. Did you mean 'pieces'"),
         (["learning", "--only"], "--only needs at least one group: pieces, form, alternatives, sweep"),
         (["ablation", "--only"], "--only needs at least one group: choices, sweep, transfer, horizon"),
         (["ablation", "--seeds", "0"], r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."),
         (["ablation", "--workers", "-1"], r"workers must be a whole number of at least 0, got -1\. Set --workers\."),
-        (["ablation", "--seeds", "many"], "--seeds takes a whole number or none, got 'many'"),
     ],
 )
 def test_flags_that_make_no_sense_are_refused(words, message, tmp_path, capsys):
@@ -91,6 +87,28 @@ def test_flags_that_make_no_sense_are_refused(words, message, tmp_path, capsys):
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
+    assert re.search(message, err)
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["ablatoin"], r"invalid choice 'ablatoin' for argument 'name'\. Expected one of \('ablation', 'learning'\)"),
+        (
+            ["ablation", "--scale", "large"],
+            r"invalid choice 'large' for argument '--scale'\. Expected one of \('laptop', 'smoke'\)",
+        ),
+        (["ablation", "--only", "sweeps"], r"invalid choice 'sweeps' for argument '--only'\. Expected .*'sweep'"),
+        (["ablation", "--seeds", "many"], r"Error parsing --seeds: .*'many'"),
+    ],
+)
+def test_words_that_are_no_value_of_their_flag_are_refused(words, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["experiment", words[0], "--out", str(tmp_path / "a"), *words[1:]]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "Traceback" not in err
     assert re.search(message, err)
     assert not (tmp_path / "a").exists()
 

@@ -38,14 +38,19 @@ def make_car(render_mode=None):
 
 @pytest.fixture(scope="module", autouse=True)
 def registries():
-    """The registries with the car in them; afterwards all is forgotten."""
-    known, named = dict(gymnasium.registry), dict(EXTERNAL_ENVIRONMENTS)
+    """The registries with the car in them; afterwards the tests' own environments are forgotten.
+
+    Those of an imported package stay: they come with its first import alone.
+    """
+    known, named = set(gymnasium.registry), dict(EXTERNAL_ENVIRONMENTS)
     register()
     shes.register_external("car", make_car, locate=locate_car)
     yield
-    for registry, before in ((gymnasium.registry, known), (EXTERNAL_ENVIRONMENTS, named)):
-        registry.clear()
-        registry.update(before)
+    for env_id in set(gymnasium.registry) - known:
+        if env_id.startswith("tests/"):
+            del gymnasium.registry[env_id]
+    EXTERNAL_ENVIRONMENTS.clear()
+    EXTERNAL_ENVIRONMENTS.update(named)
 
 
 @pytest.fixture(scope="module")
