@@ -227,7 +227,7 @@ def test_the_reference_has_every_field_of_the_settings_with_its_docstring(pages)
 def test_the_reference_names_all_that_import_shes_offers(pages):
     (table,) = pages["reference/shes.html"].tables
     assert [row[0]["text"] for row in table[1:]] == [f"shes.{name}" for name in shes.__all__]
-    assert all(row[0]["links"] for row in table[1:])
+    assert all(row[0]["links"] for row in table[1:] if row[0]["text"] != "shes.__version__")
 
 
 @pytest.mark.extras

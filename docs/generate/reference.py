@@ -29,6 +29,9 @@ def face(page: str) -> str:
     rows = []
     for name in shes.__all__:
         value = getattr(shes, name)
+        if isinstance(value, str):  # the version
+            rows.append((f"`shes.{name}`", "The version of the package."))
+            continue
         summary = " ".join(inspect.cleandoc(value.__doc__ or "").split("\n\n")[0].split())
         target = f"({name}.md)" if inspect.ismodule(value) else f"[{value.__module__}.{value.__qualname__}]"
         rows.append((f"[`shes.{name}`]{target}", summary))
