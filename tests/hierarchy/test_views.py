@@ -6,7 +6,8 @@ import pytest
 
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.point import FallingPoint, Point
-from shes.envs.registry import ENVIRONMENTS
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
+from shes.envs.registry import ENVIRONMENTS, register_external
 from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
 from shes.hierarchy.views import ColumnsView, EgocentricView
@@ -246,11 +247,19 @@ def test_a_primitives_egocentric_view_is_the_robots_alone(env):
     assert learner.design.primitive.sizes[0] == len(learner.inputs("primitive")) == 3 + 2 + len(names)
 
 
-STRANGE = "gymnasium:shes/AntMaze-v0"
+STRANGE = "own-maze"
+
+
+@pytest.fixture
+def strange():
+    """An environment that Gymnasium makes, with a robot of which only its place is known."""
+    register_external(STRANGE, "shes/PointMaze-v0", locate=lambda observation, _: (*observation[:2], 0.0))
+    yield
+    del EXTERNAL_ENVIRONMENTS[STRANGE]
 
 
 @pytest.mark.parametrize("setting", ["primitive_view", "controller_view"])
-def test_a_robot_that_gymnasium_made_has_no_egocentric_view(setting):
+def test_a_robot_that_gymnasium_made_has_no_egocentric_view(setting, strange):
     flag = "--" + setting.replace("_", "-")
     with pytest.raises(ConfigError, match=rf"{setting} is 'egocentric', but {STRANGE} is Gymnasium's: .*Set {flag} to"):
         build_algorithm(make_config(STRANGE, "smoke", {setting: "egocentric"}))
@@ -259,7 +268,7 @@ def test_a_robot_that_gymnasium_made_has_no_egocentric_view(setting):
     assert isinstance(design.primitive_view, ColumnsView)
 
 
-def test_the_symmetry_of_a_robot_that_gymnasium_made_is_not_asked_for():
+def test_the_symmetry_of_a_robot_that_gymnasium_made_is_not_asked_for(strange):
     """An egocentric view, without which there is none, is refused before."""
     settings = {"primitive_view": "egocentric", "symmetry": "rotation"}
     with pytest.raises(ConfigError, match=f"{STRANGE} is Gymnasium's"):
