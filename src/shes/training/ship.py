@@ -31,11 +31,12 @@ from shes.runs.tables import read_csv
 from shes.storage import storage_errors, write_atomically
 from shes.training.build import open_run
 from shes.training.evaluate import Evaluation, evaluate
+from shes.training.transfer import TRANSFERRED
 
 __all__ = ["main", "ship"]
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-_RUN_OPTIONS = ("--out", "--primitive")
+_RUN_OPTIONS = ("--out", "--primitive", "--controller")
 """Options of `shes train` that name run folders."""
 _MOST_ROWS = 300
 _DIGITS = 6
@@ -173,12 +174,13 @@ def _without_paths(value: Any) -> Any:
 
 
 def _with_names_of(command: str, record: dict[str, Any]) -> dict[str, Any]:
-    """Return `record` with the run and its primitive's named as in `command`, where that names them."""
+    """Return `record` with the run and those of its levels named as in `command`, where that names them."""
     words = shlex.split(command)
     pairs = [*pairwise(words), *(word.partition("=")[::2] for word in words)]
     names = {option: name for option, name in pairs if option in _RUN_OPTIONS and name}
-    if "--primitive" in names and record.get("primitive") is not None:
-        record["config"]["transfer"]["primitive"] = record["primitive"]["run"] = names["--primitive"]
+    for level in TRANSFERRED:
+        if f"--{level}" in names and record.get(level) is not None:
+            record["config"]["transfer"][level] = record[level]["run"] = names[f"--{level}"]
     for part in (record, *record.get("resumed", ())):
         part["command"] = _rename_runs(part.get("command", ()), names)
     return record
