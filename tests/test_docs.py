@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 from collections import defaultdict
-from dataclasses import fields
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -19,8 +18,8 @@ from shes.cli.program import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
-from shes.runs.config import TrainConfig
 from shes.settings import flag, setting_fields
+from shes.training.presets import make_config
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -217,10 +216,12 @@ def test_the_reference_has_every_module_of_every_room(pages):
 
 
 @pytest.mark.extras
-def test_the_reference_has_every_field_of_the_settings_with_its_docstring(pages):
-    page = pages["reference/runs.html"]
-    assert {f"shes.runs.config.TrainConfig.{each.name}" for each in fields(TrainConfig)} <= page.ids
-    assert "Standard deviation of the perturbations (Table I: 0.02)." in page.path.read_text(encoding="utf-8")
+def test_the_reference_has_every_room_of_settings_with_the_docstrings_of_its_fields(pages):
+    ids = {name for page in pages.values() for name in page.ids}
+    rooms = [type(room) for room in make_config("ant-push").rooms.values()]
+    assert {f"{cls.__module__}.{cls.__qualname__}" for cls in rooms} <= ids
+    text = pages["reference/algorithms.html"].path.read_text(encoding="utf-8")
+    assert "Standard deviation of the perturbations (Table I: 0.02)." in text
 
 
 @pytest.mark.extras

@@ -93,9 +93,8 @@ def test_own_classes_train_on_two_workers_with_the_numbers_of_one_process(refere
 def test_the_run_used_the_own_classes(reference):
     path, said = reference
     record = json.loads((path / "config.json").read_text())["config"]
-    assert [record[name] for name in ("env", "primitive_reward", "goal_encoding")] == [
-        "puck-corner", "nearness", "own-vector",
-    ]  # fmt: skip
+    assert record["run"]["env"] == "puck-corner"
+    assert [record["hierarchy"][name] for name in ("primitive_reward", "goal_encoding")] == ["nearness", "own-vector"]
     assert said["primitive_return_mean"] < -20  # `progress` is never far below 0
 
 

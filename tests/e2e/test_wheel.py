@@ -85,7 +85,7 @@ def test_an_empty_environment_can_train_evaluate_render_and_play(wheel, tmp_path
     run(shes, "train", "point-gather", "--preset", "smoke", "--generations", "2", "--workers", "2", "--out", "run")
     found = json.loads(run(shes, "evaluate", "run", "--episodes", "3", "--json"))
     assert found["episodes"] == 3
-    assert set(json.loads(run(shes, "list", "--json"))) == set(shipped_names())
+    assert set(json.loads(run(shes, "list", "--json"))["agents"]) == set(shipped_names())
     run(shes, "render", "run", "--out", "walk.mp4", "--steps", "3", "--size", "96")
     assert (home / "walk.mp4").stat().st_size > 1000
     run(shes, "plot", "run")

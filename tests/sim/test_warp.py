@@ -63,7 +63,7 @@ def make():
 
 def task_model(name, spec, **options):
     environment = ENVIRONMENTS[name]
-    return environment.task.build_spec(environment.body(), environment.options(spec=spec, **options)).compile()
+    return environment.task.build_world(environment.body(), environment.options(spec=spec, **options)).compile()
 
 
 def in_the_air(model, rng):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -21,6 +22,7 @@ __all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "restore
 StateT = TypeVar("StateT")
 
 FORMAT = 2
+_END_OF_ZIP = 22  # bytes of the record that ends a zip file without a comment
 # What NumPy and zipfile raise for a file that is cut short, damaged, or of another kind.
 _DAMAGES = (
     AttributeError,
@@ -119,9 +121,22 @@ def load_checkpoint(path: Path) -> Checkpoint:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
+            _check_count(file, len(arrays))
         return _from_arrays(arrays, path)
     except _DAMAGES as error:
         raise _damaged(path, error) from error
+
+
+def _check_count(file: IO[bytes], count: int) -> None:
+    """Refuse a file with another number of parts than its end says: a damaged list of parts may be short of some.
+
+    Raises:
+        ValueError: It is one.
+    """
+    file.seek(-_END_OF_ZIP, os.SEEK_END)
+    written = int.from_bytes(file.read(_END_OF_ZIP)[10:12], "little")
+    if written != count:
+        raise ValueError(f"{count} of {written} arrays are there")
 
 
 def _damaged(path: Path, error: Exception) -> CheckpointError:

@@ -1,7 +1,8 @@
 """Settings of the evolution strategies: one class a room, and which rooms each algorithm has.
 
-Source: tables and sections are those of the SHES paper. Deviation: the defaults are the preset `laptop`, not Table I of
-the paper; the docstrings name its values.
+Source: tables and sections are those of the SHES paper.
+
+Deviation: the defaults are the preset `laptop`, not Table I of the paper; the docstrings name its values.
 """
 
 from __future__ import annotations
