@@ -26,7 +26,7 @@ class SearchSettings(Settings):
 
 
 class State(NamedTuple):
-    """What goes on from generation to generation: the best policy [D] and its return among it."""
+    """State between generations, with the best policy [D] and its return."""
 
     seed: int
     theta: np.ndarray

@@ -1,4 +1,4 @@
-"""What a learner is to a run: where it starts, how it goes on, what it writes down, and what acts in the end.
+"""The contract between a run and a learning algorithm.
 
 Training, evaluation, checkpoints, tables, videos and studies know a learner by this contract alone. A new one is one
 class, known by `register_algorithm`; `examples/random_search.py` is one of 80 lines.
@@ -26,7 +26,7 @@ __all__ = ["Algorithm", "AnyState", "Report"]
 
 
 class AnyState(Protocol):
-    """What every learner's state tells."""
+    """Attributes that the state of every algorithm has."""
 
     @property
     def seed(self) -> int:
@@ -60,14 +60,14 @@ class Report(Generic[StateT]):
     shows `X_return_mean` beside `X_return_max`.
     """
     log: Sequence[str] = ()
-    """What is worth a line in the log: warnings of the simulator."""
+    """Lines for the log, such as warnings of the simulator."""
 
 
 class Algorithm(ABC, Generic[StateT]):
     """A learner. Made once for every run, evaluation or agent, from the problem."""
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
-    """What the levels of its agents are called, the one that acts every step last.
+    """Names of the levels of its agents; the level that acts every step comes last.
 
     The names mean something: `controller` sets goals, `primitive` reaches them, `policy` knows none.
     """
@@ -83,7 +83,7 @@ class Algorithm(ABC, Generic[StateT]):
         """
         self.problem = problem
         self.design = design
-        """What its agents are made of."""
+        """Networks and goal handling of its agents."""
 
     @cached_property
     def table(self) -> NoiseTable:

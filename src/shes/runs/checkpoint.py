@@ -14,7 +14,7 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 
-from shes.errors import CheckpointError
+from shes.errors import CheckpointError, ConfigError
 from shes.storage import write_atomically
 
 __all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "restore", "save_checkpoint"]
@@ -87,7 +87,11 @@ def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
         "settings": np.array(json.dumps(checkpoint.numbers, sort_keys=True)),
     }
     taken = sorted(own.keys() & checkpoint.arrays.keys())
-    assert not taken, f"arrays of the state must not be named {', '.join(taken)}"
+    if taken:
+        raise ConfigError(
+            f"the algorithm's to_arrays() names an array {', '.join(taken)}, which the checkpoint keeps for itself. "
+            "Choose another name."
+        )
     return {name: np.asarray(value) for name, value in {**own, **checkpoint.arrays}.items()}
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import ModuleType
 from typing import Any
-
-import numpy as np
 
 from shes.errors import ConfigError
 from shes.runs.config import TrainConfig
 from shes.sim.warp_device import WarpDevice
 
-__all__ = ["array_module", "check_asked_device", "device_changes", "device_facts"]
+__all__ = ["check_asked_device", "device_changes", "device_facts"]
 
 
 def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
@@ -44,16 +41,6 @@ def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
             f"num_workers is {workers}, but one process serves device {device}. "
             "Leave --workers away, or set --device cpu."
         )
-
-
-def array_module(name: str) -> ModuleType:
-    """Return the module of the arrays on device `name`: NumPy, or CuPy.
-
-    Raises:
-        MissingExtraError: The device needs a package that is not installed.
-        ConfigError: There is no such device in this machine, or versions do not go together.
-    """
-    return np if name == "cpu" else WarpDevice(name).xp
 
 
 def device_facts(name: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""What the tables say of a generation of an evolution strategy."""
+"""Columns of `progress.csv` for a generation of an evolution strategy."""
 
 from __future__ import annotations
 

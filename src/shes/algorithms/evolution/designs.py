@@ -1,4 +1,4 @@
-"""What the agents of an evolution strategy are made of, by the settings of the run and its environment."""
+"""Agent designs of the evolution strategies, from the settings of the run and its environment."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ SCHEDULED = {
     "sigma": ("sigma_schedule", "sigma_end"),
     "episodes_per_policy": ("episodes_schedule", "episodes_end"),
 }
-"""What may change over generations: the settings that say how, and to what."""
+"""Settings with a schedule: the setting of its kind and that of its end."""
 _CHANGING = tuple(name for name in SCHEDULES if name != "constant")
 _OWN = "Register your own first: shes.register_{}, or --import MODULE."
 
@@ -72,7 +72,7 @@ class EvolutionSettings(Settings):
     mirrored: Annotated[str, Choices(MIRRORINGS)] = "quad"
     """How the members of a group mirror its noise: quad (four-way), pair (two-way) or none (section II-F)."""
     fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS)] = "centred_rank"
-    """What a fitness counts: centred_rank, pair_rank (the differences within mirrored pairs), z_score, top_fraction."""
+    """How fitness becomes weights: centred_rank, pair_rank (differences of mirrored pairs), z_score, top_fraction."""
     hold_tied: bool = True
     """Whether a level stays as it is where all its members are worth the same (the paper's method: no)."""
     rank_ties: Annotated[
