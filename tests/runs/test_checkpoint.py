@@ -59,9 +59,7 @@ def test_a_checkpoint_reads_back_to_the_bit(tmp_path, is_compressed):
 @pytest.mark.parametrize("name", ["format", "settings", "best_score"])
 def test_a_learner_has_no_array_of_the_runs_own_names(tmp_path, name):
     taken = replace(make(), arrays={**make().arrays, name: np.zeros(3)})
-    with pytest.raises(
-        ConfigError, match=rf"to_arrays\(\) names an array {name}, which"
-    ):
+    with pytest.raises(ConfigError, match=rf"to_arrays\(\) names an array {name}, which"):
         save_checkpoint(tmp_path / "a.npz", taken)
     assert list(tmp_path.iterdir()) == []
 
