@@ -323,7 +323,7 @@ OF_PRIMITIVES = {
 UNHEEDED = [
     *(("point-flagrun", "shes", name) for name in (*OF_CONTROLLERS, "novelty")),
     *(("point-gather", "es", name) for name in OF_PRIMITIVES),
-    *(("robotics-ant-maze", "es", name) for name in OF_PRIMITIVES),
+    *(pytest.param("robotics-ant-maze", "es", name, marks=pytest.mark.extras) for name in OF_PRIMITIVES),
     *(("point-flagrun", "es", name) for name in OF_PRIMITIVES if name not in ("controller_interval", "goal_distance")),
     *(("point-gather", "shes", name) for name in ("target", "observe_block", "target_sampling")),
     *(("point-maze", "shes", name) for name in ("fall_penalty", "observe_block")),
