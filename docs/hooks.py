@@ -1,79 +1,43 @@
-"""What mkdocs calls while it builds: adds the generated pages, and fills the places that pages leave for the code.
+"""MkDocs hooks: add the pages and tables that are made from the code, and the pictures of `results/`.
 
-A page may hold
-
-- `<!-- generated: NAME ARGUMENTS -->` on a line of its own: the table or text of that generator;
-- `[[shes.es.level.perturb]]`: a link to where that name is defined. A name that does not exist ends the build.
+A page that is named in `_GENERATED` holds `<!-- generated -->` on a line of its own, which its table replaces.
 """
 
 from __future__ import annotations
 
-import re
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from generate import algorithm, commands, differences, environments, included, reference, settings, source
+from code_tables import commands, deviations, public_names, settings
+from environment_pages import environment_page, environment_table, picture
 from mkdocs.config.defaults import MkDocsConfig
-from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-_GENERATORS = {
-    "algorithm-code": algorithm.algorithm_code,
-    "algorithm-map": algorithm.algorithm_map,
-    "commands": commands.commands,
-    "curves": included.curves,
-    "deviations": differences.deviations,
-    "environments": environments.overview,
-    "examples": source.examples,
-    "excerpt": lambda page, name: source.excerpt(name),  # noqa: ARG005
-    "face": reference.face,
-    "file": lambda page, name: source.listing(name),  # noqa: ARG005
-    "include": lambda page, name: included.included(name, page),
-    "module": reference.module,
-    "room": reference.room,
-    "settings": settings.settings,
+from shes.envs.registry import ENVIRONMENTS
+
+_RESULTS = Path(__file__).parents[1] / "results"
+_GENERATED = {
+    "differences.md": deviations,
+    "environments/index.md": environment_table,
+    "reference/command-line.md": commands,
+    "reference/settings.md": settings,
+    "reference/shes.md": public_names,
 }
-_DIRECTIVE = re.compile(r"^<!-- generated: (\S+)(.*?) -->$", flags=re.MULTILINE)
-_NAME = re.compile(r"\[\[(shes[\w.]*)\]\]")
-
-
-def on_config(config: MkDocsConfig) -> None:
-    """Put the environments' pages into the navigation."""
-    source.tree.cache_clear()
-    pages = [environments.page_uri(name) for name in environments.ENVIRONMENTS]
-    for item in config.nav or []:
-        for children in item.values():
-            if isinstance(children, list) and children[0] == "environments/index.md":
-                children[1:] = pages
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
-    """Add what is made from the code: environments with their pictures, source pages, files that pages link to."""
-    make = partial(File.generated, config)
-    for name in environments.ENVIRONMENTS:
-        files.append(make(environments.page_uri(name), content=environments.environment_page(name)))
-        files.append(make(environments.picture_uri(name), content=environments.picture(name)))
-    for path in source.modules():
-        files.append(make(source.page_uri(path), content=source.page(path)))
-    for uri, path in included.attachments().items():
-        files.append(make(uri, abs_src_path=str(path)))
+    """Add a page and a picture of every environment, and the pictures of `results/README.md`."""
+    add = partial(File.generated, config)
+    for name in ENVIRONMENTS:
+        files.append(add(f"environments/{name}.md", content=environment_page(name)))
+        files.append(add(f"environments/{name}.png", content=picture(name)))
+    for path in _RESULTS.rglob("*.png"):  # relative to results.md as to results/README.md, which it includes
+        files.append(add(path.relative_to(_RESULTS).as_posix(), abs_src_path=str(path)))
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Fill the places left for the code."""
+    """Put its generated table into a page."""
     uri = page.file.src_uri
-    if uri.startswith("source/"):
-        return markdown
-
-    def generated(match: re.Match[str]) -> str:
-        return _GENERATORS[match[1]](uri, *match[2].split())
-
-    def named(match: re.Match[str]) -> str:
-        path, line, _ = source.find(match[1])
-        return source.link(path, line, uri)
-
-    try:
-        return _NAME.sub(named, _DIRECTIVE.sub(generated, markdown))
-    except LookupError as error:
-        raise PluginError(f"{uri}: {error}") from error
+    return markdown.replace("<!-- generated -->", _GENERATED[uri]()) if uri in _GENERATED else markdown

@@ -1,0 +1,130 @@
+"""Markdown tables made from the code: settings, commands, public names, and deviations from the paper."""
+
+from __future__ import annotations
+
+import inspect
+import io
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import griffe
+
+import shes
+from shes.cli import main
+from shes.cli.program import COMMANDS
+from shes.envs.registry import ENVIRONMENTS
+from shes.settings import Unasked, setting_fields
+from shes.training.presets import PRESETS, make_config
+
+_SRC = Path(__file__).parents[1] / "src"
+_TERMINAL = {"COLUMNS": "96", "NO_COLOR": "1", "TERM": "dumb"}
+_DEVIATION = re.compile(r"^Deviation: (.+?)(?=\n\n|\n(?:Source|Deviation): |\Z)", flags=re.MULTILINE | re.DOTALL)
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequence[str] = ()) -> str:
+    """Return a Markdown table; the columns named in `numbers` are right-aligned."""
+    lines = [header, ["---:" if name in numbers else "---" for name in header], *rows]
+    return "\n".join(f"| {' | '.join(str(cell).replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
+
+
+def commands() -> str:
+    """Return a section with the help of every command."""
+    return "\n\n".join([_help(), *(f"## {name}\n\n{_help(name)}" for name in COMMANDS)])
+
+
+def _help(*words: str) -> str:
+    """Return what `shes WORDS... --help` prints, as a code block."""
+    with patch.dict(os.environ, _TERMINAL), redirect_stdout(io.StringIO()) as out:
+        if code := main([*words, "--help"]):
+            raise RuntimeError(f"shes {' '.join(words)} --help ended with exit code {code}.")
+    title = " ".join(("shes", *words, "--help"))
+    return f'```{{ .text .help title="{title}" }}\n{out.getvalue().strip()}\n```'
+
+
+def settings() -> str:
+    """Return a table of the flags of `train` for each room: meaning, and value in every preset."""
+    configs = [make_config("ant-gather", preset) for preset in PRESETS]
+    parts = []
+    for name, room in configs[0].rooms.items():
+        if name == "environment":
+            continue
+        rows = [
+            (f"`{each.flag}`", each.text, *(_shown(config.settings[each.name]) for config in configs))
+            for each in setting_fields(type(room)).values()
+            if each.name not in ("env", "preset")
+        ]
+        title = (type(room).__doc__ or "").partition(".")[0]
+        parts += [f"### {title}", table(["flag", "meaning", *(f"`{preset}`" for preset in PRESETS)], rows)]
+    return "\n\n".join([*parts, "### Environment", _task_options()])
+
+
+def _task_options() -> str:
+    """Return the table of the options of all tasks."""
+    found, tasks = {}, dict[str, dict[str, None]]()
+    for environment in ENVIRONMENTS.values():
+        for each in setting_fields(environment.options).values():
+            if not each.has(Unasked):
+                found[each.name] = each
+                tasks.setdefault(each.name, {})[environment.task.name] = None
+    count = len({environment.task.name for environment in ENVIRONMENTS.values()})
+    rows = [
+        (
+            f"`{each.flag}`",
+            "every task" if len(tasks[name]) == count else ", ".join(tasks[name]),
+            each.text,
+            _shown(each.default),
+        )
+        for name, each in found.items()
+    ]
+    return table(["flag", "task", "meaning", "default"], rows)
+
+
+def _shown(value: Any) -> str:
+    """Return a value as it is written on the command line."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, tuple):
+        return " ".join(map(str, value)) or "none"
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def public_names() -> str:
+    """Return the table of the names that `import shes` offers."""
+    rows = []
+    for name in shes.__all__:
+        value = getattr(shes, name)
+        if isinstance(value, str):
+            rows.append((f"`shes.{name}`", "The version of the package."))
+            continue
+        target = f"({name}.md)" if inspect.ismodule(value) else f"[{value.__module__}.{value.__qualname__}]"
+        rows.append((f"[`shes.{name}`]{target}", first_paragraph(value)))
+    return table(["name", "description"], rows)
+
+
+def first_paragraph(value: Any) -> str:
+    """Return the first paragraph of a docstring on one line."""
+    return " ".join(inspect.cleandoc(value.__doc__ or "").partition("\n\n")[0].split())
+
+
+def deviations() -> str:
+    """Return the table of the `Deviation:` passages in all docstrings of the package."""
+    package = griffe.load("shes", search_paths=[_SRC])
+    rows = [(place, " ".join(text.split())) for place, text in _deviations(package)]
+    return table(["where", "deviation"], rows)
+
+
+def _deviations(item: griffe.Object | griffe.Alias) -> Iterator[tuple[str, str]]:
+    """Yield a link to, and the text of, every deviation that `item` and its members state."""
+    if item.is_alias:
+        return
+    place = f"`{item.path}`" if "._" in item.path else f"[`{item.path}`][{item.path}]"
+    yield from ((place, text) for text in _DEVIATION.findall(item.docstring.value if item.docstring else ""))
+    for member in item.members.values():
+        yield from _deviations(member)
