@@ -1,13 +1,13 @@
-"""Does a device play the same game as MuJoCo in C? Returns of fixed policies on both, compared by two-sample tests.
+"""Compare a device with MuJoCo in C: two-sample tests on the returns of fixed policies.
 
-Single steps in contact differ in the last digits, and walking is chaotic: episodes from one seed part after a second.
-What must agree is the distribution. Every sample has seeds of its own, so that the samples are independent.
+Single steps in contact differ in the last digits, and walking is chaotic: episodes with the same seed diverge from each
+other after a second. The distributions must agree. Every sample has its own seeds, so the samples are independent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
@@ -19,29 +19,18 @@ from shes.envs.tasks.task import SimulatorFactory
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.hierarchy.rollout import Rollout
-from shes.runs.tables import Row
 from shes.sim.cpu import CpuSimulator
 from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 from shes.types import F64Array
 
-__all__ = [
-    "ALPHA",
-    "POWER",
-    "DeviceComparison",
-    "compare_samples",
-    "compare_with_cpu",
-    "detectable_shift",
-    "sample",
-]
-
 ALPHA = 0.001
-"""A difference is one where a test's p, corrected for the number of tests, is below this."""
+"""Significance level, to be corrected for the number of tests."""
 POWER = 0.9
-"""Probability with which a shift of `detectable_shift` standard deviations is found."""
+"""Probability of finding a shift of `detectable_shift` standard deviations."""
 
-_POLICIES = 8  # fixed ones that the episodes of a sample are shared among
-_SPREAD = 0.3  # standard deviation between them: enough that some fall, some crawl
+_POLICIES = 8  # fixed policies that play the episodes of a sample in turn
+_SPREAD = 0.3  # standard deviation of their parameters: enough that some fall and some crawl
 _LANES = 128
 _MEASURES: dict[str, Callable[[EpisodeResults], float]] = {
     "environment return": lambda result: float(result.environment_returns[0]),
@@ -53,7 +42,7 @@ _MEASURES: dict[str, Callable[[EpisodeResults], float]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceComparison:
-    """One measure of a task's episodes, on the CPU and on a device."""
+    """One measure of the episodes of a task, on the CPU and on a device."""
 
     env: str
     spec: str
@@ -66,31 +55,27 @@ class DeviceComparison:
     shift: float
     """Difference of the means, device minus CPU, in standard deviations of the CPU's sample."""
     p_shift: float
-    """Two-sided, of the difference of means (Welch)."""
+    """p of the difference of the means (Welch's test, two-sided)."""
     distance: float
-    """Largest difference of the two empirical distribution functions."""
+    """Largest difference between the two empirical distribution functions."""
     p_distance: float
-    """Of that (Kolmogorov and Smirnov)."""
-
-    def row(self) -> Row:
-        """Return its columns."""
-        return asdict(self)
+    """p of that distance (Kolmogorov-Smirnov test)."""
 
 
 def compare_with_cpu(
     env: str, simulator: SimulatorFactory, *, spec: str = "shes", episodes: int = 1000, horizon: int = 500
 ) -> list[DeviceComparison]:
-    """Return how `episodes` of `env` on `simulator` compare with as many others on the CPU, measure by measure.
+    """Return a comparison for each measure of `episodes` of `env` on `simulator` and as many others on the CPU.
 
     Args:
-        env: Environment of our own.
-        simulator: What makes the simulations of the device.
-        spec: Its specification.
+        env: Name of an environment of this package.
+        simulator: Factory of the device's simulator.
+        spec: Specification of the environment, `shes` or `hiro`.
         episodes: Episodes of each sample.
-        horizon: Steps of an episode.
+        horizon: Control steps of an episode.
 
     Raises:
-        UnknownNameError: There is no such environment or specification.
+        UnknownNameError: The environment or the specification is unknown.
     """
     on_cpu = sample(env, CpuSimulator, spec=spec, episodes=episodes, horizon=horizon, seed=0)
     on_device = sample(env, simulator, spec=spec, episodes=episodes, horizon=horizon, seed=1)
@@ -100,16 +85,16 @@ def compare_with_cpu(
 def compare_samples(
     env: str, spec: str, on_cpu: dict[str, F64Array], on_device: dict[str, F64Array]
 ) -> list[DeviceComparison]:
-    """Return how two samples of `env` compare, measure by measure."""
+    """Return a comparison of two samples of `env` for each measure."""
     return [_compare(env, spec, measure, on_cpu[measure], on_device[measure]) for measure in on_cpu]
 
 
 def sample(
     env: str, simulator: SimulatorFactory, *, spec: str, episodes: int, horizon: int, seed: int
 ) -> dict[str, F64Array]:
-    """Return each measure of `episodes` [episodes] of fixed policies, as `seed` lets them begin.
+    """Return each measure [episodes] of episodes of fixed policies, whose seeds are drawn from `seed`.
 
-    The policies are random, the same for every seed and simulator; exploration and reset noise are those of training.
+    The policies are random, and the same for every seed and simulator; exploration and reset noise are as in training.
     """
     config = make_config(
         env, "laptop", {"spec": spec, "hidden": (16,), "horizon": horizon, "noise_table_size": 1_000_000}
@@ -145,7 +130,7 @@ def _compare(env: str, spec: str, measure: str, cpu: F64Array, device: F64Array)
     difference = float(device.mean() - cpu.mean())
     is_constant = std == 0 == device.std(ddof=1)  # Welch's test divides by both
     p_shift = float(difference == 0) if is_constant else float(stats.ttest_ind(device, cpu, equal_var=False).pvalue)
-    # Ties, as those of episodes that all last to their end, make the p of distributions too large.
+    # Ties, as among episodes that all reach the horizon, make this p too large: the test is conservative.
     distance, p_distance = stats.ks_2samp(cpu, device)
     return DeviceComparison(
         env=env,
@@ -163,7 +148,7 @@ def _compare(env: str, spec: str, measure: str, cpu: F64Array, device: F64Array)
 
 
 def detectable_shift(episodes: int, tests: int = 1) -> float:
-    """Return the shift of the mean, in standard deviations, that is found with probability `POWER`.
+    """Return the shift of the mean, in standard deviations, that the test finds with probability `POWER`.
 
     Two samples of `episodes` each, two-sided at `ALPHA` over `tests` tests (Bonferroni).
     """

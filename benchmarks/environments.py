@@ -1,13 +1,12 @@
-"""Speed of the environments: every task in training, and Gymnasium's face. On an idle machine.
+"""Speed of the environments: every task in training, and Ant Gather in Gymnasium. On an idle machine.
 
 Prints two tables and, with `--out FILE`, writes every number as CSV. Each task is `shes bench rollout` in a process of
-its own; the face is measured in turns, so that the machine's drift meets all alike.
+its own. The Gymnasium environments are measured in alternation, so that the drift of the machine affects all equally.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import statistics
 from collections.abc import Callable
 from pathlib import Path
@@ -16,29 +15,27 @@ from time import perf_counter
 import gymnasium
 import mujoco
 import numpy as np
-from run import LAPTOP, SECONDS, bench
+from run import LAPTOP, SECONDS, bench, write_csv
 
-import shes  # registers
+import shes  # noqa: F401 - registers the environments
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.task import FRAME_SKIP
-
-assert shes
 
 NUM_ENVS = 64
 STEPS = 40
 REPEATS = 9
-LEAST = 0.85
+REQUIRED = 0.85
 
 
 def tasks() -> list[dict[str, object]]:
-    """Measure and print every task in training, 64 x 64 policies, one worker, against bare `mj_step`."""
-    print(f"| {'task':16} | env steps/s | bare mj_step/s | ratio | at least |")
+    """Measure and print every task in training relative to bare `mj_step`: 64 x 64 policies, one worker."""
+    print(f"| {'task':16} | env steps/s | bare mj_step/s | ratio | required |")
     print(f"|{'-' * 18}|------------:|---------------:|------:|---------:|")
     rows: list[dict[str, object]] = []
     for name in ENVIRONMENTS:
-        found = bench(["rollout", name, "--workers", "1", *LAPTOP, *SECONDS])
+        found = bench(f"rollout {name} --workers 1 {LAPTOP} {SECONDS}")
         speed, bare, ratio = found["env_steps_per_s"], found["bare_steps_per_s"], found["ratio"]
-        print(f"| {name:16} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {LEAST:>8} |", flush=True)
+        print(f"| {name:16} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {REQUIRED:>8} |", flush=True)
         rows.append({"what": name, "steps_per_s": speed, "bare_per_s": bare, "ratio": ratio})
     return rows
 
@@ -77,23 +74,23 @@ def vector_steps_per_s(env: gymnasium.vector.VectorEnv) -> float:
     return STEPS * env.num_envs / (perf_counter() - start)
 
 
-def face() -> list[dict[str, object]]:
-    """Measure and print Gymnasium's face of Ant Gather."""
+def gymnasium_environments() -> list[dict[str, object]]:
+    """Measure and print Ant Gather in Gymnasium: single and vector environments."""
     identity = "shes/AntGather-v0"
     single = gymnasium.make(identity)
-    ours = gymnasium.make_vec(identity, num_envs=NUM_ENVS)
+    vector = gymnasium.make_vec(identity, num_envs=NUM_ENVS)
     asynchronous = gymnasium.make_vec(identity, num_envs=NUM_ENVS, vectorization_mode="async")
     measures: dict[str, Callable[[], float]] = {
         "bare mj_step": bare_steps_per_s,
         "single environment": lambda: single_steps_per_s(single),
         f"AsyncVectorEnv, {NUM_ENVS}": lambda: vector_steps_per_s(asynchronous),
-        f"our vector environment, {NUM_ENVS}": lambda: vector_steps_per_s(ours),
+        f"vector environment, {NUM_ENVS}": lambda: vector_steps_per_s(vector),
     }
     found: dict[str, list[float]] = {name: [] for name in measures}
     for _ in range(REPEATS):
         for name, measure in measures.items():
             found[name].append(measure())
-    for env in (single, ours, asynchronous):
+    for env in (single, vector, asynchronous):
         env.close()
     bare, alone, theirs, mine = found.values()
     print(f"\n| {'Ant Gather in Gymnasium':28} | env steps/s |")
@@ -101,7 +98,7 @@ def face() -> list[dict[str, object]]:
     for name, values in found.items():
         print(f"| {name:28} | {statistics.median(values):11,.0f} |")
     ratios = {
-        "single / bare (at least 0.3)": statistics.median(np.divide(alone, bare)),
+        "single / bare (required: 0.3)": statistics.median(np.divide(alone, bare)),
         "vector / AsyncVectorEnv (goal 3)": statistics.median(np.divide(mine, theirs)),
         "vector / bare": statistics.median(np.divide(mine, bare)),
     }
@@ -112,16 +109,13 @@ def face() -> list[dict[str, object]]:
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, help="CSV file for the numbers")
     out = parser.parse_args().out
-    rows = [*tasks(), *face()]
+    rows = [*tasks(), *gymnasium_environments()]
     if out is not None:
-        with out.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, ["what", "steps_per_s", "bare_per_s", "ratio"], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        write_csv(out, rows)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""On a card, in one go: does it play the same game, how fast is it, and what does it learn?
+"""Check, measure and train on a GPU: `python benchmarks/gpu.py --out OUT`.
 
-`python benchmarks/gpu.py --out OUT` checks, measures and trains; `--only check`, `speed`, `train` do one of it. Every
-stage writes its CSV as it goes, so that what was measured stays when time runs out. `--smoke --device warp-cpu` goes
-through all of it in a few minutes without a card: its numbers mean nothing.
+`--only check`, `--only speed` or `--only train` runs one stage. Every stage writes its CSV row by row, so that an
+interrupted stage keeps its measurements. `--smoke --device warp-cpu` runs all stages in a few minutes without a GPU;
+its numbers have no meaning.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ INTEGRATORS = ("euler", "rk4")
 
 @dataclass(frozen=True, kw_only=True)
 class Size:
-    """How much is done."""
+    """Size of every stage."""
 
     episodes: int
     """Episodes of each sample of the check."""
@@ -58,7 +58,7 @@ class Size:
     repeats: int
     envs: tuple[str, ...]
     train: tuple[str, ...]
-    """Environments to train on, in turn: flagrun's primitive goes into the others."""
+    """Environments to train on, one after another: the others start from the primitive of the first, Flagrun."""
 
 
 FULL = Size(
@@ -88,7 +88,7 @@ SMOKE = Size(
 
 
 class Table:
-    """Rows that are printed and written as they come."""
+    """A table that is printed and written to a file row by row."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -104,16 +104,16 @@ class Table:
             writer.writerows(self._rows)
 
 
-# Does it play the same game?
+# Stage `check`.
 
 
 def check(device: str, size: Size, out: Path) -> None:
-    """Compare return distributions on the device with the CPU's, whose samples other processes make meanwhile."""
+    """Compare return distributions on the device with those on the CPU, which other processes sample meanwhile."""
     table = Table(out / "check.csv")
     simulator = partial(WarpSimulator, device=device)
     cases = [(env, spec) for env in size.envs for spec in find_environment(env).task.specs]
     sizes: dict[str, Any] = {"episodes": size.episodes, "horizon": size.check_steps}
-    # Not a fork: a child must not inherit the card.
+    # Not a fork: a child must not inherit the GPU.
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         on_cpu: dict[tuple[str, str], Future[Any]] = {
             case: pool.submit(sample, case[0], CpuSimulator, spec=case[1], seed=0, **sizes) for case in cases
@@ -133,11 +133,11 @@ def check(device: str, size: Size, out: Path) -> None:
     print(f"{detectable_shift(size.episodes, tests):.2f} standard deviations is found with a power of 0.9")
 
 
-# How fast is it?
+# Stage `speed`.
 
 
 def physics_alone(device: str, size: Size, out: Path) -> None:
-    """Measure the physics against the number of worlds, with random controls and nothing else."""
+    """Measure the physics alone, with random controls, for every number of worlds."""
     table = Table(out / "worlds.csv")
     for integrator, worlds in itertools.product(INTEGRATORS, size.worlds):
         options = TaskOptions(integrator=integrator)
@@ -169,7 +169,7 @@ def physics_alone(device: str, size: Size, out: Path) -> None:
 
 
 def generations(device: str, size: Size, out: Path) -> None:
-    """Measure whole generations, and where their time goes; one tiny one shows what the launches alone cost."""
+    """Measure whole generations and their parts; a tiny one shows the cost of the kernel launches alone."""
     table = Table(out / "generations.csv")
     sizes = [("launches alone", 1, 1), ("generation", size.population, 5)]
     for env, integrator, (what, population, episodes) in itertools.product(("ant-gather",), INTEGRATORS, sizes):
@@ -190,7 +190,7 @@ def generations(device: str, size: Size, out: Path) -> None:
 
 
 def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
-    """Yield seconds of every generation, by part."""
+    """Yield the seconds of every generation, by part."""
     learner = build_algorithm(config)
     assert isinstance(learner, EvolutionStrategy)
     opened = WarpDevice(config.workers.device)
@@ -214,7 +214,7 @@ def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
 
 
 def bandwidth(device: str, size: Size, out: Path) -> None:
-    """Measure what the card's memory does, beside what a step of the paper's size reads of weights."""
+    """Measure the memory bandwidth of the GPU and the time of a kernel launch."""
     opened = WarpDevice(device)
     xp = opened.xp
     numbers = 2**28 if size is FULL else 2**16
@@ -236,11 +236,11 @@ def _seconds(opened: WarpDevice, work: Callable[[], Any]) -> float:
     return perf_counter() - start
 
 
-# What does it learn?
+# Stage `train`.
 
 
 def train(device: str, size: Size, out: Path, minutes: float) -> None:
-    """Train Flagrun first, then the tasks with its primitive, an equal part of `minutes` each; runs go on."""
+    """Train Flagrun, then the tasks with its primitive, for an equal part of `minutes` each; resume existing runs."""
     primitive = out / size.train[0]
     for env in size.train:
         folder = out / env
@@ -256,20 +256,20 @@ def train(device: str, size: Size, out: Path, minutes: float) -> None:
 
 
 def describe(device: str) -> dict[str, Any]:
-    """Return the card and the versions."""
+    """Return the GPU, the driver and the versions."""
     opened = WarpDevice(device)
     return {"device": device, "array_module": opened.xp.__name__, **opened.facts}
 
 
 def main() -> None:
-    """Check, measure, train."""
+    """Run the selected stages."""
     stages = {"check": [check], "speed": [bandwidth, generations, physics_alone], "train": []}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for CSV files and runs")
     parser.add_argument("--device", default="cuda", help="cuda, or warp-cpu to try this script")
-    parser.add_argument("--only", nargs="+", choices=stages, default=list(stages), help="stages to do")
+    parser.add_argument("--only", nargs="+", choices=stages, default=list(stages), help="stages to run")
     parser.add_argument("--minutes", type=float, default=10.0, help="minutes of training")
-    parser.add_argument("--smoke", action="store_true", help="as little as possible of everything")
+    parser.add_argument("--smoke", action="store_true", help="smallest possible size of every stage")
     asked = parser.parse_args()
     size = SMOKE if asked.smoke else FULL
     asked.out.mkdir(parents=True, exist_ok=True)

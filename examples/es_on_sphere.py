@@ -1,6 +1,6 @@
-"""The evolution strategy alone, on plain vectors: ask for candidates, tell how good they are.
+"""The evolution strategy alone, on plain vectors: ask for candidates, tell their fitness.
 
-The sphere function is `-|x - target|^2`: as large as can be, 0, where x is the target.
+It maximises the sphere function `-|x - target|^2`, whose maximum is 0 at the target.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ DIM = 20
 
 
 def main() -> None:
-    """Find the target."""
+    """Maximise, and print the distance from the target."""
     target = np.linspace(-1, 1, DIM)
     es = EvolutionStrategy(DIM, population_size=40, sigma=0.1, learning_rate=0.05)
     for generation in range(1, 201):

@@ -1,4 +1,4 @@
-"""A figure from the tables of a run: `python examples/figure_from_csv.py PICTURE --run RUN_FOLDER`."""
+"""Draw a figure from the tables of a run: `python examples/figure_from_csv.py PICTURE --run RUN_FOLDER`."""
 
 import argparse
 import csv
@@ -21,7 +21,7 @@ def read(path: Path) -> dict[str, list[float]]:
 
 
 def main(run: Path, picture: Path) -> None:
-    """Draw two columns over the run's environment steps."""
+    """Draw one column of each table against the environment steps of the run."""
     figure, axes = plt.subplots(1, len(PANELS), figsize=(9, 3.5), layout="constrained")
     for axis, (table, column, title) in zip(axes, PANELS, strict=True):
         columns = read(run / table)

@@ -1,7 +1,7 @@
 """A flat evolution strategy: one network from observation to action, no hierarchy, no worker processes.
 
-A generation's policies play at once: one batch of simulations, one stacked product of matrices per layer and step. This
-is the library by hand; `shes train point-gather --algorithm es` does it with workers, checkpoints and evaluations.
+All policies of a generation run at once: one batch of simulations, one stacked matrix product per layer and step. This
+is the library by hand; `shes train point-gather --algorithm es` adds workers, checkpoints and evaluations.
 """
 
 import numpy as np
@@ -16,20 +16,20 @@ POLICIES, EPISODES, STEPS, GENERATIONS = 60, 2, 100, 30
 
 
 def play(task: Task, mlp: MLP, policies: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Return the mean return [P] of `policies` [P, D], each on the same episodes, drawn by `seeds` [E]."""
-    everyone = np.arange(task.num_episodes)
+    """Return the mean return [P] of `policies` [P, D] over the episodes with these `seeds` [E], the same for all."""
+    episodes = np.arange(task.num_episodes)
     _, high = bounds(task.observation_spec)
     scale = np.where(np.isfinite(high), high, 10.0)  # positions, in metres, reach 12
-    task.reset(everyone, np.tile(seeds, len(policies)))
+    task.reset(episodes, np.tile(seeds, len(policies)))
     for _ in range(STEPS):
         observation = (task.observe() / scale).astype(np.float32)
         action = mlp.act(policies, observation.reshape(len(policies), len(seeds), -1))
-        task.step(everyone, action.reshape(task.num_episodes, -1) * task.control_limit)
+        task.step(episodes, action.reshape(task.num_episodes, -1) * task.control_limit)
     return task.running_return.reshape(len(policies), len(seeds)).mean(axis=1)
 
 
 def main() -> None:
-    """Train, and print now and then what the mean policy earns on a hundred other episodes."""
+    """Train, and print the return of the mean policy on a hundred test episodes every ten generations."""
     task = make_task("point-gather", POLICIES * EPISODES)
     test, test_seeds = make_task("point-gather", 100), np.arange(100)
     mlp = MLP(task.observation_size, (16,), task.action_size)

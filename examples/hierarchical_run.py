@@ -1,6 +1,6 @@
-"""A hierarchical run from beginning to end: train, evaluate, load, act in the Gymnasium environment.
+"""A complete hierarchical run: train, evaluate, load the agent, act in the Gymnasium environment.
 
-Fifteen short generations: the primitive learns to go where it is sent, the controller has hardly begun.
+In fifteen short generations the primitive learns to reach its goals, while the controller has hardly changed.
 """
 
 import gymnasium as gym
@@ -9,7 +9,7 @@ import shes
 
 
 def main() -> None:
-    """Train two levels on two worker processes, and look at what they do."""
+    """Train two levels on two worker processes, evaluate them, and play an episode."""
     run = shes.train(
         "point-gather",
         preset="smoke",
@@ -25,7 +25,7 @@ def main() -> None:
     for checkpoint in ("0", "last"):
         found = shes.evaluate(run.path, checkpoint=checkpoint, episodes=50).summary()
         primitive, score = found["primitive_return_mean"], found["score_mean"]
-        print(f"checkpoint {checkpoint}: the primitive earns {primitive:.1f}; score {score:.2f}")
+        print(f"checkpoint {checkpoint}: primitive return {primitive:.1f}; score {score:.2f}")
 
     agent = shes.load(run.path, checkpoint="last")
     env = gym.make("shes/PointGather-v0")

@@ -1,4 +1,4 @@
-"""An environment of your own: go to a beacon. Two worker processes train on it, though it is in this script alone."""
+"""A custom environment, reach a beacon: defined in this script, trained on two worker processes."""
 
 import numpy as np
 
@@ -10,10 +10,10 @@ from shes.envs.worlds import empty_world
 
 
 class Beacon(Task):
-    """A beacon stands somewhere within 5 m along x and y. All arrays have a row for each of N episodes."""
+    """A beacon is within 5 m along x and y. All arrays have a row for each of N episodes."""
 
     name = "beacon"
-    description = TaskDescription(reward="exp(-metres to it)", ends="never", score="return", success="within 1 m of it")
+    description = TaskDescription(reward="exp(-distance)", ends="never", score="return", success="distance below 1 m")
 
     def __init__(self, body, num_episodes, *rest):
         super().__init__(body, num_episodes, *rest)

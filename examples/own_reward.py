@@ -1,6 +1,6 @@
-"""A primitive reward of your own: what the controller pays its primitive for each step.
+"""A custom primitive reward: the intrinsic reward that the controller pays its primitive for each step.
 
-This one pays for metres in the direction of the goal, and does not mind overshooting it.
+It rewards metres in the direction of the goal, also beyond the goal.
 """
 
 import numpy as np
@@ -11,17 +11,17 @@ from shes.types import F64Array
 
 
 class Metres(PrimitiveReward):
-    """How far the robot has come in the direction of its goal since that was set."""
+    """Distance covered in the direction of the goal since it was set, in metres."""
 
     def __call__(
         self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
     ) -> F64Array:
-        """Return the reward [N] for `displacement` [N, 2] when the goals lay at `goal` [N, 2], in metres."""
+        """Return `displacement` [N, 2] projected on the direction of `goal` [N, 2], in metres [N]."""
         return (displacement * goal).sum(axis=1) / np.linalg.norm(goal, axis=1)
 
 
 def main() -> None:
-    """Train with it for a few generations, and look at what the primitive earns before and after."""
+    """Train with this reward for a few generations, and print the primitive's return before and after."""
     shes.register_primitive_reward("way", Metres)
     run = shes.train(
         "point-gather",
@@ -36,7 +36,7 @@ def main() -> None:
     )
     for when, checkpoint in (("before", "0"), ("after", "last")):
         evaluation = shes.evaluate(run.path, checkpoint=checkpoint, episodes=50)
-        print(f"{when}: the primitive earns {evaluation.primitive_returns.mean():.1f} in an episode")
+        print(f"{when}: primitive return {evaluation.primitive_returns.mean():.1f} per episode")
 
 
 if __name__ == "__main__":

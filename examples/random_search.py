@@ -1,4 +1,4 @@
-"""A learner of one's own: random search on policies, which tries neighbours of the best one and keeps a better one."""
+"""A custom algorithm: random search, which samples neighbours of the best policy and keeps a better one."""
 
 # PYTHONPATH=examples shes train point-gather --import random_search --algorithm random-search --tries 32
 
@@ -20,13 +20,13 @@ class SearchSettings(Settings):
     """Random search."""
 
     tries: Annotated[int, Ge(1)] = 64
-    """Neighbours that a generation tries."""
+    """Neighbours sampled in a generation."""
     spread: Annotated[float, Gt(0)] = 0.5
-    """Standard deviation of their distance from the best policy, in each parameter."""
+    """Standard deviation of the difference from the best policy, for each parameter."""
 
 
 class State(NamedTuple):
-    """State between generations, with the best policy [D] and its return."""
+    """State between generations: the best policy [D] and its return, among others."""
 
     seed: int
     theta: np.ndarray
@@ -36,7 +36,7 @@ class State(NamedTuple):
 
 
 class RandomSearch(Algorithm[State]):
-    """Linear policies without goals; workers draw the perturbations from the shared noise table."""
+    """Linear policies without goals, whose perturbations are slices of the shared noise table."""
 
     rooms: ClassVar = {"search": SearchSettings}
 

@@ -1,4 +1,4 @@
-"""The letters of shapes mean the same everywhere: those in docstrings and comments are those of the legend."""
+"""The letters of shapes in docstrings and comments are those of the legend in docs/reference/index.md."""
 
 import re
 from pathlib import Path

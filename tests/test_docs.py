@@ -1,4 +1,4 @@
-"""The documentation builds without a warning, says what the code says, has no broken link, and needs no network."""
+"""The documentation builds without warnings, agrees with the code, has no broken links, and needs no network."""
 
 import importlib.util
 import os
@@ -26,11 +26,11 @@ DOCS = ROOT / "docs"
 SRC = ROOT / "src" / "shes"
 PAGES = sorted(DOCS.rglob("*.md"))
 NOT_IN_THE_REFERENCE = ("bench", "cli", "storage")
-"""Rooms and modules that the reference leaves out, or of which it shows some modules."""
+"""Rooms and modules that the reference omits."""
 
 
 class Page(HTMLParser):
-    """What a test wants to know of a built page."""
+    """Ids, links, resources and tables of a built page."""
 
     def __init__(self, path):
         super().__init__()
@@ -72,7 +72,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory):
-    """Return the folder of the built site; the build is strict."""
+    """Return the folder of the site, built with --strict."""
     for package in ("mkdocs", "material", "mkdocstrings", "mkdocstrings_handlers"):
         if importlib.util.find_spec(package) is None:
             pytest.skip(f"the documentation needs {package}: pip install 'shes[docs]'")
@@ -97,7 +97,7 @@ def pages(site):
 
 
 @pytest.mark.extras
-def test_every_page_is_built_and_no_program_of_the_documentation_is_in_it(site, pages):
+def test_every_page_is_built_and_no_python_file_is_copied(site, pages):
     expected = {path.relative_to(DOCS).with_suffix(".html").as_posix() for path in PAGES}
     expected |= {f"environments/{name}.html" for name in ENVIRONMENTS}
     assert expected <= set(pages)
@@ -108,7 +108,7 @@ def test_every_page_is_built_and_no_program_of_the_documentation_is_in_it(site, 
 def test_every_link_leads_to_a_file_and_to_an_anchor_in_it(site, pages):
     broken = []
     for name, page in pages.items():
-        if name == "404.html":  # its links are absolute: it is shown at any address
+        if name == "404.html":  # its links are absolute, because it is served for any address
             continue
         for link in page.links:
             parts = urlsplit(link)
@@ -151,7 +151,7 @@ def test_no_page_names_a_folder_of_this_machine(pages):
 
 @pytest.mark.extras
 @pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_an_environments_page_lists_what_it_observes_and_how_it_is_moved(site, pages, name):
+def test_an_environments_page_lists_its_observations_and_actions(site, pages, name):
     task = make_task(name, 1)
     page = pages[f"environments/{name}.html"]
     tables = {tuple(cell["text"] for cell in table[0][:2]): table[1:] for table in page.tables}
@@ -197,7 +197,7 @@ def test_the_reference_has_every_room_of_settings_with_the_docstrings_of_its_fie
 
 
 @pytest.mark.extras
-def test_the_reference_names_all_that_import_shes_offers(pages):
+def test_the_reference_lists_the_public_names_of_shes(pages):
     (table,) = pages["reference/shes.html"].tables
     assert [row[0]["text"] for row in table[1:]] == [f"shes.{name}" for name in shes.__all__]
     assert all(row[0]["links"] for row in table[1:] if row[0]["text"] != "shes.__version__")
@@ -243,7 +243,7 @@ def test_the_python_of_getting_started_runs(tmp_path):
 
 
 def run(script):
-    """Run a script in its folder, with warnings as errors; return what it printed."""
+    """Run a script in its folder, with warnings as errors; return its output."""
     done = subprocess.run(
         [sys.executable, "-W", "error", script], cwd=script.parent, capture_output=True, text=True, check=False
     )
@@ -253,7 +253,7 @@ def run(script):
 
 @pytest.fixture(scope="session")
 def flags():
-    """Return every flag that a command, or `shes`, explains: of `train` those of every environment and algorithm."""
+    """Return every flag in the help of `shes` and its commands, of `train` for every environment and algorithm."""
     commands = [["--help"], *([name, "--help"] for name in COMMANDS)]
     commands += [["train", name, "--help-all"] for name in ENVIRONMENTS]
     commands += [["train", "ant-gather", "--algorithm", name, "--help-all"] for name in ALGORITHMS]

@@ -1,4 +1,4 @@
-"""The README is short and says what is true: its links lead somewhere, its Python runs, its flags exist."""
+"""The README is short and true: its links exist, its Python runs, its flags and commands exist."""
 
 import re
 from pathlib import Path

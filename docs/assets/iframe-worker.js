@@ -1,4 +1,4 @@
-// In a page opened from a folder a browser starts no worker, and the search needs one: a hidden frame does its work.
+// Browsers refuse to start a Worker from file://. The search needs one, so a hidden frame stands in for it.
 if (location.protocol === "file:") {
   window.Worker = class extends EventTarget {
     constructor(url) {
