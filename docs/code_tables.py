@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import griffe
+import griffe  # a dependency of mkdocstrings-python
 
 import shes
 from shes.cli import main

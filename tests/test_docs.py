@@ -21,6 +21,8 @@ from shes.envs.tasks.options import TaskOptions
 from shes.settings import flag, setting_fields
 from shes.training.presets import make_config
 
+pytestmark = pytest.mark.timeout(400)  # the first test that needs the site waits for its build
+
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SRC = ROOT / "src" / "shes"
