@@ -45,7 +45,7 @@ SECONDS = ["--seconds", "60"]
 
 def bench(arguments: list[str]) -> dict[str, float]:
     """Run `shes bench` and return what it measured."""
-    command = [sys.executable, "-m", "shes.cli", "bench", *arguments, "--json"]
+    command = [sys.executable, "-m", "shes", "bench", *arguments, "--json"]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
@@ -53,7 +53,7 @@ def worker_memory_mb() -> float:
     """Return the most that a worker of the paper's size holds beyond the noise table, in MB (resident)."""
     with tempfile.TemporaryDirectory() as folder:
         settings = "--preset paper --population-size 40 --noise-table-size 25000000 --generations 2 --workers 1"
-        command = [sys.executable, "-m", "shes.cli", "train", "ant-gather", *settings.split(), "--out", f"{folder}/run"]
+        command = [sys.executable, "-m", "shes", "train", "ant-gather", *settings.split(), "--out", f"{folder}/run"]
         run = psutil.Popen([*command, "--horizon", "100"], stdout=subprocess.DEVNULL)
         most = 0.0
         while run.poll() is None:

@@ -8,7 +8,7 @@ import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -350,13 +350,13 @@ def test_the_permutation_test_of_few_values_is_exact(first, second):
 
 
 @pytest.mark.parametrize("name", STUDIES)
-@pytest.mark.parametrize("scale", get_args(experiment.Scale))
+@pytest.mark.parametrize("scale", ablations.SCALES)
 def test_every_cell_of_a_study_has_settings_that_are_allowed(name, scale, tmp_path):
     check_study(STUDIES[name](scale), tmp_path)
 
 
 @pytest.mark.parametrize("name", STUDIES)
-@pytest.mark.parametrize("scale", get_args(experiment.Scale))
+@pytest.mark.parametrize("scale", ablations.SCALES)
 def test_the_design_of_a_study_names_what_there_is(name, scale):
     study = STUDIES[name](scale)
     design, places = study.design, {(found.env, found.group, found.variant) for found in study.cells}
@@ -431,16 +431,18 @@ def test_some_groups_alone_come_with_the_base_and_the_primitives():
     transfers = [(env, "transfer", name) for env in ablations.ENVS for name in ("scratch", "frozen", "unfrozen")]
     longer = [("point-maze", "horizon", f"horizon-{steps}") for steps in ablations.SCALES["smoke"].horizons]
     assert found == {*both, *transfers, *longer, ("point-flagrun", "transfer", "base")}
-    assert choose(ablation("smoke"), ()) == ablation("smoke")
+    assert choose(ablation("smoke"), None) == ablation("smoke")
     with pytest.raises(UnknownNameError, match=r"unknown group 'choice'\. Did you mean 'choices'"):
         choose(ablation("smoke"), ["choice"])
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_the_command_offers_the_groups_and_scales_there_are(name):
-    assert set(experiment._GROUPS) == set(STUDIES)
-    assert experiment._GROUPS[name] == tuple(STUDIES[name]("smoke").design.groups)
-    assert set(get_args(experiment.Scale)) == set(ablations.SCALES) == set(lessons.SCALES)
+def test_the_command_offers_the_studies_the_scales_and_the_groups_there_are(name):
+    offered = get_type_hints(experiment.experiment)
+    assert get_args(offered["name"]) == tuple(STUDIES)
+    assert set(get_args(offered["scale"])) == set(ablations.SCALES) == set(lessons.SCALES)
+    help_of_only = " ".join(experiment.experiment.__doc__.split()).partition("only: ")[2]
+    assert f"{name}: {', '.join(sorted(STUDIES[name]('smoke').design.groups))}" in help_of_only
 
 
 # The learning study.

@@ -109,19 +109,23 @@ class Outcome:
     """What happened to the workers meanwhile."""
 
 
-def choose(study: Study, groups: Sequence[str]) -> Study:
-    """Return the cells of `groups`, all if there is none, and the base, with which everything is compared.
+def choose(study: Study, groups: Sequence[str] | None) -> Study:
+    """Return `study` with the cells of `groups` and of the base alone; with all cells if `groups` is None.
 
     Raises:
+        ConfigError: `groups` is empty.
         UnknownNameError: There is no such group.
     """
+    if groups is None:
+        return study
+    if not groups:
+        known = ", ".join(sorted(study.design.groups))
+        raise ConfigError(f"--only needs at least one group: {known}. Leave it away to run all.")
     for group in groups:
         if group not in study.design.groups:
             raise UnknownNameError("group", group, study.design.groups, "Set --only.")
     chosen = {
-        cell.name
-        for cell in study.cells
-        if not groups or cell.group in groups or (cell.group, cell.variant) == study.design.base
+        cell.name for cell in study.cells if cell.group in groups or (cell.group, cell.variant) == study.design.base
     }
     return replace(study, cells=tuple(cell for cell in study.cells if cell.name in chosen))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -129,11 +129,11 @@ def evaluate(
     episodes: int = 50,
     checkpoint: str = "best",
     num_workers: int = 0,
-    device: str = "cpu",
+    device: Literal["cpu", "cuda", "warp-cpu"] = "cpu",
     nconmax: int | None = None,
     njmax: int | None = None,
     seed: int | None = None,
-    targets: str = "evaluation",
+    targets: Literal["evaluation", "training"] = "evaluation",
 ) -> Evaluation:
     """Evaluate a checkpoint of a run on episodes that its training never used, not even to choose the checkpoint.
 

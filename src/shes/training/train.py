@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,13 +20,14 @@ from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
 from shes.runs.tables import Records, Row, read_csv
+from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
 from shes.training.evaluate import evaluate_state, evaluation_seeds
 from shes.training.interruption import Interruption
 from shes.training.presets import make_config
 from shes.training.transfer import check_robot, transfer
 
-__all__ = ["Listener", "Run", "resume", "start_run", "train"]
+__all__ = ["Listener", "Run", "check_resumable", "resumable_settings", "resume", "start_run", "train"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +132,7 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
     """
     folder = RunFolder.open(path)
     stored = folder.read_config()
-    _refuse_other_numbers(settings)
+    check_resumable(settings)
     config = stored.having(**{"minutes": None, **settings})
     check_asked_device(config, settings)
     check_device(config)
@@ -158,18 +159,23 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
         return _go_on(folder, algorithm, state, checkpoint, listener)
 
 
-def _refuse_other_numbers(settings: Mapping[str, Any]) -> None:
-    """Refuse settings that would make another run of the one to resume.
+def resumable_settings() -> dict[str, Setting]:
+    """Return the settings that `resume` takes, by name."""
+    return {name: each for name, each in execution_settings().items() if name != "preset"}
+
+
+def check_resumable(names: Iterable[str]) -> None:
+    """Refuse settings that `resume` does not take.
 
     Raises:
-        ConfigError: There is one.
+        ConfigError: A setting is unknown, or would change the numbers of the run.
     """
-    execution, known = execution_settings(), known_settings()
-    allowed = ", ".join(sorted(each.flag for name, each in execution.items() if name != "preset"))
-    for name in settings:
+    resumable, known = resumable_settings(), known_settings()
+    allowed = ", ".join(sorted(each.flag for each in resumable.values()))
+    for name in names:
         if name not in known:
             raise ConfigError(f"unknown setting {name!r}. resume takes {allowed}.")
-        if name not in execution or name == "preset":
+        if name not in resumable:
             raise ConfigError(
                 f"{known[name].flag} would change the numbers of the run; resume takes {allowed}. "
                 "Start another run to change it."
