@@ -28,7 +28,5 @@ def completion(shell: Annotated[Literal["bash", "zsh", "fish", "tcsh"], tyro.con
                 programs, prog="shes", args=arguments, config=(tyro.conf.OmitArgPrefixes,)
             )
     except ImportError as error:
-        raise MissingExtraError(
-            f"completion for {shell} needs shtab (pip install shtab): {error}"
-        ) from error
+        raise MissingExtraError(f"completion for {shell} needs shtab (pip install shtab): {error}") from error
     return 0
