@@ -12,7 +12,7 @@ from shes.cli import commands, main, parsing
 from shes.cli.commands.viewing import plot as plot_command
 from shes.cli.commands.viewing import render as render_command
 from shes.cli.program import COMMANDS, find_command
-from shes.runs.config import execution_settings
+from shes.runs.rooms import execution_settings
 from shes.training.presets import PRESETS, make_config
 from shes.viewing import plot, render
 

@@ -18,7 +18,8 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, VectorOutput
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
-from shes.runs.config import TrainConfig, WorkerSettings, execution_settings, known_settings
+from shes.runs.config import TrainConfig
+from shes.runs.rooms import WorkerSettings, execution_settings, known_settings
 from shes.settings import Gt, Settings, flag
 from shes.training.build import build_algorithm, build_task
 from shes.training.presets import make_config

@@ -19,7 +19,8 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
-from shes.runs.config import TrainConfig, known_settings
+from shes.runs.config import TrainConfig
+from shes.runs.rooms import known_settings
 from shes.settings import Setting, Unasked, flag, setting_fields
 from shes.training.presets import PRESETS, make_config
 from shes.training.train import check_resumable, resumable_settings

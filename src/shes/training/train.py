@@ -1,4 +1,4 @@
-"""Training: the generator of `algorithm.py`, with files, evaluations, an end and an interruption around it."""
+"""Training: runs an algorithm's generator of generations, evaluates, writes files, and handles Ctrl-C."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from shes.algorithms.contract import Algorithm, Report
 from shes.backends.backend import Backend
 from shes.errors import ConfigError
 from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, restore, save_checkpoint
-from shes.runs.config import TrainConfig, execution_settings, known_settings
+from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
+from shes.runs.rooms import execution_settings, known_settings
 from shes.runs.tables import Records, Row, read_csv
 from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
@@ -32,7 +33,7 @@ __all__ = ["Listener", "Run", "check_resumable", "resumable_settings", "resume",
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A run that has ended."""
+    """A finished or stopped run."""
 
     path: Path
     """The run folder."""
@@ -44,19 +45,19 @@ class Run:
 
 
 class Listener(Protocol):
-    """Hears of a run's progress."""
+    """Receives the progress of a run."""
 
     def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
-        """Hear that the run at `path` begins after `generation`."""
+        """Receive the start of the run at `path`, after `generation`."""
 
     def on_generation(self, row: Row) -> None:
-        """Hear of a row of `progress.csv`."""
+        """Receive a row of `progress.csv`."""
 
     def on_evaluation(self, row: Row) -> None:
-        """Hear of a row of `evaluation.csv`."""
+        """Receive a row of `evaluation.csv`."""
 
     def on_event(self, event: str) -> None:
-        """Hear of something unusual: a lost worker, a warning of the simulator."""
+        """Receive a warning: a lost worker, or one of the simulator."""
 
 
 def train(
@@ -72,12 +73,12 @@ def train(
     Args:
         env: Environment, e.g. `ant-gather`.
         preset: `paper`, `laptop` or `smoke`.
-        out: The run folder, which must not hold a run yet; a new one below `runs/` if none.
-        listener: Hears of the progress.
+        out: The run folder, which must not hold a run; a new one below `runs/` if none.
+        listener: Receives the progress.
         settings: Any setting by name, e.g. `seed=0, num_workers=4`.
 
     Raises:
-        UnknownNameError: An environment, preset or other name is not known.
+        UnknownNameError: The environment, the preset or another name is unknown.
         ConfigError: A setting is unknown or out of range.
         RunFolderError: `out` already holds a run.
         StorageError: A file cannot be written.
@@ -92,23 +93,23 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     check_device(config)
     check_robot(config)
     algorithm = build_algorithm(config)
-    algorithm.plan()  # what can be wrong with the noise table, or with a transfer, shows before there is a folder
+    algorithm.plan()  # errors of the noise table or a transfer arise before there is a folder
     state, origins = transfer(algorithm, algorithm.start(config.run.seed))
     folder = RunFolder.create(new_folder(config) if out is None else _path(out))
     with folder.lock():
         checkpoint = Checkpoint(arrays=algorithm.to_arrays(state), best=Best(), numbers=config.numbers())
         for name in ("0", "best", "last"):
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
-        # From here on it is a run, which can be resumed.
+        # From here on the run can be resumed.
         folder.record_start(config, {level: asdict(origin) for level, origin in origins.items()})
         return _go_on(folder, algorithm, state, checkpoint, listener)
 
 
 def _path(out: Path | str) -> Path:
-    """Return the run folder asked for.
+    """Return `out` as a path.
 
     Raises:
-        ConfigError: It is no path.
+        ConfigError: It is not a path.
     """
     if not isinstance(out, str | os.PathLike) or not str(out):
         raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or leave it away.")
@@ -116,18 +117,17 @@ def _path(out: Path | str) -> Path:
 
 
 def resume(path: Path | str, *, listener: Listener | None = None, **settings: Any) -> Run:
-    """Go on with the run at `path` as if it had never stopped, from its last checkpoint.
+    """Continue the run at `path` from its last checkpoint, as if it had never stopped.
 
     Args:
         path: The run folder.
-        listener: Hears of the progress.
-        settings: Settings that do not change what the run is, e.g. `generations=2000, num_workers=8, device="cuda"`.
+        listener: Receives the progress.
+        settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
 
     Raises:
-        RunFolderError: `path` is not a run folder, or that of a shipped agent.
-        CheckpointError: The last checkpoint is damaged or of another run.
-        ConfigError: A setting would change the run's numbers, the run has reached its last generation, or there is no
-            such device.
+        RunFolderError: `path` is not a run folder, or belongs to a shipped agent.
+        CheckpointError: The last checkpoint is damaged or from another run.
+        ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
         MissingExtraError: The device needs a package that is not installed.
     """
     folder = RunFolder.open(path)
@@ -185,7 +185,11 @@ def check_resumable(names: Iterable[str]) -> None:
 def _go_on(
     folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint: Checkpoint, listener: Listener | None
 ) -> Run:
-    """Run from `state` to the end of the generations, steps or minutes, or to an interruption."""
+    """Train from `state` until the run is over, its time is up, or Ctrl-C.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C came before the end.
+    """
     config: TrainConfig = algorithm.problem.settings
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))
@@ -211,7 +215,7 @@ def _go_on(
 
 
 class _Session:
-    """What happens after every generation."""
+    """The records, evaluations and checkpoints of a run during one call."""
 
     def __init__(
         self,
@@ -233,7 +237,7 @@ class _Session:
             listener.on_start(folder.path, self._config, checkpoint.generation, backend.num_workers)
 
     def check_schedules(self) -> None:
-        """Say so where the run ends before its schedules do."""
+        """Log a warning if the run ends before its schedules do."""
         config = self._config
         if config.has_schedule and config.run.generations < config.schedules.schedule_generations:
             self._tell_event(
@@ -242,14 +246,14 @@ class _Session:
             )
 
     def is_over(self) -> bool:
-        """Tell whether the run, or this call's time, has come to its end."""
+        """Return whether the run, or the time of this call, is over."""
         minutes = self._config.run.minutes
         is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
         last = self.checkpoint
         return is_late or self._config.run.is_over(last.generation, last.env_steps)
 
     def add(self, report: Report[Any], interruption: Interruption) -> None:
-        """Write down a generation, evaluate where it is due, and put the checkpoint on its way."""
+        """Record a generation, evaluate if it is due, and start writing the checkpoint."""
         state = report.state
         now = perf_counter()
         made = state.env_steps - self.checkpoint.env_steps
@@ -263,13 +267,13 @@ class _Session:
         self._generation_start = now
         row["evaluation_s"] = 0.0
         self._tell_events(list(report.log))
-        # `last` last: a run that dies before it does this generation, its evaluation and its other checkpoints again.
+        # `last` comes last: a run killed before that repeats this generation with its evaluation and checkpoints.
         best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
         if state.generation == 1 or state.generation % self._config.evaluation.evaluation_interval == 0:
             with interruption.at_once():
                 evaluation = self._evaluate(state)
             self._records.add_evaluation(evaluation)
-            is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score says nothing
+            is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score means nothing
             if is_sound and best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
                 best = Best(
                     generation=state.generation,
@@ -301,12 +305,12 @@ class _Session:
         }
 
     def _tell_events(self, lines: list[str]) -> None:
-        """Log what the simulators and the workers had to say."""
+        """Log `lines` and the events of the workers."""
         for event in (*lines, *self._backend.take_events()):
             self._tell_event(event)
 
     def _tell_event(self, event: str) -> None:
-        """Log something unusual."""
+        """Log a warning and tell the listener."""
         logger.warning(event)
         self._tell("on_event", event)
 
@@ -316,6 +320,6 @@ class _Session:
 
 
 def _wall_time(folder: RunFolder) -> float:
-    """Return the seconds that the run took so far, by its table."""
+    """Return the wall-clock seconds of the run so far, from its table."""
     times = read_csv(folder.progress).get("wall_time_s", []) if folder.progress.exists() else []
     return times[-1] if times else 0.0

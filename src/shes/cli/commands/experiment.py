@@ -12,7 +12,7 @@ import tyro
 from shes.cli.output import print_error, print_facts, print_line, print_table, quote
 from shes.cli.parsing import Json
 from shes.cli.progress_display import format_duration
-from shes.runs.config import WorkerSettings
+from shes.runs.rooms import WorkerSettings
 from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
 from shes.studies.figures import draw_figures
