@@ -10,7 +10,8 @@ import pytest
 
 from shes.cli import main
 from shes.studies.index import STUDIES
-from shes.studies.study import Cell, Study
+from shes.studies.study import Study
+from shes.studies.tables import Cell
 from tests.e2e import runs
 
 TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}

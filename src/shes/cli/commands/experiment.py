@@ -17,7 +17,8 @@ from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
 from shes.studies.figures import draw_figures
 from shes.studies.index import STUDIES
-from shes.studies.study import Outcome, Study, cell_steps, cells_left, check_study, choose, read_summaries, run_study
+from shes.studies.running import Outcome, cells_left, check_study, read_summaries, run_study
+from shes.studies.study import Study, cell_steps, choose
 from shes.studies.tables import write_csv, write_tables
 
 
