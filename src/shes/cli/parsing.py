@@ -30,6 +30,7 @@ __all__ = ["DEFAULT_ENV", "Checkpoint", "Env", "ExecutionFlags", "Json", "Run", 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
 _ALL = "--help-all"
+_CONFIG = (tyro.conf.OmitArgPrefixes,)
 
 Run = Annotated[
     str,
@@ -56,36 +57,26 @@ def call(function: Callable[..., int], words: Sequence[str]) -> int:
         ConfigError: A flag is a setting that the run does not have, or that `shes resume` does not take.
         UnknownNameError: There is no such preset or algorithm.
     """
-    program = program_of(function, words, is_short=not {"-h", "--help"}.isdisjoint(words))
-    has_settings = "settings" in inspect.signature(function).parameters
-    if has_settings:
+    program = program_of(function, words)
+    own = inspect.signature(function).parameters.keys()
+    if "settings" in own:
         _check_flags(function, words)
+    args = ["--help" if word == _ALL else word for word in words]
+    name = function.__name__.rstrip("_")
     try:
-        values = tyro.cli(
-            program,
-            prog=f"shes {function.__name__.rstrip('_')}",
-            args=["--help" if word == _ALL else word for word in words],
-            config=(tyro.conf.OmitArgPrefixes,),
-            registry=_VALUES,
-        )
+        values = tyro.cli(program, prog=f"shes {name}", args=args, config=_CONFIG, registry=_VALUES)
     except SystemExit as end:  # help was shown, or an error was printed
         return end.code if isinstance(end.code, int) else 2
-    if has_settings:
-        own = inspect.signature(function).parameters.keys() - {"settings"}
-        settings = {name: value for room in values.keys() - own for name, value in values.pop(room).items()}
-        values["settings"] = settings
+    if "settings" in own:
+        rooms = [name for name in values if name not in own or name == "settings"]
+        values["settings"] = {name: value for room in rooms for name, value in values.pop(room).items()}
     return function(**values)
 
 
-def program_of(
-    function: Callable[..., int], words: Sequence[str] = (), *, is_short: bool = False
-) -> Callable[..., Any]:
+def program_of(function: Callable[..., int], words: Sequence[str] = ()) -> Callable[..., Any]:
     """Return the function that tyro parses for a command: it returns the values that it is called with.
 
-    Args:
-        function: The command.
-        words: The command line, whose environment, preset and algorithm decide which settings there are.
-        is_short: Whether only everyday settings are shown.
+    The environment, preset and algorithm in the command line `words` decide which settings it has.
     """
     parameters = dict(inspect.signature(function).parameters)
     hints = get_type_hints(function, include_extras=True)
@@ -96,29 +87,27 @@ def program_of(
         hints = {**get_type_hints(behind, include_extras=True), **hints}
         text += "\n\nArgs:\n" + (inspect.getdoc(behind) or "").partition("Args:\n")[2].partition("\n\n")[0]
     if parameters.pop("settings", None):
-        if hints.pop("settings") is ExecutionFlags:
-            title = "A setting that is not given keeps its value."
-            rooms = {"settings": _room(title, resumable_settings().values(), None)}
-        else:
-            rooms = _rooms(_asked_config(words), is_short)
+        rooms = _rooms(words, is_resume=hints.pop("settings") is ExecutionFlags)
         hints |= rooms
         parameters |= {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in rooms}
 
     def program(**values: Any) -> dict[str, Any]:
         return values
 
-    listed = [
-        each.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY) for name, each in parameters.items()
-    ]
+    kind = inspect.Parameter.KEYWORD_ONLY
+    listed = [each.replace(annotation=hints[name], kind=kind) for name, each in parameters.items()]
     program.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined] - inspect and tyro read it
     program.__annotations__ = {name: hints[name] for name in parameters}
     program.__doc__ = text
     return program
 
 
-def _rooms(config: TrainConfig, is_short: bool) -> dict[str, Any]:
-    """Return a `TypedDict` for each room of `config`, or one for its everyday settings."""
-    if is_short:
+def _rooms(words: Sequence[str], *, is_resume: bool) -> dict[str, Any]:
+    """Return a `TypedDict` for each room of settings; for `--help` one for the everyday settings."""
+    if is_resume:
+        return {"settings": _room("A setting that is not given keeps its value.", resumable_settings().values(), None)}
+    config = _asked_config(words)
+    if not {"-h", "--help"}.isdisjoint(words):
         everyday = [each for each in map(config.setting, config.settings) if each.is_everyday]
         title = f"Values of preset {config.run.preset} for {config.run.env}. {_ALL} shows all {len(config.settings)}."
         return {"everyday": _room(title, everyday, config)}

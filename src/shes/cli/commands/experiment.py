@@ -62,29 +62,29 @@ def experiment(
     except KeyboardInterrupt:
         progress.say("Stopped; finished runs are kept. Continue with the same command.")
         raise
+    _print_results(study, out, len(chosen.cells), {each.cell.name: each.error for each in failed}, as_json=json)
+    if failed:
+        print_error(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
+    return 1 if failed else 0
+
+
+def _print_results(study: Study, out: Path, num_cells: int, failed: dict[str, str], *, as_json: bool) -> None:
+    """Write tables and figures of the finished cells into `out`, and print the comparisons and failed cells."""
     summaries = read_summaries(study, out)
     comparisons = compare(study, summaries)
+    rows = [each.row() for each in comparisons]
     write_tables(study.ordered(), summaries, out)
-    write_csv(out / "comparison.csv", [each.row() for each in comparisons])
-    figures = draw_figures(study, summaries, comparisons, out)
-    if json:
-        facts = {
-            "out": str(out),
-            "cells": len(chosen.cells),
-            "failed": {each.cell.name: each.error for each in failed},
-            "figures": [str(path) for path in figures],
-            "comparisons": [each.row() for each in comparisons],
-        }
-        print_facts(facts, as_json=True)
+    write_csv(out / "comparison.csv", rows)
+    figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
+    if as_json:
+        facts = {"out": str(out), "cells": num_cells, "failed": failed, "figures": figures}
+        print_facts({**facts, "comparisons": rows}, as_json=True)
     else:
         _print_comparisons(study.design, comparisons)
         print_line(f"Tables: runs.csv, curves.csv, comparison.csv in {quote(out)}")
         print_line(f"Figures: {' '.join(map(quote, figures)) or 'none'}")
-    for each in failed:
-        print_error(f"{each.cell.name} failed: {each.error}")
-    if failed:
-        print_error(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
-    return 1 if failed else 0
+    for name, error in failed.items():
+        print_error(f"{name} failed: {error}")
 
 
 class _Progress:
