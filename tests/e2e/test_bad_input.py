@@ -180,7 +180,7 @@ WORDS = {
     ),
     "novelty_of_a_primitive": (
         ["train", "point-flagrun", *TRAIN[2:], "--novelty", "ns"],
-        r"novelty is no setting of a run of point-flagrun with algorithm 'shes'\. Leave --novelty away",
+        r"novelty is not a setting of a run of point-flagrun with algorithm 'shes'\. Leave --novelty away",
     ),
     "halves_that_are_none": (
         [*TRAIN, "--perturbation", "one_to_many_halves", "--population-size", "10"],
@@ -188,19 +188,19 @@ WORDS = {
     ),
     "goals_of_a_flat_run": (
         [*TRAIN, "--algorithm", "es", "--goal-encoding", "angle"],
-        r"goal_encoding is no setting of a run of point-gather with algorithm 'es'\. Leave --goal",
+        r"goal_encoding is not a setting of a run of point-gather with algorithm 'es'\. Leave --goal",
     ),
     "controller_of_a_primitive_alone": (
         ["train", "point-flagrun", *TRAIN[2:], "--controller-output", "one_hot"],
-        r"controller_output is no setting of a run of point-flagrun",
+        r"controller_output is not a setting of a run of point-flagrun",
     ),
     "freezing_nothing": (
         [*TRAIN, "--no-freeze-primitive"],
-        r"freeze_primitive does nothing with primitive None, got False\. Set --primitive, or leave --freeze-primitive",
+        r"freeze_primitive has no effect with primitive None, got False\. Set --primitive, or leave --freeze-primitive",
     ),
     "checkpoint_of_no_primitive": (
         [*TRAIN, "--primitive-checkpoint", "last"],
-        r"primitive_checkpoint does nothing with primitive None.*leave --primitive-checkpoint away",
+        r"primitive_checkpoint has no effect with primitive None.*leave --primitive-checkpoint away",
     ),
     "missing_primitive": (
         [*TRAIN, "--primitive", "gone"],

@@ -183,10 +183,10 @@ def _none_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[None] | None
 
 
 def _check_flags(function: Callable[..., int], words: Sequence[str]) -> None:
-    """Refuse flags of settings that the run at hand does not have.
+    """Check that all flags of settings are settings of the run.
 
     Raises:
-        ConfigError: There is one.
+        ConfigError: One is not.
     """
     names = {each.flag: name for name, each in known_settings().items() if name != "env"}
     flags = [word.partition("=")[0].replace("_", "-").replace("--no-", "--") for word in words]
@@ -198,7 +198,7 @@ def _check_flags(function: Callable[..., int], words: Sequence[str]) -> None:
     for name in given:
         if name not in config.settings:
             raise ConfigError(
-                f"{name} is no setting of a run of {config.run.env} with algorithm {config.run.algorithm!r}. "
+                f"{name} is not a setting of a run of {config.run.env} with algorithm {config.run.algorithm!r}. "
                 f"Leave {known_settings()[name].flag} away."
             )
 

@@ -238,7 +238,7 @@ class TrainConfig:
         if is_beside and self.learns[-1] and self.hierarchy.primitive_view == "observation":
             raise ConfigError(
                 "primitive_estimate is 'interval', but the primitive sees the task's observation, which a branch does "
-                "not go on with. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."
+                "not continue. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."
             )
         own = self.estimate.primitive_population_size if is_beside else None
         name, pairs = ("primitive_population_size", own) if own else ("population_size", self.evolution.population_size)

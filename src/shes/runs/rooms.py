@@ -155,7 +155,7 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
             continue
         if name in everywhere:
             raise ConfigError(
-                f"{name} is no setting of a run of {values['env']} with algorithm "
+                f"{name} is not a setting of a run of {values['env']} with algorithm "
                 f"{values.get('algorithm', 'shes')!r}, got {value!r}. Leave {everywhere[name].flag} away."
             )
         close = difflib.get_close_matches(name, here, n=1)

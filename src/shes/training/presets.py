@@ -138,7 +138,7 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
             values.update(brought_settings(level, values[level], checkpoint, values, asked))
     config = TrainConfig(values)
     check_asked_device(config, asked)
-    _refuse_idle(config, asked)
+    _check_effects(config, asked)
     return config
 
 
@@ -158,42 +158,42 @@ _OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping
 """Settings of whole episodes, without effect on a primitive that learns alone from intervals."""
 
 
-def _refuse_idle(config: TrainConfig, asked: Mapping[str, Any]) -> None:
-    """Refuse settings that somebody asked for, and that do nothing beside the others.
+def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
+    """Check that the settings in `asked` have an effect beside the others.
 
     Raises:
-        ConfigError: There is one.
+        ConfigError: One has none.
     """
     for name in asked:
         setting = config.setting(name)
         if not setting.needs or _is_heeded(config, setting.needs):
             continue
         needed = [each for each in setting.needs if each.other in config.settings]
-        there = ", ".join(f"{each.other} {config.settings[each.other]!r}" for each in needed)
+        others = ", ".join(f"{each.other} {config.settings[each.other]!r}" for each in needed)
         fixes = ", or ".join(f"{config.setting(each.other).flag}{_one_of(each.values)}" for each in needed[:1])
         raise ConfigError(
-            f"{name} does nothing with {there}, got {asked[name]!r}. Set {fixes}, or leave {setting.flag} away."
+            f"{name} has no effect with {others}, got {asked[name]!r}. Set {fixes}, or leave {setting.flag} away."
         )
     if config.is_branched and not config.learns[-1]:
         for name in setting_fields(type(config.estimate)):
             if name in asked and name != "primitive_estimate":
                 raise ConfigError(
-                    f"{name} does nothing where the primitive stays as it is; got {asked[name]!r}. "
+                    f"{name} has no effect on a frozen primitive; got {asked[name]!r}. "
                     f"Leave {config.setting(name).flag} away, or set --no-freeze-primitive."
                 )
     if config.is_branched and config.level_names == ("primitive",):
         for name in _OF_EPISODES:
             if name in asked:
                 raise ConfigError(
-                    f"{name} does nothing in a run of {config.run.env} whose primitive is judged by intervals: it "
+                    f"{name} has no effect in a run of {config.run.env} whose primitive is judged by intervals: it "
                     f"concerns whole episodes; got {asked[name]!r}. "
                     f"Leave {config.setting(name).flag} away, or set --primitive-estimate episode."
                 )
     if "perturbation" in asked and sum(config.by_episodes) == 1:
         (learning,) = (name for name, learns in zip(config.level_names, config.by_episodes, strict=True) if learns)
-        told = "learns" if sum(config.learns) == 1 else "is judged by whole episodes"
+        role = "learns" if sum(config.learns) == 1 else "is judged by whole episodes"
         raise ConfigError(
-            f"perturbation says how two levels share the population, but in this run the {learning} alone {told}; got "
+            f"perturbation says how two levels share the population, but in this run the {learning} alone {role}; got "
             f"{asked['perturbation']!r}. Leave --perturbation away."
         )
 

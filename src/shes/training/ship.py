@@ -126,7 +126,7 @@ def _describe(
 ) -> ShippedAgent:
     """Return the description of the agent of `checkpoint`, with its evaluation `found`."""
     config, progress, summary = run.read_config(), read_csv(run.progress), found.summary()
-    told = [field.name for field in fields(FreshEvaluation) if field.name != "seed"]
+    names = [field.name for field in fields(FreshEvaluation) if field.name != "seed"]
     return ShippedAgent(
         description=description,
         env=config.run.env,
@@ -135,7 +135,7 @@ def _describe(
         hours=round(progress["wall_time_s"][-1] / 3600, 3),
         env_steps=int(progress["env_steps"][-1]),
         generation=checkpoint.generation,
-        evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in told}),
+        evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in names}),
     )
 
 

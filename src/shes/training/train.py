@@ -147,7 +147,7 @@ def resumable_settings() -> dict[str, Setting]:
 
 
 def check_resumable(names: Iterable[str]) -> None:
-    """Refuse settings that `resume` does not take.
+    """Check that `resume` takes the settings called `names`.
 
     Raises:
         ConfigError: A setting is unknown, or would change the numbers of the run.

@@ -76,8 +76,8 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState
             f"{path} has no {level}: its levels are {', '.join(opened.algorithm.level_names)}. Name a run with "
             f"--{level} that trained one: {trained_by}."
         )
-    told = Transferred(run=path, env=opened.config.run.env, checkpoint=checkpoint, generation=opened.state.generation)
-    return opened, levels[level], told
+    origin = Transferred(run=path, env=opened.config.run.env, checkpoint=checkpoint, generation=opened.state.generation)
+    return opened, levels[level], origin
 
 
 def _checkpoint_names(folder: RunFolder) -> list[str]:
@@ -172,10 +172,10 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Tran
         path = config.settings.get(name)
         if path is None or not isinstance(algorithm, EvolutionStrategy):
             continue
-        source, level, told = _read(name, path, config.settings[f"{name}_checkpoint"])
+        source, level, origin = _read(name, path, config.settings[f"{name}_checkpoint"])
         assert isinstance(source.algorithm, EvolutionStrategy)
         _check_fit(name, path, source.algorithm, algorithm)
-        state, origins[name] = algorithm.with_level(state, name, level), told
+        state, origins[name] = algorithm.with_level(state, name, level), origin
     return state, origins
 
 
@@ -220,5 +220,5 @@ def _primitive_spec(algorithm: EvolutionStrategy) -> str:
 def _controller_spec(algorithm: EvolutionStrategy) -> str:
     """Return the inputs and outputs of the controller in words."""
     inputs, settings = algorithm.inputs("controller"), algorithm.problem.settings
-    told = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
-    return f"{len(inputs)} inputs ({', '.join(inputs)}) of {told}"
+    spec = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
+    return f"{len(inputs)} inputs ({', '.join(inputs)}) of {spec}"
