@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from time import time
 from typing import Any
@@ -18,7 +19,7 @@ from shes.errors import RunFolderError
 from shes.runs.folder import RunFolder
 from shes.storage import storage_errors, write_atomically
 
-__all__ = ["CsvTable", "Records", "Row", "read_csv"]
+__all__ = ["CsvTable", "Records", "Row", "csv_text", "read_csv"]
 
 Row = dict[str, Any]
 
@@ -35,6 +36,13 @@ def read_csv(path: Path) -> dict[str, list[float]]:
         return {name: [float(row[name]) for row in rows] for name in (rows[0] if rows else {})}
     except (OSError, ValueError, TypeError) as error:
         raise RunFolderError(f"{path} cannot be read as a table of numbers: {error}.") from error
+
+
+def csv_text(rows: Iterable[Sequence[Any]]) -> str:
+    """Return `rows` as the text of a CSV file."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 class CsvTable:
@@ -66,9 +74,7 @@ class CsvTable:
             self._columns = None
             write_atomically(self._path, lambda file: file.write(b""))
             return
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([rows[0], *kept])
-        write_atomically(self._path, lambda file: file.write(text.getvalue().encode()))
+        write_atomically(self._path, lambda file: file.write(csv_text([rows[0], *kept]).encode()))
 
     def add(self, row: Row) -> None:
         """Append `row`, with one write.
@@ -76,14 +82,11 @@ class CsvTable:
         Raises:
             StorageError: The file cannot be written.
         """
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        if self._columns is None:
-            self._columns = list(row)
-            writer.writerow(self._columns)
-        writer.writerow([repr(row[name]) for name in self._columns])
+        header = [] if self._columns else [list(row)]
+        self._columns = self._columns or list(row)
+        text = csv_text([*header, [repr(row[name]) for name in self._columns]])
         with storage_errors(self._path), self._path.open("a", encoding="utf-8") as file:
-            file.write(text.getvalue())
+            file.write(text)
 
 
 class _Events:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from shes.errors import RunFolderError
-from shes.runs.tables import Row
+from shes.runs.tables import Row, csv_text
 from shes.storage import write_atomically
 
 __all__ = ["Cell", "Summary", "read_tables", "write_csv", "write_tables"]
@@ -151,10 +150,6 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
     Raises:
         StorageError: The file cannot be written; an earlier one is unchanged.
     """
-    text = io.StringIO()
-    if rows:
-        columns = dict.fromkeys(name for row in rows for name in row)
-        writer = csv.DictWriter(text, list(columns), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    write_atomically(path, lambda file: file.write(text.getvalue().encode()))
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    text = csv_text([columns, *([row.get(name) for name in columns] for row in rows)]) if rows else ""
+    write_atomically(path, lambda file: file.write(text.encode()))

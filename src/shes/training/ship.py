@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import io
 import json
 import re
 import shlex
@@ -27,7 +26,7 @@ from shes.runs.checkpoint import Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import AGENT_FILE, FreshEvaluation, ShippedAgent
-from shes.runs.tables import read_csv
+from shes.runs.tables import csv_text, read_csv
 from shes.storage import storage_errors, write_atomically
 from shes.training.build import open_run
 from shes.training.evaluate import Evaluation, evaluate
@@ -212,11 +211,8 @@ def _copy_table(source: Path, target: Path, generation: int) -> None:
         header, *rows = csv.reader(file)
     kept = set(np.linspace(0, len(rows) - 1, min(len(rows), _MOST_ROWS - 1)).round().astype(int).tolist())
     kept |= {number for number, each in enumerate(columns["generation"]) if each == generation}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows([_rounded(cell) for cell in rows[number]] for number in sorted(kept))
-    write_atomically(target, lambda file: file.write(text.getvalue().encode()))
+    text = csv_text([header, *([_rounded(cell) for cell in rows[number]] for number in sorted(kept))])
+    write_atomically(target, lambda file: file.write(text.encode()))
 
 
 def _rounded(cell: str) -> str:
