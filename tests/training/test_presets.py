@@ -17,7 +17,7 @@ PAPER = {
     "learning_rate": 0.01,
     "sigma": 0.02,
     "generations": 3000,
-    # Where Table I is silent: the authors' code (algorithm specification, section 7).
+    # Where Table I is silent: the authors' code (docs/differences.md).
     "hidden": (256, 256, 256),
     "biases": "glorot_normal",
     "weight_decay": 0.005,
