@@ -55,9 +55,7 @@ def _moments(generation: Generation, episodes: int) -> tuple[LevelMoments, ...]:
     sizes = [len(level.mean) for level in generation.levels]
     return tuple(
         LevelMoments(
-            count=np.ones(episodes, np.int64),
-            total=np.zeros((episodes, size)),
-            total_squares=np.ones((episodes, size)),
+            count=np.ones(episodes, np.int64), total=np.zeros((episodes, size)), total_squares=np.ones((episodes, size))
         )
         for size in sizes
     )

@@ -33,9 +33,7 @@ _ALL = "--help-all"
 _CONFIG = (tyro.conf.OmitArgPrefixes,)
 
 Run = Annotated[
-    str,
-    tyro.conf.Positional,
-    tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent."),
+    str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent.")
 ]
 Env = Annotated[
     str,

@@ -98,12 +98,7 @@ _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
     ("paper", "ant-flagrun"): {"population_size": 256},
     ("paper", "point-flagrun"): {"population_size": 256},
     # The point reaches a goal in a second, not in two and a half, and its episodes cost little.
-    ("laptop", "point-gather"): {
-        "controller_interval": 10,
-        "learning_rate": 0.04,
-        "horizon": 500,
-        "generations": 80,
-    },
+    ("laptop", "point-gather"): {"controller_interval": 10, "learning_rate": 0.04, "horizon": 500, "generations": 80},
     # Cells of the point's maze are 1 m wide, those of the ant's 4 m.
     ("laptop", "robotics-point-maze"): {"goal_distance": 1.0, "minimum_goal_distance": False},
 }

@@ -97,9 +97,7 @@ class Session:
             is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score means nothing
             if is_sound and best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
                 best = Best(
-                    generation=state.generation,
-                    score=evaluation["score_mean"],
-                    mean_return=evaluation["return_mean"],
+                    generation=state.generation, score=evaluation["score_mean"], mean_return=evaluation["return_mean"]
                 )
                 paths.insert(0, self._folder.checkpoint_path("best"))
             self._tell_events([])

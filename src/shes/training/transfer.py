@@ -31,10 +31,7 @@ _BROUGHT = {
     "controller": ("controller_output", "controller_view", "hidden"),
 }
 """Settings that come with a level."""
-_SUGGESTED = {
-    "primitive": (),
-    "controller": ("controller_interval", "goal_distance", "minimum_goal_distance"),
-}
+_SUGGESTED = {"primitive": (), "controller": ("controller_interval", "goal_distance", "minimum_goal_distance")}
 """Settings that come with a level unless another value is asked for."""
 
 
