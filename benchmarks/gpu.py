@@ -252,7 +252,7 @@ def train(device: str, size: Size, out: Path, minutes: float) -> None:
             transfer = [] if folder == primitive else ["--primitive", str(primitive)]
             command = ["train", env, *small, *transfer, "--out", str(folder), *limits]
         print("shes", *command, flush=True)
-        subprocess.run([sys.executable, "-m", "shes.cli", *command], check=True)
+        subprocess.run([sys.executable, "-m", "shes", *command], check=True)
 
 
 def describe(device: str) -> dict[str, Any]:

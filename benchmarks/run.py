@@ -33,7 +33,7 @@ ROLLOUTS = [
 
 def bench(arguments: str) -> dict[str, float]:
     """Return what `shes bench ARGUMENTS` measures."""
-    command = [sys.executable, "-m", "shes.cli", "bench", *arguments.split(), "--json"]
+    command = [sys.executable, "-m", "shes", "bench", *arguments.split(), "--json"]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
@@ -41,7 +41,7 @@ def worker_memory_mb() -> float:
     """Return the peak resident memory of a worker of the paper's size beyond the noise table, in MB."""
     with tempfile.TemporaryDirectory() as folder:
         settings = f"{PAPER} --generations 2 --workers 1 --horizon 100"
-        command = [sys.executable, "-m", "shes.cli", "train", "ant-gather", *settings.split(), "--out", f"{folder}/run"]
+        command = [sys.executable, "-m", "shes", "train", "ant-gather", *settings.split(), "--out", f"{folder}/run"]
         run = psutil.Popen(command, stdout=subprocess.DEVNULL)
         peak = 0.0
         while run.poll() is None:

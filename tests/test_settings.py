@@ -8,7 +8,7 @@ import pytest
 
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
-from shes.runs.config import known_settings
+from shes.runs.rooms import known_settings
 from shes.settings import (
     Choices,
     Example,

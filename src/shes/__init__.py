@@ -47,7 +47,7 @@ __all__ = [
     "train",
 ]
 
-# Loaded when first asked for: a worker process imports this package too, and needs none of it.
+# Imported on first access: worker processes import this package, too, but need none of these.
 _HOMES = {
     "Agent": "shes.training.play",
     "Evaluation": "shes.training.evaluate",
@@ -65,14 +65,14 @@ _HOMES = {
 }
 
 
-register_known()  # by entry points as strings: MuJoCo is imported when the first environment is made
+register_known()  # entry points are strings: MuJoCo is imported when the first environment is made
 
 
 def import_module(name: str) -> ModuleType:
     """Import a module of this package.
 
     Raises:
-        ConfigError: MuJoCo refuses to be imported with a MUJOCO_GL that it does not know.
+        ConfigError: The import of MuJoCo fails because of the value of MUJOCO_GL.
     """
     try:
         return importlib.import_module(name)

@@ -1,4 +1,4 @@
-"""Settings told once: a field of a frozen dataclass is a setting, and its annotation says what it may be.
+"""Settings: fields of frozen dataclasses, whose annotations say which values are allowed.
 
 ```python
 @dataclass(frozen=True, kw_only=True)
@@ -7,7 +7,7 @@ class SearchSettings(Settings):
     "Radius of the search, in metres."
 ```
 
-Check, flag, help, record and documentation of `radius` are made from these two lines.
+The check, the flag, the help, the record and the documentation of `radius` are derived from these two lines.
 """
 
 from __future__ import annotations
@@ -15,86 +15,76 @@ from __future__ import annotations
 import ast
 import inspect
 import math
+import operator
 import textwrap
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from shes.errors import ConfigError, UnknownNameError
 
-__all__ = [
-    "Choices",
-    "Example",
-    "Execution",
-    "Ge",
-    "Gt",
-    "Le",
-    "Lt",
-    "Needs",
-    "Setting",
-    "Settings",
-    "Shown",
-    "Unasked",
-    "field_texts",
-    "flag",
-    "out_of_range",
-    "setting_fields",
-]
+__all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shown"]
+__all__ += ["Unasked", "field_texts", "flag", "out_of_range", "setting_fields"]
 
 
 @dataclass(frozen=True)
-class Gt:
-    """The value, or each item of it, is greater than `bound`."""
+class _Bound:
+    """A bound of the value, or of each item of a tuple."""
 
     bound: float
+    compare: ClassVar[Callable[[float, float], bool]]
+    """Compares the value with the bound."""
 
 
-@dataclass(frozen=True)
-class Ge:
-    """The value, or each item of it, is at least `bound`."""
+class Gt(_Bound):
+    """The value is greater than `bound`."""
 
-    bound: float
-
-
-@dataclass(frozen=True)
-class Lt:
-    """The value, or each item of it, is less than `bound`."""
-
-    bound: float
+    compare = operator.gt
 
 
-@dataclass(frozen=True)
-class Le:
-    """The value, or each item of it, is at most `bound`."""
+class Ge(_Bound):
+    """The value is at least `bound`."""
 
-    bound: float
+    compare = operator.ge
+
+
+class Lt(_Bound):
+    """The value is less than `bound`."""
+
+    compare = operator.lt
+
+
+class Le(_Bound):
+    """The value is at most `bound`."""
+
+    compare = operator.le
 
 
 @dataclass(frozen=True, eq=False)
 class Choices:
-    """The value is one of these names. A registry may grow later: it is looked up at every check."""
+    """The value is one of these names. They are looked up at every check, because a registry may grow."""
 
     names: Collection[str]
     fix: str = ""
-    """What the error says beside the flag: how a registry is added to."""
+    """How to add a name, for the error message."""
 
 
 @dataclass(frozen=True)
 class Example:
-    """An example of the value, as it is written after the flag."""
+    """An example of the value, as written after the flag."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Execution:
-    """The setting says how, where and how long, and changes no number of a generation.
+    """The setting decides how, where or for how long a run computes, and does not change its numbers.
 
-    A device rounds otherwise; the record of a run says where it changed.
+    Devices round differently; the record of a run says where its device changed.
     """
 
 
@@ -115,9 +105,9 @@ class Unasked:
 
 @dataclass(frozen=True)
 class Needs:
-    """The setting does nothing unless another setting has one of these values: any value but none if there are none.
+    """The setting has no effect unless setting `other` has one of `values`, or is not None if there are no `values`.
 
-    Several of these annotations on one field stand for "any of them".
+    Several of these annotations on one field are alternatives.
     """
 
     other: str
@@ -126,21 +116,21 @@ class Needs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Setting:
-    """A field of a `Settings` class: what its annotation says."""
+    """The description of a field of a `Settings` class."""
 
     name: str
     kind: Any
-    """Type of the value without None: `float`, `tuple`, ..."""
+    """Type of a value other than None: `float`, `tuple`, ..."""
     item: Any
-    """Type of an item of a tuple; `kind` for everything else."""
+    """Type of an item of a tuple; otherwise `kind`."""
     is_optional: bool
     """Whether the value may be None."""
     default: Any
-    """Value if none is given; `dataclasses.MISSING` if there must be one."""
+    """Default value; `dataclasses.MISSING` if the setting is required."""
     notes: tuple[Any, ...]
-    """The annotations."""
+    """Annotations."""
     owner: type
-    """The class that it is a field of."""
+    """The class of which it is a field."""
 
     @property
     def text(self) -> str:
@@ -149,21 +139,21 @@ class Setting:
 
     @property
     def flag(self) -> str:
-        """The flag of the command line."""
+        """The flag on the command line."""
         return next((note.flag for note in self.notes if isinstance(note, Shown) and note.flag), flag(self.name))
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The names that are allowed; none where any value of the type may be."""
+        """Allowed names; empty if any value of the type is allowed."""
         return tuple(name for note in self.notes if isinstance(note, Choices) for name in note.names)
 
     @property
     def needs(self) -> tuple[Needs, ...]:
-        """Other settings without which it does nothing."""
+        """Settings without which it has no effect."""
         return tuple(note for note in self.notes if isinstance(note, Needs))
 
     def has(self, note: type) -> bool:
-        """Tell whether it is annotated with a `note`."""
+        """Return whether it has an annotation of type `note`."""
         return any(isinstance(each, note) for each in self.notes)
 
     @property
@@ -172,11 +162,11 @@ class Setting:
         return any(isinstance(note, Shown) and note.everyday for note in self.notes)
 
     def checked(self, value: Any) -> Any:
-        """Return `value` as Python's own type.
+        """Return `value`, with NumPy types and lists converted to built-in types and tuples.
 
         Raises:
-            ConfigError: It is not allowed.
-            UnknownNameError: It is a name that is not known.
+            ConfigError: The value is not allowed.
+            UnknownNameError: The value is an unknown name.
         """
         value = _plain(value)
         if value is None and self.is_optional:
@@ -184,8 +174,7 @@ class Setting:
         for note in self.notes:
             if isinstance(note, Choices):
                 return self._checked_name(value, note)
-        is_allowed = _is_tuple_of(value, self) if self.kind is tuple else _is_item(value, self.item, self.notes)
-        if not is_allowed:
+        if not (self._is_tuple(value) if self.kind is tuple else self._is_item(value)):
             raise out_of_range(self.name, value, self.allowed, self.flag)
         if self.item is float:
             return tuple(map(float, value)) if self.kind is tuple else float(value)  # type: ignore[arg-type] - checked
@@ -199,9 +188,22 @@ class Setting:
             raise UnknownNameError(self.name.replace("_", " "), value, known.names, fix)
         return value
 
+    def _is_tuple(self, value: Any) -> bool:
+        """Return whether `value` is an allowed tuple. An empty one is allowed for integers: no hidden layers."""
+        return isinstance(value, tuple) and (bool(value) or self.item is int) and all(map(self._is_item, value))
+
+    def _is_item(self, value: Any) -> bool:
+        """Return whether `value` has the type of an item and is within the bounds; a bool is not a number."""
+        if self.item not in (int, float):
+            return isinstance(value, self.item) and (self.item is not str or bool(value))
+        if isinstance(value, bool) or not isinstance(value, int if self.item is int else int | float):
+            return False
+        bounds = (note for note in self.notes if isinstance(note, _Bound))
+        return math.isfinite(value) and all(note.compare(value, note.bound) for note in bounds)
+
     @property
     def allowed(self) -> str:
-        """What the value must be, in words."""
+        """The allowed values in words, for error messages."""
         example = next((f", e.g. {self.flag} {note.text}" for note in self.notes if isinstance(note, Example)), "")
         if self.kind is tuple:
             return f"{_range_in_words(self.item, self.notes, is_many=True)}{example}"
@@ -212,44 +214,44 @@ class Setting:
 
 
 def flag(name: str) -> str:
-    """Return the flag of a setting that is called so."""
+    """Return the flag of the setting called `name`."""
     return "--" + name.replace("_", "-")
 
 
 def out_of_range(name: str, value: Any, allowed: str, its_flag: str = "") -> ConfigError:
-    """Return the error of a setting whose value is not `allowed`."""
+    """Return the error for setting `name` with a `value` that is not `allowed`."""
     return ConfigError(f"{name} must be {allowed}, got {value!r}. Set {its_flag or flag(name)}.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Base of every class of settings: a frozen dataclass whose values are checked when it is made."""
+    """Base class of settings: a frozen dataclass that checks its values on construction."""
 
     def __post_init__(self) -> None:
-        """Check every value; NumPy's numbers become Python's, lists tuples.
+        """Check and convert every value; see `Setting.checked`.
 
         Raises:
             ConfigError: A value is not allowed.
-            UnknownNameError: A name is not known.
+            UnknownNameError: A value is an unknown name.
         """
         for setting in setting_fields(type(self)).values():
             object.__setattr__(self, setting.name, setting.checked(getattr(self, setting.name)))
         self.check()
 
     def check(self) -> None:
-        """Refuse values that do not go together; does nothing unless a subclass says otherwise.
+        """Check combinations of values; a subclass may override it.
 
         Raises:
-            ConfigError: There are such values.
+            ConfigError: Two values do not go together.
         """
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
-        """Return the settings with those of `values` that are theirs."""
+        """Return the settings of this class among `values`, by name; other names are ignored."""
         return cls(**{name: values[name] for name in setting_fields(cls) if name in values})
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the values as JSON holds them."""
+        """Return the values as JSON types, without `Unasked` fields."""
         return {
             name: _as_json(getattr(self, name))
             for name, setting in setting_fields(type(self)).items()
@@ -259,7 +261,7 @@ class Settings:
 
 @cache
 def setting_fields(cls: type) -> dict[str, Setting]:
-    """Return the settings of a class, by name, those of its ancestors first."""
+    """Return the settings of a class by name, those of its base classes first."""
     hints = get_type_hints(cls, include_extras=True)
     found = {}
     for field in fields(cls):
@@ -288,7 +290,7 @@ def setting_fields(cls: type) -> dict[str, Setting]:
 
 
 def _unwrapped(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    """Return a type without its annotations, and these."""
+    """Return a type without its annotations, and the annotations."""
     if get_origin(kind) is Annotated:
         inner, notes = _unwrapped(get_args(kind)[0])
         return inner, (*notes, *kind.__metadata__)
@@ -297,13 +299,13 @@ def _unwrapped(kind: Any) -> tuple[Any, tuple[Any, ...]]:
 
 @cache
 def field_texts(cls: type) -> dict[str, str]:
-    """Return the docstrings under the fields of a dataclass and its ancestors, on one line each."""
+    """Return the docstrings under the fields of a dataclass and its base classes, each on one line."""
     texts: dict[str, str] = {}
     for ancestor in reversed(cls.__mro__[:-1]):
         try:
             (tree,) = ast.parse(textwrap.dedent(inspect.getsource(ancestor))).body
         except (OSError, TypeError, SyntaxError):
-            continue  # a class made in a console has no source
+            continue  # a class defined in a console has no source
         assert isinstance(tree, ast.ClassDef)
         for statement, follower in zip(tree.body, tree.body[1:], strict=False):
             if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
@@ -314,7 +316,7 @@ def field_texts(cls: type) -> dict[str, str]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a NumPy number as Python's own, and a list or an array as a tuple: JSON gives back what it was given."""
+    """Return a NumPy number as a built-in number, and a list or an array as a tuple."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
@@ -328,34 +330,8 @@ def _as_json(value: Any) -> Any:
     return value.to_dict() if hasattr(value, "to_dict") else value
 
 
-def _is_tuple_of(value: Any, setting: Setting) -> bool:
-    return (
-        isinstance(value, tuple)
-        and (bool(value) or setting.item is int)  # no layer is a choice, no coordinate is a mistake
-        and all(_is_item(each, setting.item, setting.notes) for each in value)
-    )
-
-
-def _is_item(value: Any, kind: Any, notes: Iterable[Any]) -> bool:
-    """Tell whether `value` is of type `kind` and within the bounds among `notes`; a bool is no number."""
-    if kind not in (int, float):
-        return isinstance(value, kind) and (kind is not str or bool(value))
-    if isinstance(value, bool) or not isinstance(value, int if kind is int else int | float):
-        return False
-    return math.isfinite(value) and all(_is_within(value, note) for note in notes)
-
-
-def _is_within(value: float, note: Any) -> bool:
-    return not (
-        (isinstance(note, Gt) and not value > note.bound)
-        or (isinstance(note, Ge) and not value >= note.bound)
-        or (isinstance(note, Lt) and not value < note.bound)
-        or (isinstance(note, Le) and not value <= note.bound)
-    )
-
-
 def _range_in_words(kind: Any, notes: tuple[Any, ...], *, is_many: bool = False) -> str:
-    """Return which numbers are allowed: `a whole number of at least 1`, `more than 0 and less than 1`."""
+    """Return the allowed numbers in words: `a whole number of at least 1`, `more than 0 and less than 1`."""
     noun = {(int, False): "a whole number", (int, True): "whole numbers", (float, True): "numbers"}.get(
         (kind, is_many), "a number"
     )
@@ -373,7 +349,7 @@ def _range_in_words(kind: Any, notes: tuple[Any, ...], *, is_many: bool = False)
 
 
 def _between(noun: str, low: Gt | Ge, high: Lt | Le) -> str:
-    """Return how numbers between two bounds are called."""
+    """Return the numbers between two bounds in words."""
     if isinstance(low, Ge) and isinstance(high, Le):
         return f"{noun} between {low.bound:g} and {high.bound:g}".strip()
     last = f"2**{math.log2(high.bound):g}" if high.bound >= 2**53 else f"{high.bound:g}"

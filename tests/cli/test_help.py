@@ -9,10 +9,10 @@ from typing import get_args, get_type_hints
 import pytest
 
 from shes.cli import commands, main, parsing
-from shes.cli.commands.plot import plot as plot_command
-from shes.cli.commands.render import render as render_command
-from shes.cli.program import COMMANDS
-from shes.runs.config import execution_settings
+from shes.cli.commands.viewing import plot as plot_command
+from shes.cli.commands.viewing import render as render_command
+from shes.cli.program import COMMANDS, find_command
+from shes.runs.rooms import execution_settings
 from shes.training.presets import PRESETS, make_config
 from shes.viewing import plot, render
 
@@ -40,8 +40,10 @@ def test_help_names_every_command(shes, words):
     assert "--import MODULE" in text
 
 
-def test_the_commands_are_the_files_in_their_folder():
-    assert {path.stem for path in Path(commands.__file__).parent.glob("[!_]*.py")} == set(COMMANDS)
+def test_every_file_of_commands_is_used_and_every_command_is_found():
+    files = {path.stem for path in Path(commands.__file__).parent.glob("[!_]*.py")}
+    assert files == {module for module, _ in COMMANDS.values()}
+    assert [find_command(name).__name__.rstrip("_") for name in COMMANDS] == list(COMMANDS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -67,7 +69,7 @@ def test_the_choices_are_those_of_the_functions_behind():
 
 def test_the_help_of_train_fits_two_screens_and_shows_what_the_preset_sets(shes):
     text = shes("train", "point-gather", "--preset", "paper", "--help")
-    assert len(text.splitlines()) <= 62
+    assert len(text.splitlines()) <= 60
     assert "preset paper for point-gather" in text
     assert re.search(r"--sigma FLOAT.*?\(default: 0\.02\)", text, re.DOTALL)
     assert re.search(r"--population-size INT.*?\(default: 1000\)", text, re.DOTALL)
@@ -96,7 +98,7 @@ def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_room
 def test_values_are_written_as_people_write_them(shes):
     text = shes("train", "--help-all")
     assert "--mirrored {quad,pair,none}" in text
-    assert "--minutes FLOAT|none" in text
+    assert "--minutes none|FLOAT" in text
     assert "--num-workers INT, --workers INT" in text or "--workers INT, --num-workers INT" in text
     assert "--env " not in text
 
@@ -148,6 +150,22 @@ def test_the_value_of_every_setting_can_be_written_on_the_command_line(given, pr
     assert given("ant-gather", *words) == expected
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["train", "ant-gather", "--backend", "proces"], "--backend: unknown name 'proces'. Did you mean 'processes'?"),
+        (["train", "ant-gater"], "unknown environment 'ant-gater'. Did you mean 'ant-gather'?"),
+        (["train", "ant-gather", "--preset", "lap"], "unknown preset 'lap'. Did you mean 'laptop'?"),
+        (["evaluate", "x", "--targets", "traning"], "--targets: unknown name 'traning'. Did you mean 'training'?"),
+        (["experiment", "ablatoin"], "unknown name 'ablatoin'. Did you mean 'ablation'?"),
+    ],
+)
+def test_a_misspelled_choice_is_answered_with_the_nearest(capsys, monkeypatch, words, message):
+    monkeypatch.setenv("COLUMNS", "160")
+    assert main(words) == 2
+    assert message in capsys.readouterr().err
+
+
 def test_resume_takes_the_settings_that_change_no_number(shes):
     text = shes("resume", "--help")
     for name, setting in execution_settings().items():
@@ -160,3 +178,9 @@ def test_a_shell_can_be_taught_the_words(shes, shell):
     script = shes("completion", shell)
     for word in ("train", "evaluate", "population-size", "checkpoint", "laptop"):
         assert word in script
+
+
+def test_completion_for_tcsh_names_the_package_that_it_needs(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["completion", "tcsh"]) == 2
+    assert "completion for tcsh needs shtab" in capsys.readouterr().err

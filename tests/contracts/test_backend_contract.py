@@ -7,7 +7,7 @@ from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.errors import WorkerError
-from shes.runs.config import WorkerSettings
+from shes.runs.rooms import WorkerSettings
 from shes.settings import setting_fields
 from tests.backends.workers import ERRORS, Worker
 

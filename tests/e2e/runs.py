@@ -31,7 +31,7 @@ TINY = {
 }
 """Settings of a run that takes a fraction of a second."""
 
-COMMAND = (sys.executable, "-m", "shes.cli")
+COMMAND = (sys.executable, "-m", "shes")
 PATIENCE_S = 60.0
 """Longest wait for something that is about to happen: a busy machine is no failure."""
 GONE_WITHIN_S = 2.0

@@ -79,7 +79,10 @@ WORDS = {
     "last_flag_without_a_value": ([*TRAIN, "--mirrored"], r"Missing value for argument '--mirrored'"),
     "switch_with_a_value": ([*TRAIN, "--minimum-goal-distance=no"], r"Unrecognized options: no"),
     "flag_of_another_kind": ([*TRAIN, "-s", "1"], r"Unrecognized options: -s, 1"),
-    "flag_before_the_command": (["--sigma", "1", "train"], r"unknown flag --sigma before the command\. `shes --help`"),
+    "flag_before_the_command": (
+        ["--sigma", "1", "train"],
+        r"unknown flag --sigma before the command\. See `shes --help`",
+    ),
     "environment_as_a_flag": (
         ["train", "--env", "point-gather"],
         r"Missing from shes train: ENV|Unrecognized options: --env|Missing value for argument",
@@ -87,7 +90,7 @@ WORDS = {
     "optional_number": ([*TRAIN, "--minutes", "soon"], r"Error parsing --minutes: .*'soon'"),
     "unknown_choice": (
         [*TRAIN, "--mirrored", "trio"],
-        r"invalid choice 'trio' for argument '--mirrored'\. Expected one of \('quad', 'pair', 'none'\)",
+        r"Error parsing --mirrored: unknown name 'trio'\. Known: quad, pair, none",
     ),
     "import_without_a_module": (["train", "--import"], r"--import needs a value: --import MODULE"),
     "import_of_nothing": (
@@ -107,11 +110,11 @@ WORDS = {
     ),
     "unknown_reward": (
         [*TRAIN, "--primitive-reward", "progres"],
-        r"invalid choice 'progres' for argument '--primitive-reward'\. Expected one of \('progress'",
+        r"Error parsing --primitive-reward: unknown name 'progres'\. Did you mean 'progress'",
     ),
     "unknown_backend": (
         [*TRAIN, "--backend", "sereal"],
-        r"invalid choice 'sereal' for argument '--backend'\. Expected one of \('processes', 'serial'\)",
+        r"Error parsing --backend: unknown name 'sereal'\. Did you mean 'serial'",
     ),
     "noise_table_too_small": (
         [*TRAIN, "--noise-table-size", "100"],
@@ -121,23 +124,23 @@ WORDS = {
         [*TRAIN, "--algorithm", "se"],
         r"unknown algorithm 'se'\. Did you mean 'shes'\? Known: shes, es\. Set --algorithm",
     ),
-    "unknown_novelty": ([*TRAIN, "--novelty", "nsraa"], r"invalid choice 'nsraa' for argument '--novelty'"),
+    "unknown_novelty": ([*TRAIN, "--novelty", "nsraa"], r"Error parsing --novelty: unknown name 'nsraa'"),
     "unknown_perturbation": (
         [*TRAIN, "--perturbation", "one-to-many"],
-        r"invalid choice 'one-to-many' for argument '--perturbation'.*'one_to_many'",
+        r"Error parsing --perturbation: unknown name 'one-to-many'.*'one_to_many'",
     ),
-    "unknown_optimizer": ([*TRAIN, "--optimizer", "adm"], r"invalid choice 'adm' for argument '--optimizer'.*'adam'"),
+    "unknown_optimizer": ([*TRAIN, "--optimizer", "adm"], r"Error parsing --optimizer: unknown name 'adm'.*'adam'"),
     "unknown_shaping": (
         [*TRAIN, "--fitness-shaping", "zscore"],
-        r"invalid choice 'zscore' for argument '--fitness-shaping'.*'z_score'",
+        r"Error parsing --fitness-shaping: unknown name 'zscore'.*'z_score'",
     ),
     "unknown_controller_output": (
         [*TRAIN, "--controller-output", "onehot"],
-        r"invalid choice 'onehot' for argument '--controller-output'.*'one_hot'",
+        r"Error parsing --controller-output: unknown name 'onehot'.*'one_hot'",
     ),
     "unknown_schedule": (
         [*TRAIN, "--sigma-schedule", "line", "--sigma-end", "1"],
-        r"invalid choice 'line' for argument '--sigma-schedule'.*'linear'",
+        r"Error parsing --sigma-schedule: unknown name 'line'.*'linear'",
     ),
     "schedule_without_an_end": (
         [*TRAIN, "--learning-rate-schedule", "cosine"],
@@ -177,7 +180,7 @@ WORDS = {
     ),
     "novelty_of_a_primitive": (
         ["train", "point-flagrun", *TRAIN[2:], "--novelty", "ns"],
-        r"novelty is no setting of a run of point-flagrun with algorithm 'shes'\. Leave --novelty away",
+        r"novelty is not a setting of a run of point-flagrun with algorithm 'shes'\. Leave --novelty away",
     ),
     "halves_that_are_none": (
         [*TRAIN, "--perturbation", "one_to_many_halves", "--population-size", "10"],
@@ -185,19 +188,19 @@ WORDS = {
     ),
     "goals_of_a_flat_run": (
         [*TRAIN, "--algorithm", "es", "--goal-encoding", "angle"],
-        r"goal_encoding is no setting of a run of point-gather with algorithm 'es'\. Leave --goal",
+        r"goal_encoding is not a setting of a run of point-gather with algorithm 'es'\. Leave --goal",
     ),
     "controller_of_a_primitive_alone": (
         ["train", "point-flagrun", *TRAIN[2:], "--controller-output", "one_hot"],
-        r"controller_output is no setting of a run of point-flagrun",
+        r"controller_output is not a setting of a run of point-flagrun",
     ),
     "freezing_nothing": (
         [*TRAIN, "--no-freeze-primitive"],
-        r"freeze_primitive does nothing with primitive None, got False\. Set --primitive, or leave --freeze-primitive",
+        r"freeze_primitive has no effect with primitive None, got False\. Set --primitive, or leave --freeze-primitive",
     ),
     "checkpoint_of_no_primitive": (
         [*TRAIN, "--primitive-checkpoint", "last"],
-        r"primitive_checkpoint does nothing with primitive None.*leave --primitive-checkpoint away",
+        r"primitive_checkpoint has no effect with primitive None.*leave --primitive-checkpoint away",
     ),
     "missing_primitive": (
         [*TRAIN, "--primitive", "gone"],
@@ -220,8 +223,8 @@ WORDS = {
     "plot_without_a_run": (["plot"], r"plot needs at least one run folder: shes plot RUN"),
     "plot_of_a_missing_run": (["plot", "gone"], r"gone does not exist\. Give the folder"),
     "render_without_a_run": (["render"], r"Missing from shes render: RUN The run folder"),
-    "unknown_shell": (["completion", "bsh"], r"invalid choice 'bsh' for argument 'shell'"),
-    "unknown_bench": (["bench", "rolout"], r"invalid choice 'rolout' for argument 'name'"),
+    "unknown_shell": (["completion", "bsh"], r"unknown name 'bsh'\. Did you mean 'bash'"),
+    "unknown_bench": (["bench", "rolout"], r"unknown name 'rolout'\. Did you mean 'rollout'"),
 }
 
 
@@ -674,7 +677,7 @@ def test_a_picture_in_a_missing_folder_is_refused(refused, run_copy):
 
 
 def test_a_reader_that_goes_away_is_no_error():
-    command = f"{sys.executable} -m shes.cli train --help | head -1"
+    command = f"{sys.executable} -m shes train --help | head -1"
     done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False)
     assert (done.returncode in (0, 141), done.stderr) == (True, "")
     assert done.stdout.startswith("usage: shes train")

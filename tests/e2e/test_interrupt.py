@@ -10,6 +10,7 @@ from shes.errors import ShesError
 from shes.hierarchy.results import PopulationResults
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.folder import RunFolder
+from shes.training import session
 from shes.training import train as training
 from shes.training.train import resume
 from tests.e2e import runs
@@ -141,8 +142,8 @@ def test_ctrl_c_in_an_evaluation_does_the_generation_again(tmp_path, tiny_run, m
             raise AssertionError("the evaluation went on")
         return original(*arguments)
 
-    original = training.evaluate_state
-    monkeypatch.setattr(training, "evaluate_state", evaluate)
+    original = session.evaluate_state
+    monkeypatch.setattr(session, "evaluate_state", evaluate)
     interrupted(tmp_path / "run")
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
     monkeypatch.undo()

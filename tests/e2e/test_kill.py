@@ -8,7 +8,7 @@ import psutil
 import pytest
 
 import shes
-from shes.training import train as training
+from shes.training import session
 from tests.e2e import runs
 from tests.e2e.conftest import BRANCHED
 
@@ -130,8 +130,8 @@ def test_a_worker_killed_in_the_last_evaluation_is_told_and_changes_no_number(tm
         evaluate.calls += 1
         return original(algorithm, state, seeds, backend)
 
-    evaluate.calls, original = 0, training.evaluate_state
-    monkeypatch.setattr(training, "evaluate_state", evaluate)
+    evaluate.calls, original = 0, session.evaluate_state
+    monkeypatch.setattr(session, "evaluate_state", evaluate)
     path = runs.train_tiny(tmp_path / "run", backend="processes", num_workers=2)
     ((_, generation, _),) = losses(path)
     assert generation == 4

@@ -18,7 +18,8 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, VectorOutput
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
-from shes.runs.config import TrainConfig, WorkerSettings, execution_settings, known_settings
+from shes.runs.config import TrainConfig
+from shes.runs.rooms import WorkerSettings, execution_settings, known_settings
 from shes.settings import Gt, Settings, flag
 from shes.training.build import build_algorithm, build_task
 from shes.training.presets import make_config
@@ -194,7 +195,7 @@ def test_a_task_and_a_body_from_outside_bring_their_own_settings(monkeypatch, tm
     assert (task.options.corner_m, task.body.options.load_kg) == (3.0, 5.0)
     with pytest.raises(ConfigError, match=r"corner_m must be a number greater than 1, got 0\.5\. Set --corner-m\."):
         make_config("point-corner", "smoke", {"corner_m": 0.5})
-    with pytest.raises(ConfigError, match=r"corner_m is no setting of a run of point-gather with algorithm 'shes'"):
+    with pytest.raises(ConfigError, match=r"corner_m is not a setting of a run of point-gather with algorithm 'shes'"):
         make_config("point-gather", "smoke", {"corner_m": 2.0})
     env = gymnasium.make("shes/PointCorner-v0", **own).unwrapped
     assert (env._adapter.task.options.corner_m, env._adapter.task.body.options.load_kg) == (3.0, 5.0)
@@ -333,7 +334,7 @@ UNHEEDED = [
 @pytest.mark.parametrize(("env", "algorithm", "name"), UNHEEDED)
 def test_what_would_do_nothing_is_no_setting_of_the_run(env, algorithm, name):
     message = (
-        rf"{name} is no setting of a run of {env} with algorithm '{algorithm}', got .*\. Leave {flag(name)} away\."
+        rf"{name} is not a setting of a run of {env} with algorithm '{algorithm}', got .*\. Leave {flag(name)} away\."
     )
     with pytest.raises(ConfigError, match=message):
         make_config(env, "smoke", {"algorithm": algorithm, name: OF_PRIMITIVES.get(name, "ns")})
@@ -357,7 +358,7 @@ def test_a_random_controller_heeds_interval_and_distance(algorithm, name):
     ],
 )
 def test_what_concerns_a_transferred_level_needs_one(level, name, value):
-    message = rf"{name} does nothing with {level} None, got {value!r}\. Set --{level}, or leave {flag(name)} away\."
+    message = rf"{name} has no effect with {level} None, got {value!r}\. Set --{level}, or leave {flag(name)} away\."
     with pytest.raises(ConfigError, match=message):
         make_config("point-gather", "smoke", {name: value})
 

@@ -13,8 +13,9 @@ import shes.training.build
 from shes.backends.serial import SerialBackend
 from shes.bench.measure import bench_update
 from shes.errors import ConfigError
-from shes.runs.config import TrainConfig, WorkerSettings, execution_settings
+from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device, device_changes, device_facts
+from shes.runs.rooms import WorkerSettings, execution_settings
 from shes.settings import setting_fields
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp_device import DEVICES

@@ -71,7 +71,7 @@ def test_a_new_folder_is_named_after_run_and_time_and_is_never_given_twice(monke
 def test_two_processes_never_run_in_one_folder(tiny_run, run_copy):
     """The lock goes with the process that holds it, so that a killed run leaves none."""
     with RunFolder.open(run_copy).lock():
-        with pytest.raises(RunFolderError, match=r"is in use: a run is being trained in it\. Wait for"):
+        with pytest.raises(RunFolderError, match=r"is in use: another process trains in it\. Wait for"):
             shes.resume(run_copy, generations=5)
         assert shes.load(run_copy)  # looking is allowed
     assert runs.differences(tiny_run, run_copy) == []

@@ -284,9 +284,7 @@ def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):
 
 
 def test_a_run_without_an_evaluation_and_a_name_that_is_taken_are_refused(agents, tiny_run, run_copy):
-    with pytest.raises(
-        RunFolderError, match=r"point-gather is there already\. Delete it first, or choose another name"
-    ):
+    with pytest.raises(RunFolderError, match=r"point-gather exists already\. Delete it first, or choose another name"):
         ship(tiny_run, "point-gather", **TOLD)
     start = RunFolder.open(run_copy).load("0")
     save_checkpoint(run_copy / "checkpoints" / "best.npz", start)

@@ -8,7 +8,7 @@ import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -18,26 +18,17 @@ from shes.cli.commands import experiment
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
 from shes.studies import ablation as ablations
 from shes.studies import learning as lessons
-from shes.studies import study as studies
+from shes.studies import running
 from shes.studies.ablation import ablation
 from shes.studies.comparison import compare
 from shes.studies.design import sweep_name
 from shes.studies.index import STUDIES
 from shes.studies.learning import learning
+from shes.studies.running import cells_left, check_study, read_summaries, run_cell, run_study
 from shes.studies.significance import check_scipy, holm, permutation_test
-from shes.studies.study import (
-    Study,
-    cell_config,
-    cell_steps,
-    cells_left,
-    check_study,
-    choose,
-    generation_steps,
-    read_summaries,
-    run_cell,
-    run_study,
-)
+from shes.studies.study import Study, cell_config, cell_steps, choose, generation_steps
 from shes.studies.tables import Cell, Summary, read_tables, write_tables
+from shes.training import session
 from shes.training import train as training
 from shes.training.evaluate import evaluate
 from shes.training.presets import make_config
@@ -124,7 +115,7 @@ def test_a_cell_is_an_ordinary_run_and_a_row(finished, tiny_run):
 
 def test_a_finished_cell_is_not_run_again(finished, monkeypatch):
     for name in ("start_run", "resume", "evaluate"):
-        monkeypatch.setattr(studies, name, None)
+        monkeypatch.setattr(running, name, None)
     out, summary = finished
     assert run_cell(cell(), out, 3) == summary
 
@@ -138,8 +129,8 @@ def test_a_cell_that_was_stopped_goes_on_as_if_it_had_not(finished, tmp_path, mo
             signal.raise_signal(signal.SIGINT)
         return original(*arguments)
 
-    original = training.evaluate_state
-    monkeypatch.setattr(training, "evaluate_state", evaluate)
+    original = session.evaluate_state
+    monkeypatch.setattr(session, "evaluate_state", evaluate)
     with pytest.raises(KeyboardInterrupt):
         run_cell(cell(), tmp_path, 3)
     assert read_summaries(Study(cells=(cell(),)), tmp_path) == {}
@@ -152,7 +143,7 @@ def test_a_cell_that_was_stopped_goes_on_as_if_it_had_not(finished, tmp_path, mo
 def test_a_cell_whose_evaluation_alone_is_missing_is_not_trained_again(finished, tmp_path, monkeypatch):
     shutil.copytree(finished[0], tmp_path / "copy")
     (tmp_path / "copy" / cell().name / "summary.json").unlink()
-    monkeypatch.setattr(studies, "resume", None)
+    monkeypatch.setattr(running, "resume", None)
     assert run_cell(cell(), tmp_path / "copy", 3) == finished[1]
 
 
@@ -220,8 +211,8 @@ def test_tables_are_read_back_as_they_were_written(finished, tmp_path):
 @pytest.fixture
 def in_this_process(monkeypatch):
     """Let a study work here: its processes have their tests in tests/e2e, and take their time to start."""
-    monkeypatch.setattr(studies, "ProcessesBackend", lambda factory, _: SerialBackend(factory))
-    monkeypatch.setattr(studies.signal, "pthread_sigmask", lambda *_: None)
+    monkeypatch.setattr(running, "ProcessesBackend", lambda factory, _: SerialBackend(factory))
+    monkeypatch.setattr(running.signal, "pthread_sigmask", lambda *_: None)
 
 
 def test_a_cell_that_fails_is_named_and_stops_only_what_begins_with_it(tmp_path, finished, in_this_process):
@@ -240,8 +231,8 @@ def test_an_error_nobody_expected_is_an_outcome_with_its_traceback(monkeypatch, 
     def fail(*arguments):
         raise ZeroDivisionError("nothing to divide by")
 
-    monkeypatch.setattr(studies, "run_cell", fail)
-    ((number, outcome),) = studies.StudyWorker(tmp_path, 3).run(iter([(4, cell())]), 1)
+    monkeypatch.setattr(running, "run_cell", fail)
+    ((number, outcome),) = running.StudyWorker(tmp_path, 3).run(iter([(4, cell())]), 1)
     assert (number, outcome.summary) == (4, None)
     assert outcome.error.endswith("ZeroDivisionError: nothing to divide by\n")
 
@@ -350,13 +341,13 @@ def test_the_permutation_test_of_few_values_is_exact(first, second):
 
 
 @pytest.mark.parametrize("name", STUDIES)
-@pytest.mark.parametrize("scale", get_args(experiment.Scale))
+@pytest.mark.parametrize("scale", ablations.SCALES)
 def test_every_cell_of_a_study_has_settings_that_are_allowed(name, scale, tmp_path):
     check_study(STUDIES[name](scale), tmp_path)
 
 
 @pytest.mark.parametrize("name", STUDIES)
-@pytest.mark.parametrize("scale", get_args(experiment.Scale))
+@pytest.mark.parametrize("scale", ablations.SCALES)
 def test_the_design_of_a_study_names_what_there_is(name, scale):
     study = STUDIES[name](scale)
     design, places = study.design, {(found.env, found.group, found.variant) for found in study.cells}
@@ -431,16 +422,18 @@ def test_some_groups_alone_come_with_the_base_and_the_primitives():
     transfers = [(env, "transfer", name) for env in ablations.ENVS for name in ("scratch", "frozen", "unfrozen")]
     longer = [("point-maze", "horizon", f"horizon-{steps}") for steps in ablations.SCALES["smoke"].horizons]
     assert found == {*both, *transfers, *longer, ("point-flagrun", "transfer", "base")}
-    assert choose(ablation("smoke"), ()) == ablation("smoke")
+    assert choose(ablation("smoke"), None) == ablation("smoke")
     with pytest.raises(UnknownNameError, match=r"unknown group 'choice'\. Did you mean 'choices'"):
         choose(ablation("smoke"), ["choice"])
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_the_command_offers_the_groups_and_scales_there_are(name):
-    assert set(experiment._GROUPS) == set(STUDIES)
-    assert experiment._GROUPS[name] == tuple(STUDIES[name]("smoke").design.groups)
-    assert set(get_args(experiment.Scale)) == set(ablations.SCALES) == set(lessons.SCALES)
+def test_the_command_offers_the_studies_the_scales_and_the_groups_there_are(name):
+    offered = get_type_hints(experiment.experiment)
+    assert get_args(offered["name"]) == tuple(STUDIES)
+    assert set(get_args(offered["scale"])) == set(ablations.SCALES) == set(lessons.SCALES)
+    help_of_only = " ".join(experiment.experiment.__doc__.split()).partition("only: ")[2]
+    assert f"{name}: {', '.join(sorted(STUDIES[name]('smoke').design.groups))}" in help_of_only
 
 
 # The learning study.
@@ -457,7 +450,7 @@ def test_every_run_of_the_learning_study_ends_after_as_many_steps_and_evaluates_
             assert config.run.generations * config.evolution.population_size > size.env_steps
 
 
-def test_the_learning_study_has_its_variants_with_reasons_and_five_seeds():
+def test_the_learning_study_has_its_variants_in_words_and_five_seeds():
     study, groups = learning(), lessons.variants()
     assert {group: len(found) for group, found in groups.items()} == {
         "pieces": 11,
@@ -465,7 +458,7 @@ def test_the_learning_study_has_its_variants_with_reasons_and_five_seeds():
         "alternatives": 6,
         "sweep": 8,
     }
-    assert all(variant.words and variant.reason for found in groups.values() for variant in found.values())
+    assert all(variant.words for found in groups.values() for variant in found.values())
     assert len(study.cells) == 5 * 30
     assert {found.seed for found in study.cells} == {1, 2, 3, 4, 5}
     assert {found.seed for found in learning(seeds=2).cells} == {1, 2}
@@ -501,7 +494,7 @@ def test_a_cell_ends_with_its_environment_steps_and_is_not_gone_on_with(tmp_path
     assert 2_000 <= summary.row["env_steps"] < 2_400
     assert summary.curve[-1]["episode_steps_mean"] <= 50
     (tmp_path / some.name / "summary.json").unlink()
-    monkeypatch.setattr(studies, "resume", None)
+    monkeypatch.setattr(running, "resume", None)
     assert run_cell(some, tmp_path, 2) == summary
 
 

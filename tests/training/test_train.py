@@ -6,7 +6,7 @@ import pytest
 from shes.errors import ConfigError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training import train as training
+from shes.training import session
 from shes.training.evaluate import Evaluation
 from shes.training.train import resume
 from tests.e2e import runs
@@ -32,7 +32,7 @@ def find(monkeypatch):
                 diverged=zeros,
             )
 
-        monkeypatch.setattr(training, "evaluate_state", evaluate)
+        monkeypatch.setattr(session, "evaluate_state", evaluate)
 
     return prepare
 

@@ -414,9 +414,9 @@ def test_a_controller_that_does_not_fit_is_refused(steered, plain, tmp_path):
     for message, env, settings in (
         (r"the controller of .* does not fit point-maze\.\nIt was trained on point-gather: ", "point-maze", {}),
         (r"has no controller: its levels are primitive\. Name a run", "point-gather", {"controller": str(plain)}),
-        (r"controller is no setting of a run of point-flagrun with .*Leave --controller away", "point-flagrun", {}),
+        (r"controller is not a setting of a run of point-flagrun with .*Leave --controller away", "point-flagrun", {}),
         (
-            r"controller is no setting of a run of point-gather with algorithm 'es'.*Leave --controller away",
+            r"controller is not a setting of a run of point-gather with algorithm 'es'.*Leave --controller away",
             "point-gather",
             {"algorithm": "es"},
         ),

@@ -13,8 +13,8 @@ import pytest
 from shes.algorithms.evolution.populations import generation_work
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
-from shes.runs.config import WorkerSettings, known_settings
 from shes.runs.folder import RunFolder
+from shes.runs.rooms import WorkerSettings, known_settings
 from shes.runs.tables import read_csv
 from shes.training.build import build_backend
 from tests.e2e import runs

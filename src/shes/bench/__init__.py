@@ -1,1 +1,1 @@
-"""How fast the package is, beside the physics alone."""
+"""Benchmarks of the package against the bare physics."""

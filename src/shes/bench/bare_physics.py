@@ -1,4 +1,4 @@
-"""MuJoCo alone: a loop over `mj_step` that replays what a generation plays, whole episodes and branches."""
+"""A bare loop over `mj_step` that replays the episodes and branches of a generation."""
 
 from __future__ import annotations
 
@@ -28,30 +28,30 @@ from shes.types import F64Array, FloatArray, IntArray
 
 __all__ = ["BarePhysics", "Episode", "record_generation"]
 
-_REPLAYED = 24  # whole episodes of the generation that the bare loop replays
+_REPLAYED = 24  # number of whole episodes that the bare loop replays
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
-    """The physics of a whole episode or of a branch."""
+    """The physics of an episode or a branch."""
 
     start: F64Array
-    """Whole physics state that it begins with [S]: qpos, qvel, the solver's warm start, time."""
+    """Physics state at its start [S]: qpos, qvel, the solver's warm start, time."""
     controls: list[F64Array] = field(default_factory=list)
-    """Control of every control step [A]."""
+    """Controls of every control step [A]."""
 
 
 class BarePhysics:
-    """Replays episodes one after another with `mj_step`, without policy or task: the limit of one core."""
+    """Replays episodes one after another with `mj_step`: the limit of one core."""
 
     def __init__(self, model: mujoco.MjModel, episodes: Sequence[Episode]) -> None:
-        """Take the world and what was played in it."""
+        """Take the model and the episodes to replay."""
         self.model, self.episodes = model, episodes
         self.data = mujoco.MjData(model)
         self._ends = np.cumsum([model.nq, model.nv, model.nv])
 
     def replay(self, episode: Episode) -> None:
-        """Put `data` where `episode` begins and play its controls."""
+        """Replay `episode` in `data`."""
         model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:], (data.time,) = np.split(episode.start, self._ends)
@@ -60,7 +60,7 @@ class BarePhysics:
             mujoco.mj_step(model, data, nstep=FRAME_SKIP)
 
     def steps_per_s(self, seconds: float) -> float:
-        """Return the control steps per second of replaying all episodes, again and again for `seconds` or more."""
+        """Return the control steps per second of replaying all episodes repeatedly for at least `seconds`."""
         steps = 0
         start = perf_counter()
         while (elapsed := perf_counter() - start) < seconds or not steps:
@@ -71,10 +71,9 @@ class BarePhysics:
 
 
 def record_generation(plan: WorkerPlan, state: TrainState, settings: Settings, table_size: int) -> BarePhysics:
-    """Return the physics of the generation that follows `state`: its first tasks, played on the CPU.
+    """Return the physics of the first tasks of the generation after `state`, played on the CPU.
 
-    Of the branches it is the same share as of the whole episodes, and they begin with states that these have left, so
-    that what is replayed is made up as the generation is.
+    The share of branches is that of the whole episodes, from whose snapshots they start.
     """
     recorder = _Recorder(plan.env)
     with SerialBackend(partial(RolloutWorker, replace(plan, env=recorder, device="cpu"))) as worker:
@@ -88,18 +87,18 @@ def record_generation(plan: WorkerPlan, state: TrainState, settings: Settings, t
 
 
 def _play(worker: Backend, work: Work, num_tasks: int) -> list[EpisodeResults]:
-    """Return what came of the first `num_tasks` of `work`."""
+    """Return the results of the first `num_tasks` tasks of `work`."""
     worker.broadcast(work.generation)
     return list(worker.map(work.tasks[:num_tasks]))
 
 
 def _snapshots(results: Sequence[EpisodeResults]) -> list[Snapshot]:
-    """Return all that episodes have left."""
+    """Return the snapshots in `results`."""
     return [left for each in results for left in each.snapshots if left is not None]
 
 
 class _Recorder:
-    """An environment maker that keeps what its tasks' reset and step are given."""
+    """An environment maker that records the arguments of `reset` and `step`."""
 
     def __init__(self, env: EnvironmentMaker) -> None:
         self._env = env
@@ -110,7 +109,7 @@ class _Recorder:
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> EpisodeBatch:
-        """Return `num_episodes` episodes that are recorded."""
+        """Return a batch of `num_episodes` recorded episodes."""
 
         def keep_model(model: mujoco.MjModel, num_sims: int) -> Any:
             self.models.append(model)

@@ -1,4 +1,4 @@
-"""How fast SHES is on this machine, as ratios within one run: `shes bench`."""
+"""Benchmarks of this machine, relative to MuJoCo alone: `shes bench`."""
 
 from __future__ import annotations
 
@@ -37,26 +37,25 @@ _REPLAY_S = 1.0
 
 
 def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -> dict[str, Any]:
-    """Measure whole generations, on the device of `config`, against a bare `mj_step` loop on a core.
+    """Measure the speed of whole generations on the device of `config`, relative to a bare `mj_step` loop on one core.
 
-    It is the first generation of a run each time. The bare loop replays part of it, whole episodes and branches alike:
-    start state and controls, with no policy, task or Python beyond the call, the limit of one core. Each generation
-    lies between two replays; speeds are medians, `ratio` is the median of the pairs' ratios, over the number of
-    workers. A single worker and the loop share a core: two cores of a machine shared with others may differ by a third
-    for minutes.
+    Every generation is the first of a run. The bare loop replays the start states and controls of part of it, without
+    policy or task: the limit of one core. A replay precedes and follows each generation; speeds are medians, and
+    `ratio` is the median of the ratios divided by the number of workers. A single worker runs on the core of the loop,
+    because on a shared machine the speeds of two cores may differ by a third.
 
     Args:
-        config: What is measured.
-        repeats: Generations at least.
-        seconds: Seconds to measure at least: on a machine shared with others a median of many pairs is steadier.
+        config: Settings of the run.
+        repeats: Minimum number of generations.
+        seconds: Minimum duration of the measurement in seconds.
 
     Raises:
-        ConfigError: The environment is an external one, which has no bare loop.
+        ConfigError: The environment has its own physics, or the algorithm is not an evolution strategy.
     """
     if find_environment(config.run.env).has_own_physics:
         raise ConfigError(
-            f"bench rollout compares with MuJoCo alone, on environments of our own; got {config.run.env}, whose "
-            "physics is its own. Name one of `shes envs` with a world of our own, e.g. ant-gather."
+            f"bench rollout compares with MuJoCo alone, but {config.run.env} has its own physics. Name one of SHES's "
+            "environments, e.g. ant-gather."
         )
     algorithm = _evolution_strategy(config)
     plan, settings, state = algorithm.plan(), algorithm.settings, algorithm.start(config.run.seed)
@@ -70,14 +69,14 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
         build_backend(config, plan) as backend,
         ThreadPoolExecutor(backend.num_workers) as pool,
     ):
-        next(evolve(state, settings, table, backend, pool))  # builds the environments, warms the caches
+        next(evolve(state, settings, table, backend, pool))  # builds the environments and warms the caches
         before = physics.steps_per_s(_REPLAY_S)
         start = perf_counter()
         while len(whole) < repeats or perf_counter() - start < seconds:
             report = next(evolve(state, settings, table, backend, pool))
             whole.append(report.num_steps / (report.rollout_s + report.update_s))
             after = physics.steps_per_s(_REPLAY_S)
-            bare.append((before + after) / 2)  # a machine shared with others drifts: look at it on both sides
+            bare.append((before + after) / 2)  # the speed of a shared machine drifts
             before = after
         workers = backend.num_workers
     return {
@@ -97,7 +96,7 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
 
 @contextmanager
 def _on_one_core() -> Iterator[None]:
-    """Keep this process, and those that it starts meanwhile, on one core, where the system can."""
+    """Keep this process and new child processes on one core inside the block, if the system can."""
     if not hasattr(os, "sched_getaffinity"):
         yield
         return
@@ -110,10 +109,10 @@ def _on_one_core() -> Iterator[None]:
 
 
 def _evolution_strategy(config: TrainConfig) -> EvolutionStrategy:
-    """Return the learner of `config`.
+    """Return the algorithm of `config`.
 
     Raises:
-        ConfigError: It is no evolution strategy.
+        ConfigError: It is not an evolution strategy.
     """
     algorithm = build_algorithm(config)
     if not isinstance(algorithm, EvolutionStrategy):
@@ -124,24 +123,28 @@ def _evolution_strategy(config: TrainConfig) -> EvolutionStrategy:
 
 
 def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -> dict[str, Any]:
-    """Measure, in milliseconds, what the parent does between generations, whole and by part (medians).
+    """Measure the parent's work between generations, in total and by part: medians in milliseconds.
 
-    Results are drawn at random, no episode is played. Where the primitive is judged by intervals, `total_ms` and the
-    parts have the update from its branches too. `checkpoint_ms` is written by a thread beside the next generation's
-    work and is not in `total_ms`.
+    Results are random; no episode is played. With `--primitive-estimate interval`, `total_ms` and the parts include the
+    update from branches. The checkpoint is written in a thread beside the next generation: `checkpoint_ms` is not part
+    of `total_ms`.
 
     Args:
-        config: What is measured.
-        repeats: Updates at least.
-        seconds: Seconds to measure at least.
+        config: Settings of the run.
+        repeats: Minimum number of updates.
+        seconds: Minimum duration of the measurement in seconds.
 
     Raises:
-        ConfigError: A device is asked for.
+        ConfigError: The device is not the CPU, or the algorithm is not an evolution strategy.
     """
-    _refuse_device(config)
+    if config.workers.device != "cpu":
+        raise ConfigError(
+            f"bench update measures the CPU, got device {config.workers.device!r}. Leave --device away; the columns "
+            "update_s and rollout_s of a run's progress.csv have the times of a device."
+        )
     algorithm = _evolution_strategy(config)
     table, state = algorithm.table, algorithm.start(config.run.seed)
-    settings = replace(algorithm.settings, perturbation=ManyToMany())  # all that learns, in one generation
+    settings = replace(algorithm.settings, perturbation=ManyToMany())  # so that all levels learn in a generation
     backend = SerialBackend(partial(RandomResults, _state_size(config, settings)))
     times: dict[str, list[float]] = defaultdict(list)
     with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers.count, 8)) as pool:
@@ -163,21 +166,8 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
     }
 
 
-def _refuse_device(config: TrainConfig) -> None:
-    """Refuse to measure the update of a run on a device.
-
-    Raises:
-        ConfigError: `config` asks for one.
-    """
-    if config.workers.device != "cpu":
-        raise ConfigError(
-            f"bench update measures the CPU, got device {config.workers.device!r}. Leave --device away; the columns "
-            "update_s and rollout_s of a run's progress.csv tell of a device."
-        )
-
-
 def _state_size(config: TrainConfig, settings: Settings) -> int:
-    """Return the size of a whole physics state, S; 0 where no episode leaves any."""
+    """Return the size of a physics state, S; 0 if episodes leave no snapshots."""
     if settings.intervals is None:
         return 0
     task = build_task(config, 1, is_evaluation=False)
@@ -187,7 +177,7 @@ def _state_size(config: TrainConfig, settings: Settings) -> int:
 
 
 def _noise_vectors(report: GenerationReport) -> dict[str, int]:
-    """Return how many noise vectors whole episodes have in a generation, and how many branches have."""
+    """Return the numbers of noise vectors of whole episodes and of branches in a generation."""
     found = {"noise_vectors": 0, "branch_noise_vectors": 0}
     for each in (report.population, report.branches):
         if each is not None:

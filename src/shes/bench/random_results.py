@@ -1,4 +1,4 @@
-"""Results without rollouts, drawn at random: what the parent does with results is measured by itself with them."""
+"""Random results instead of rollouts, to measure the work of the parent alone."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ __all__ = ["RandomResults"]
 
 
 class RandomResults:
-    """A `Worker` that answers every task at once."""
+    """A `Worker` that returns random results at once."""
 
     def __init__(self, state_size: int) -> None:
-        """Make snapshots, where any are wanted, with physics states of `state_size` numbers."""
+        """Take the size of the physics state in snapshots."""
         self._state = np.zeros(state_size)
         self._rng = np.random.default_rng(0)
         self._generation: Generation | None = None
 
     def receive(self, state: Generation) -> None:
-        """Take what the next tasks have in common."""
+        """Keep the generation of the next tasks."""
         self._generation = state
 
     def run(self, work: Iterator[tuple[int, EpisodeTask]], share: int) -> Iterator[tuple[int, EpisodeResults]]:
-        """Yield numbered results of `work`."""
+        """Yield the results of `work` with their numbers."""
         assert self._generation is not None, "receive() comes first"
         for number, task in work:
             yield number, self._results(task, self._generation)
 
     def _results(self, task: EpisodeTask, generation: Generation) -> EpisodeResults:
-        """Return results of `task`: every episode differs, none diverged."""
+        """Return random results of `task`; no episode diverges."""
         rng, k = self._rng, len(task.slots)
         outcomes = empty_outcomes(len(generation.levels), k)
         for name in ("returns", "environment_returns", "score", "final_position"):
@@ -45,19 +45,17 @@ class RandomResults:
         )
 
     def _snapshots(self, task: EpisodeTask, generation: Generation) -> list[Snapshot | None]:
-        """Return all the snapshots that are asked for."""
+        """Return the snapshots that `task` asks for."""
         left = Snapshot(state=self._state, steps=0, goals=np.zeros((generation.goals_noted, 2)))
         return [left if task.noted_steps or slot == task.kept_slot else None for slot in task.slots]
 
 
 def _moments(generation: Generation, episodes: int) -> tuple[LevelMoments, ...]:
-    """Return the sums of one observation of each episode at each level, of mean 0 and variance 1."""
+    """Return the moments of one observation per episode at each level, with mean 0 and variance 1."""
     sizes = [len(level.mean) for level in generation.levels]
     return tuple(
         LevelMoments(
-            count=np.ones(episodes, np.int64),
-            total=np.zeros((episodes, size)),
-            total_squares=np.ones((episodes, size)),
+            count=np.ones(episodes, np.int64), total=np.zeros((episodes, size)), total_squares=np.ones((episodes, size))
         )
         for size in sizes
     )

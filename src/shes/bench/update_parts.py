@@ -1,4 +1,4 @@
-"""The parts of a generation's update, of all levels that learn: each is done and timed by itself."""
+"""The parts of a generation's update of all learning levels, each timed separately."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, kw_only=True)
 class LearningLevel:
-    """A level that learns, and what it is updated from."""
+    """A learning level and the inputs of its update."""
 
     level: LevelState
-    """The level before."""
+    """The level before the update."""
     rule: UpdateRule
-    """How fitness becomes a step."""
+    """Fitness shaping and optimizer."""
     fitness: F64Array
     """Fitness of every member [n]."""
     signs: NDArray[np.int8]
-    """Signs that the members of each group give to the level's noise [G, M]."""
+    """Signs of the level's noise, for the members of each group [G, M]."""
     noise_index: IntArray
     """Start of each group's slice of the noise table [G]."""
     learning_rate: float
@@ -41,9 +41,9 @@ class LearningLevel:
 
 
 def learning_levels(state: TrainState, report: GenerationReport, table_size: int) -> list[LearningLevel]:
-    """Return the levels of `state` that learn, and what `report` updated them from, but for the noise.
+    """Return the levels of `state` that learn, with the inputs of their update in `report`.
 
-    They get other slices of the table: those that the update has just read are still in the caches.
+    Their noise is taken from other slices of the table, because those of the update are still in the caches.
     """
     learning: list[LearningLevel] = []
     for number, (level, (population, place)) in enumerate(zip(state.levels, report.sources, strict=True)):
@@ -68,7 +68,7 @@ def learning_levels(state: TrainState, report: GenerationReport, table_size: int
 def time_parts(
     levels: Sequence[LearningLevel], table: NoiseTable, pool: ThreadPoolExecutor, times: dict[str, list[float]]
 ) -> None:
-    """Do the update of `levels` part by part, and add the milliseconds of each part to `times`."""
+    """Update `levels` part by part, and append the milliseconds of each part to `times`."""
     shaped = timed(times["rank_ms"], lambda: [each.rule.shaping(each.fitness) for each in levels])
     weights = [group_weights(values, each.signs) for values, each in zip(shaped, levels, strict=True)]
     gradients = timed(
@@ -88,7 +88,7 @@ def time_parts(
 
 
 def timed(times: list[float], work: Callable[[], _T]) -> _T:
-    """Return what `work` does, and add to `times` how many milliseconds it took."""
+    """Return the result of `work`, and append its milliseconds to `times`."""
     start = perf_counter()
     result = work()
     times.append(1000 * (perf_counter() - start))

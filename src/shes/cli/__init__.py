@@ -1,4 +1,4 @@
-"""The `shes` command: parses, prints, and turns errors into one line and an exit code; the work is done elsewhere."""
+"""The `shes` command: parsing, output, and exit codes."""
 
 from shes.cli.program import main
 

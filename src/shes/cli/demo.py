@@ -1,6 +1,6 @@
-"""`make demo`: an ant learns to walk, then to collect food; both before and after, in numbers and on video.
+"""`make demo`: an ant learns to walk and then to collect food, with results and videos before and after training.
 
-`python -m shes.cli.demo point` does the same with a point robot, which needs no walker, in half the time.
+`python -m shes.cli.demo point` does the same with a point robot in half the time.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ __all__ = ["main"]
 
 EPISODES = 50
 GATHER_MINUTES = 1.25
-"""What the ant's controller gets: as the walker before it takes about a minute, the whole demo stays below four."""
+"""Training time of the ant's controller; with that of the walker the demo stays below four minutes."""
 VIDEO_STEPS = {"ant": 100, "point": 200}
-"""Control steps of each video: without a card a step takes a fifth of a second to draw twice."""
+"""Control steps of each video; without a GPU a step of two views takes a fifth of a second."""
 
 
 def main() -> int:
@@ -35,20 +35,20 @@ def main() -> int:
     console, start = Console(), monotonic()
     robot = sys.argv[1] if len(sys.argv) > 1 else "ant"
     if robot not in _DEMOS:
-        print(f"there is a demo of the {' and the '.join(_DEMOS)}, not of {robot!r}", file=sys.stderr)
+        print(f"unknown robot {robot!r}; there are demos of {' and '.join(_DEMOS)}", file=sys.stderr)
         return 2
     folder = Path("runs") / f"demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     try:
         last = _DEMOS[robot](console, folder)
     except KeyboardInterrupt:
-        console.print(f"Stopped; what was trained is in {folder}.", highlight=False, soft_wrap=True)
+        console.print(f"Stopped; the runs so far are in {folder}.", highlight=False, soft_wrap=True)
         return 130
     except ShesError as error:
         Console(stderr=True).print(f"Error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
         return error.exit_code
     console.print(
-        f"\nAll of it took {format_duration(monotonic() - start)}.\n"
-        f"Next: .venv/bin/shes resume {last} --generations 200   (it goes on learning)\n"
+        f"\nThe demo took {format_duration(monotonic() - start)}.\n"
+        f"Next: .venv/bin/shes resume {last} --generations 200   (continues training)\n"
         f"      .venv/bin/shes evaluate {last} --episodes 200\n"
         "      .venv/bin/shes --help",
         highlight=False,
@@ -58,7 +58,7 @@ def main() -> int:
 
 
 def _ant(console: Console, folder: Path) -> Path:
-    """Train a walker and a controller on it; return the run folder of the latter."""
+    """Train a walker and then a controller for it; return the controller's run folder."""
     walker, gather = folder / "walker", folder / "gather"
     console.print(
         "An ant learns, by evolution, first to walk to goals (a minute on two cores), then to collect food (+1) and "
@@ -74,7 +74,7 @@ def _ant(console: Console, folder: Path) -> Path:
 
 
 def _point(console: Console, folder: Path) -> Path:
-    """Train both levels of a point robot; return its run folder."""
+    """Train both levels of a point robot; return the run folder."""
     console.print(
         "A point robot learns, by evolution, to collect food (+1) and leave poison (-1): a controller that sets goals, "
         "and a primitive that reaches them. Two to three minutes on two cores; Ctrl-C stops and keeps everything.",
@@ -97,13 +97,13 @@ def _learn(console: Console, env: str, path: Path, **settings: Any) -> None:
 
 
 def _show(console: Console, path: Path, what: str, number: Callable[[Any], float]) -> None:
-    """Print what the run at `path` reaches on fresh episodes, before and after training."""
+    """Print a result of the run at `path` on fresh episodes, before and after training."""
     before, after = (number(evaluate(path, episodes=EPISODES, checkpoint=name)) for name in ("0", "best"))
     console.print(f"\nMean {what}, {EPISODES} fresh episodes: {before:.2f} before training, {after:.2f} after.\n")
 
 
 def _draw(console: Console, runs: dict[str, Path], folder: Path, steps: int) -> None:
-    """Draw curves and a video, before and after training, of each run by its name."""
+    """Draw curves, and a video before and after training, of each run."""
     console.print("Drawing the untrained and the trained agents ...", highlight=False)
     for name, path in runs.items():
         curves = plot([path], path / "curves.png")

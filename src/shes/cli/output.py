@@ -1,4 +1,4 @@
-"""What the commands print: facts as a table or JSON, errors on one line."""
+"""What the commands print: tables, JSON, and errors on one line."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["print_error", "print_facts", "print_interrupted", "print_line", "print_table", "quote"]
+__all__ = ["print_error", "print_facts", "print_line", "print_table", "quote"]
 
-# rich is imported where it is used: `shes --help` is to be quick.
+# rich is imported where it is used: `shes --help` has to be quick.
 
 
 def print_facts(facts: dict[str, Any], *, as_json: bool) -> None:
@@ -23,7 +23,7 @@ def print_facts(facts: dict[str, Any], *, as_json: bool) -> None:
 
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table; without headings if there are none."""
+    """Print a table, with a heading over each column if there are headings."""
     from rich.console import Console
     from rich.table import Table
 
@@ -34,28 +34,20 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def print_line(text: str) -> None:
-    """Print a line as it is, however long."""
+    """Print `text` without wrapping or markup."""
     from rich.console import Console
 
     Console().print(text, highlight=False, markup=False, soft_wrap=True)
 
 
-def print_error(error: Exception) -> None:
-    """Print an error's message on one line of standard error."""
+def print_error(text: str) -> None:
+    """Print an error message on one line of standard error."""
     from rich.console import Console
     from rich.text import Text
 
-    line = Text.assemble(("Error:", "bold red"), " ", str(error))
-    Console(stderr=True).print(line, highlight=False, soft_wrap=True)
-
-
-def print_interrupted() -> None:
-    """Say that Ctrl-C ended the command."""
-    from rich.console import Console
-
-    Console(stderr=True).print("Interrupted.", style="yellow")
+    Console(stderr=True).print(Text.assemble(("Error:", "bold red"), " ", text), highlight=False, soft_wrap=True)
 
 
 def quote(path: Path | str) -> str:
-    """Return `path` as a word of a command that can be copied into a shell."""
+    """Return `path` quoted for a shell."""
     return shlex.quote(str(path))

@@ -1,207 +1,216 @@
-"""A command is a plain function: tyro makes its flags from its signature and docstring, and calls it.
+"""Commands are plain functions: tyro makes their flags from signature and docstring, and parses the command line.
 
-A parameter `settings` stands for settings of a run, by name; they become flags, a group for each room.
+Two parameters have a special meaning. `settings` stands for the settings of a run, which become flags, one group per
+room. `**options` annotated with a function stands for those parameters of that function that the command does not name.
 """
 
 from __future__ import annotations
 
+import argparse
+import difflib
 import inspect
-from collections.abc import Callable, Container, Sequence
-from dataclasses import field, make_dataclass
-from typing import Annotated, Any, Literal, get_type_hints
+from collections.abc import Callable, Iterable, Sequence
+from types import NoneType
+from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
-from shes.runs.config import TrainConfig, execution_settings, known_settings
+from shes.runs.config import TrainConfig
+from shes.runs.rooms import known_settings
 from shes.settings import Setting, Unasked, flag, setting_fields
 from shes.training.presets import PRESETS, make_config
+from shes.training.train import check_resumable, resumable_settings
 
-__all__ = ["DEFAULT_ENV", "call", "program_of"]
+__all__ = ["DEFAULT_ENV", "Checkpoint", "Env", "ExecutionFlags", "Json", "Run", "call", "program_of"]
 
 DEFAULT_ENV = "ant-gather"
-"""Environment whose settings the help shows where none is named."""
-_POSITIONAL = ("env",)
+"""Environment whose settings the help shows if none is named."""
 _ALL = "--help-all"
-_METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", str: "TEXT"}
+_CONFIG = (tyro.conf.OmitArgPrefixes,)
+
+Run = Annotated[
+    str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent.")
+]
+Env = Annotated[
+    str,
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="ENV", help="Environment, see shes envs; or gymnasium:ID for one of Gymnasium."),
+]
+Checkpoint = Annotated[str, tyro.conf.arg(help="Checkpoint: best, last or the number of a generation.")]
+Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
+
+
+class ExecutionFlags(dict[str, Any]):
+    """Settings by name that `shes resume` takes: the annotation of a parameter `settings`."""
 
 
 def call(function: Callable[..., int], words: Sequence[str]) -> int:
-    """Call a command with the values that `words` give; return its exit code."""
+    """Call a command with the values in `words`; return its exit code.
+
+    Raises:
+        ConfigError: A flag is a setting that the run does not have, or that `shes resume` does not take.
+        UnknownNameError: There is no such preset or algorithm.
+    """
+    program = program_of(function, words)
+    own = inspect.signature(function).parameters.keys()
+    if "settings" in own:
+        _check_flags(function, words)
+    args = ["--help" if word == _ALL else word for word in words]
     name = function.__name__.rstrip("_")
-    words = _spelled(words)
-    is_short = "--help" in words or "-h" in words
-    if "settings" in inspect.signature(function).parameters:
-        _refuse_other_settings(function, words)
-    program = program_of(function, words, is_short=is_short)
-    words = ["--help" if word == _ALL else word for word in words]
     try:
-        values = tyro.cli(program, prog=f"shes {name}", args=words, config=(tyro.conf.OmitArgPrefixes,))
+        values = tyro.cli(program, prog=f"shes {name}", args=args, config=_CONFIG, registry=_VALUES)
     except SystemExit as end:  # help was shown, or an error was printed
         return end.code if isinstance(end.code, int) else 2
-    return function(**_gathered(values, words) if "settings" in inspect.signature(function).parameters else values)
+    if "settings" in own:
+        rooms = [name for name in values if name not in own or name == "settings"]
+        values["settings"] = {name: value for room in rooms for name, value in values.pop(room).items()}
+    return function(**values)
 
 
-def program_of(function: Callable[..., int], words: Sequence[str], *, is_short: bool = False) -> Callable[..., Any]:
-    """Return a function that returns the values it is called with: what tyro is to parse for a command."""
+def program_of(function: Callable[..., int], words: Sequence[str] = ()) -> Callable[..., Any]:
+    """Return the function that tyro parses for a command: it returns the values that it is called with.
+
+    The environment, preset and algorithm in the command line `words` decide which settings it has.
+    """
     parameters = dict(inspect.signature(function).parameters)
     hints = get_type_hints(function, include_extras=True)
-    rooms: dict[str, Any] = {}
-    if parameters.pop("settings", None) is not None:
-        rooms = _resumed_rooms() if hints["settings"] is ExecutionFlags else _rooms(_asked_config(words), is_short)
+    text = inspect.getdoc(function) or ""
+    if parameters.pop("options", None):
+        _, behind = get_args(hints.pop("options"))
+        parameters = {**inspect.signature(behind).parameters, **parameters}
+        hints = {**get_type_hints(behind, include_extras=True), **hints}
+        text += "\n\nArgs:\n" + (inspect.getdoc(behind) or "").partition("Args:\n")[2].partition("\n\n")[0]
+    if parameters.pop("settings", None):
+        rooms = _rooms(words, is_resume=hints.pop("settings") is ExecutionFlags)
+        hints |= rooms
+        parameters |= {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in rooms}
 
     def program(**values: Any) -> dict[str, Any]:
         return values
 
-    kinds = {name: hints[name] for name in parameters}
-    listed = [each.replace(annotation=kinds[name]) for name, each in parameters.items()]
-    for name, default in rooms.items():
-        kinds[name] = type(default)
-        factory = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=type(default))
-        listed.append(factory)
+    kind = inspect.Parameter.KEYWORD_ONLY
+    listed = [each.replace(annotation=hints[name], kind=kind) for name, each in parameters.items()]
     program.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined] - inspect and tyro read it
-    program.__annotations__ = kinds
-    program.__doc__ = function.__doc__
+    program.__annotations__ = {name: hints[name] for name in parameters}
+    program.__doc__ = text
     return program
 
 
-class ExecutionFlags(dict[str, Any]):
-    """Settings by name that `shes resume` takes: annotates a parameter `settings`."""
+def _rooms(words: Sequence[str], *, is_resume: bool) -> dict[str, Any]:
+    """Return a `TypedDict` for each room of settings; for `--help` one for the everyday settings."""
+    if is_resume:
+        return {"settings": _room("A setting that is not given keeps its value.", resumable_settings().values(), None)}
+    config = _asked_config(words)
+    if not {"-h", "--help"}.isdisjoint(words):
+        everyday = [each for each in map(config.setting, config.settings) if each.is_everyday]
+        title = f"Values of preset {config.run.preset} for {config.run.env}. {_ALL} shows all {len(config.settings)}."
+        return {"everyday": _room(title, everyday, config)}
+    rooms: dict[str, Any] = {}
+    seen: set[str] = set()  # a task may share a setting with the hierarchy
+    for name, room in config.rooms.items():
+        settings = setting_fields(type(room))
+        title = (type(room).__doc__ or "").partition("\n")[0]
+        rooms[name] = _room(title, [each for each in settings.values() if each.name not in seen], config)
+        seen |= settings.keys()
+    return rooms
 
 
-def _rooms(config: TrainConfig, is_short: bool) -> dict[str, Any]:
-    """Return an object for each room of `config`, whose fields become flags; its everyday settings in one group."""
-    if not is_short:
-        seen: set[str] = set()  # a task may share a setting with the hierarchy
-        rooms: dict[str, Any] = {}
-        for name, room in config.rooms.items():
-            settings = setting_fields(type(room))
-            rooms[name] = _flags(_title(room), [each for each in settings.values() if each.name not in seen], config)
-            seen |= settings.keys()
-        return rooms
-    everyday = [config.setting(name) for name in config.settings if config.setting(name).is_everyday]
-    title = (
-        f"Values are those of preset {config.run.preset} for {config.run.env}. {_ALL} shows all "
-        f"{len(config.settings)} settings."
-    )
-    return {"everyday": _flags(title, everyday, config)}
+def _room(title: str, settings: Iterable[Setting], config: TrainConfig | None) -> Any:
+    """Return a `TypedDict` whose keys tyro makes flags of: those that are not given are left out.
 
-
-def _resumed_rooms() -> dict[str, Any]:
-    config = TrainConfig.of(env=DEFAULT_ENV)
-    taken = [each for name, each in execution_settings().items() if name != "preset"]
-    return {"settings": _flags("What is not given stays as it is.", taken, config, hint="(default: as before)")}
-
-
-def _title(room: Any) -> str:
-    return (type(room).__doc__ or "").partition("\n")[0]
-
-
-def _flags(title: str, settings: Any, config: TrainConfig, hint: str | None = None) -> Any:
-    """Return an object of a dataclass whose fields tyro makes flags of; its values are those of `config`."""
-    made = [
-        (each.name, _kind(each, hint), field(default=config.settings[each.name]))
+    The help shows the values of `config` as defaults.
+    """
+    keys = {
+        each.name: _annotated(each, "as before" if config is None else _shown(config.settings[each.name]))
         for each in settings
-        if each.name not in _POSITIONAL and not each.has(Unasked)
-    ]
-    cls = make_dataclass("Flags", made, kw_only=True)
-    cls.__doc__ = title
-    return cls()
+        if each.name != "env" and not each.has(Unasked)
+    }
+    room = TypedDict("Settings", keys, total=False)  # type: ignore[misc] - the keys are known at run time only
+    room.__doc__ = title
+    return room
 
 
-def _kind(setting: Setting, hint: str | None) -> Any:
+def _annotated(setting: Setting, default: str) -> Any:
     """Return the type of a setting as tyro shows and reads it."""
     choices = tuple(PRESETS) if setting.name == "preset" else setting.choices
-    kind: Any = Literal[choices] if choices else setting.kind
-    if setting.kind is tuple:
-        kind = tuple[setting.item, ...]
-    if setting.is_optional:
-        kind = kind | None
+    kind: Any = Literal[choices] if choices else tuple[setting.item, ...] if setting.kind is tuple else setting.kind
     aliases = (flag(setting.name),) if setting.flag != flag(setting.name) else None
-    metavar = None
-    if setting.is_optional and setting.item in _METAVARS:
-        metavar = f"{_METAVARS[setting.item]}{' ...' if setting.kind is tuple else ''}|none"
-    return Annotated[
-        kind,
-        tyro.conf.arg(
-            name=setting.flag[2:], aliases=aliases, metavar=metavar, help=setting.text, help_behavior_hint=hint
-        ),
-    ]
+    shown = tyro.conf.arg(
+        name=setting.flag[2:], aliases=aliases, help=setting.text, help_behavior_hint=f"(default: {default})"
+    )
+    return Annotated[kind | None if setting.is_optional else kind, shown]
 
 
-def _refuse_other_settings(function: Callable[..., int], words: Sequence[str]) -> None:
-    """Refuse flags that are settings, but none of the run that the other words ask for.
+def _shown(value: Any) -> str:
+    """Return a value as it is written after its flag."""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else "none" if value is None else str(value)
+
+
+_VALUES = ConstructorRegistry()
+"""Rules for values that tyro by itself reads otherwise."""
+
+
+@_VALUES.primitive_rule
+def _name_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[str] | None:
+    """Read one of several names; the error for an unknown one suggests the nearest."""
+    if get_origin(info.type) is not Literal:
+        return None
+    known: tuple[str, ...] = get_args(info.type)
+
+    def read(words: list[str]) -> str:
+        if words[0] in known:
+            return words[0]
+        close = difflib.get_close_matches(words[0], known, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        raise ValueError(f"unknown name {words[0]!r}.{hint} Known: {', '.join(known)}.")
+
+    return PrimitiveConstructorSpec(1, f"{{{','.join(known)}}}", read, known.__contains__, lambda name: [name])
+
+
+@_VALUES.primitive_rule
+def _none_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[None] | None:
+    """Read None as `none`."""
+    if info.type is not NoneType:
+        return None
+    words = ("none", "None")
+    return PrimitiveConstructorSpec(1, "none", lambda _: None, lambda it: it is None, lambda _: ["none"], words)
+
+
+def _check_flags(function: Callable[..., int], words: Sequence[str]) -> None:
+    """Check that all flags of settings are settings of the run.
 
     Raises:
-        ConfigError: There is one.
+        ConfigError: One is not.
     """
-    is_resume = get_type_hints(function)["settings"] is ExecutionFlags
-    config = None if is_resume else _asked_config(words)
-    taken = execution_settings() if config is None else config.settings
-    flags = {each.flag: name for name, each in known_settings().items()}
-    for word in words:
-        shown = word.partition("=")[0]
-        name = flags.get(shown) or flags.get(shown.replace("--no-", "--"))
-        if name is None or name in taken or name in _POSITIONAL:
-            continue
-        if config is None:
-            allowed = ", ".join(sorted(each.flag for each in execution_settings().values() if each.name != "preset"))
+    names = {each.flag: name for name, each in known_settings().items() if name != "env"}
+    flags = [word.partition("=")[0].replace("_", "-").replace("--no-", "--") for word in words]
+    given = [names[each] for each in flags if each in names]
+    if get_type_hints(function)["settings"] is ExecutionFlags:
+        check_resumable(given)
+        return
+    config = _asked_config(words)
+    for name in given:
+        if name not in config.settings:
             raise ConfigError(
-                f"{shown} would change the numbers of the run; resume takes {allowed}. Start another run to change it."
+                f"{name} is not a setting of a run of {config.run.env} with algorithm {config.run.algorithm!r}. "
+                f"Leave {known_settings()[name].flag} away."
             )
-        raise ConfigError(
-            f"{name} is no setting of a run of {config.run.env} with algorithm {config.run.algorithm!r}. "
-            f"Leave {shown} away."
-        )
-
-
-def _gathered(values: dict[str, Any], words: Sequence[str]) -> dict[str, Any]:
-    """Return the values of a command, the settings that were given under `settings`."""
-    given = {word.partition("=")[0].replace("--no-", "--") for word in words if word.startswith("--")}
-    settings: dict[str, Any] = {}
-    rest: dict[str, Any] = {}
-    for name, value in values.items():
-        if type(value).__name__ != "Flags":
-            rest[name] = value
-            continue
-        known = {each: known_settings().get(each) for each in vars(value)}
-        settings |= {
-            each: vars(value)[each]
-            for each, setting in known.items()
-            if given & {flag(each), setting.flag if setting else ""}
-        }
-    return {**rest, "settings": settings}
 
 
 def _asked_config(words: Sequence[str]) -> TrainConfig:
-    """Return the settings that the flags are made of: those of environment, preset and algorithm among `words`.
+    """Return the settings of the environment, preset and algorithm in `words`.
 
     Raises:
         UnknownNameError: There is no such preset or algorithm.
     """
-    env = next((word for word in words if _is_environment(word, (*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS))), DEFAULT_ENV)
-    given = {"--preset": "laptop", "--algorithm": "shes"}
-    for word, follower in zip(words, [*words[1:], ""], strict=False):
-        name, equals, value = word.partition("=")
-        if name in given and (value or follower):
-            given[name] = value if equals else follower
-    return make_config(env, given["--preset"], {"algorithm": given["--algorithm"]})
-
-
-def _is_environment(word: str, known: Container[str]) -> bool:
-    return word in known or word.startswith(GYMNASIUM)
-
-
-def _spelled(words: Sequence[str]) -> list[str]:
-    """Return words as tyro spells them: `--a_b none` is `--a-b None`, but where `none` is one of the names."""
-    named = {each.flag for each in known_settings().values() if "none" in each.choices}
-    spelled: list[str] = []
-    last = ""
-    for word in words:
-        name, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
-        last = name.replace("_", "-") or last
-        value = "None" if value == "none" and last not in named else value
-        spelled.append((last if name else "") + equals + value)
-    return spelled
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for name, default in (("preset", "laptop"), ("algorithm", "shes")):
+        parser.add_argument(f"--{name}", nargs="?", default=default, const=default)
+    asked, rest = parser.parse_known_args(words)
+    known = {*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS}
+    env = next((word for word in rest if word in known or word.startswith(GYMNASIUM)), DEFAULT_ENV)
+    return make_config(env, asked.preset, {"algorithm": asked.algorithm})

@@ -1,4 +1,4 @@
-"""Live progress of a run in a terminal, or a line now and then where there is none."""
+"""Live progress of a run in a terminal, or occasional lines elsewhere."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ __all__ = ["ProgressDisplay", "format_duration"]
 Row = dict[str, Any]
 
 _BLOCKS = "▁▂▃▄▅▆▇█"
-_LINE_EVERY_S = 10.0  # without a terminal
-_REMEMBERED = 20  # generations that the time left is judged by
+_LINE_EVERY_S = 10.0  # if not in a terminal
+_REMEMBERED = 20  # generations from which the time left is estimated
 
 
 def format_duration(seconds: float) -> str:
-    """Return seconds as people say them: `45 s`, `3 min 05 s`, `2 h 10 min`."""
+    """Return a duration as text: `45 s`, `3 min 05 s`, `2 h 10 min`."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -36,7 +36,7 @@ def format_duration(seconds: float) -> str:
 
 
 def _sparkline(values: list[float], width: int) -> str:
-    """Return the course of `values` in `width` characters at most."""
+    """Return a line chart of `values` of at most `width` characters."""
     if len(values) < 2:
         return ""
     step = max(1, -(-len(values) // width))
@@ -73,7 +73,7 @@ class ProgressDisplay:
             self._live.stop()
 
     def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
-        """Say what begins, and where it writes."""
+        """Print the environment, the workers and the run folder."""
         self.path, self._config = path, config
         self._start = monotonic()
         workers = (
@@ -106,13 +106,13 @@ class ProgressDisplay:
         self._scores.append(row["score_mean"])
 
     def on_event(self, event: str) -> None:
-        """Show something unusual."""
+        """Show a warning."""
         self._events.append(event)
         if self._live is None:
             self._console.print(event, style="yellow", highlight=False, markup=False, soft_wrap=True)
 
     def _seconds_left(self) -> float | None:
-        """Return the seconds to the end, judged by the last generations; None before there is a second one."""
+        """Return the seconds left, estimated from the last generations; None before the second generation."""
         config = self._config
         if config is None or len(self._times) < 2:
             return None
@@ -128,7 +128,7 @@ class ProgressDisplay:
         return left
 
     def _facts(self) -> list[tuple[str, str]]:
-        """Return what is shown, by name."""
+        """Return the names and values shown."""
         row, evaluation = self._row, self._evaluation
         left = self._seconds_left()
         score = "-"
@@ -151,7 +151,7 @@ class ProgressDisplay:
         return Text("  ".join(f"{name} {value}" for name, value in self._facts()))
 
     def _view(self) -> Group:
-        """Return the block that is redrawn: it fits a terminal of 40 columns and uses up to 100."""
+        """Return the redrawn block; it fits 40 columns and uses up to 100."""
         width = min(self._console.width, 100)
         table = Table.grid(padding=(0, 2))
         table.add_column(style="dim", no_wrap=True)
@@ -170,6 +170,6 @@ class ProgressDisplay:
             if config.run.minutes is not None:
                 shares.append((monotonic() - self._start) / (60 * config.run.minutes))
             total, done = 1000, round(1000 * min(1.0, max(shares)))
-        bar = Table.grid()  # ends the bar's line: alone, the bar does not
+        bar = Table.grid()  # ends the line, which the bar alone does not
         bar.add_row(ProgressBar(total=total, completed=done, width=width))
         return Group(bar, table, *(Text(event, style="yellow") for event in self._events))

@@ -1,1 +1,1 @@
-"""What a run folder is: configuration, checkpoints, tables, log, provenance."""
+"""Run folders: configuration, checkpoints, tables, log, provenance."""

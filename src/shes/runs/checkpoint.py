@@ -1,4 +1,4 @@
-"""Checkpoints: everything that a run carries from one generation to the next, in one `.npz` without pickle."""
+"""Checkpoints: the whole state of a run after a generation, in one `.npz` without pickle."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ __all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "restore
 StateT = TypeVar("StateT")
 
 FORMAT = 2
-_END_OF_ZIP = 22  # bytes of the record that ends a zip file without a comment
-# What NumPy and zipfile raise for a file that is cut short, damaged, or of another kind.
+_OWN = ("format", "best_generation", "best_score", "best_return", "settings")
+"""Arrays that do not belong to the algorithm."""
+_END_OF_ZIP = 22  # bytes of the end-of-central-directory record of a zip file without a comment
+# Raised by NumPy and zipfile for a file that is truncated, damaged, or of another kind.
 _DAMAGES = (
     AttributeError,
     EOFError,
@@ -40,30 +42,30 @@ _DAMAGES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Best:
-    """The best evaluation so far. The highest score wins; ties go to the higher return, then to the later one."""
+    """The best evaluation so far, by score; ties go to the higher return, then to the later evaluation."""
 
     generation: int = -1
     score: float = -np.inf
     mean_return: float = -np.inf
 
     def is_beaten_by(self, score: float, mean_return: float) -> bool:
-        """Tell whether a later evaluation takes its place."""
+        """Return whether a later evaluation with this score and return replaces it."""
         return (score, mean_return) >= (self.score, self.mean_return)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Checkpoint:
-    """A run at the end of a generation."""
+    """The state of a run after a generation."""
 
     arrays: Mapping[str, np.ndarray]
-    """The state of the learner, as its `to_arrays` gives it."""
+    """State of the algorithm, from its `to_arrays`."""
     best: Best
     numbers: dict[str, Any]
-    """The settings that change numbers: a checkpoint continues only the run that it is of."""
+    """Settings that change numbers: a checkpoint continues only the run that wrote it."""
 
     @property
     def generation(self) -> int:
-        """Generations made."""
+        """Number of finished generations."""
         return int(self.arrays["generation"])
 
     @property
@@ -72,12 +74,12 @@ class Checkpoint:
         return int(self.arrays["env_steps"])
 
 
-_OWN = ("format", "best_generation", "best_score", "best_return", "settings")
-"""Arrays that are the run's, not the learner's."""
-
-
 def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
-    """Return all arrays of the file."""
+    """Return all arrays of the file.
+
+    Raises:
+        ConfigError: The algorithm uses a reserved name.
+    """
     best = checkpoint.best
     own = {
         "format": np.int64(FORMAT),
@@ -89,7 +91,7 @@ def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
     taken = sorted(own.keys() & checkpoint.arrays.keys())
     if taken:
         raise ConfigError(
-            f"the algorithm's to_arrays() names an array {', '.join(taken)}, which the checkpoint keeps for itself. "
+            f"the algorithm's to_arrays() names an array {', '.join(taken)}, which the checkpoint reserves. "
             "Choose another name."
         )
     return {name: np.asarray(value) for name, value in {**own, **checkpoint.arrays}.items()}
@@ -99,7 +101,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool =
     """Write `checkpoint` to `path`, atomically.
 
     Raises:
-        StorageError: The file cannot be written; what was at `path` is untouched.
+        StorageError: The file cannot be written; an earlier file at `path` is unchanged.
     """
 
     def write(file: IO[bytes]) -> None:
@@ -110,7 +112,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool =
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Read the checkpoint at `path`; nothing in it is executed.
+    """Read the checkpoint at `path`, without executing code from it.
 
     Raises:
         CheckpointError: The file is missing, truncated, or not a checkpoint of this version.
@@ -132,15 +134,15 @@ def load_checkpoint(path: Path) -> Checkpoint:
 
 
 def _check_count(file: IO[bytes], count: int) -> None:
-    """Refuse a file with another number of parts than its end says: a damaged list of parts may be short of some.
+    """Check that the zip file has as many members as its end record says: a damaged directory may lack some.
 
     Raises:
-        ValueError: It is one.
+        ValueError: It has not.
     """
     file.seek(-_END_OF_ZIP, os.SEEK_END)
     written = int.from_bytes(file.read(_END_OF_ZIP)[10:12], "little")
     if written != count:
-        raise ValueError(f"{count} of {written} arrays are there")
+        raise ValueError(f"{count} of {written} arrays can be read")
 
 
 def _damaged(path: Path, error: Exception) -> CheckpointError:
@@ -152,7 +154,7 @@ def _damaged(path: Path, error: Exception) -> CheckpointError:
 
 
 def _from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Checkpoint:
-    """Return the checkpoint that `_arrays` took apart."""
+    """Return the checkpoint from the result of `_arrays`."""
     version = int(arrays["format"])
     if version != FORMAT:
         raise CheckpointError(
@@ -174,10 +176,10 @@ def _from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Checkpoint:
 
 
 def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarray]], StateT], path: Path) -> StateT:
-    """Return the state of a learner that `checkpoint`, read from `path`, holds.
+    """Return the algorithm's state in `checkpoint`, which was read from `path`.
 
     Raises:
-        CheckpointError: The arrays are not those of its state.
+        CheckpointError: The arrays do not fit the algorithm.
     """
     try:
         return from_arrays(checkpoint.arrays)
@@ -188,7 +190,7 @@ def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarr
 
 
 class CheckpointWriter:
-    """Writes checkpoints beside the next generation's work, one at a time, in the order they are given."""
+    """Writes checkpoints in a thread of its own, one at a time and in order."""
 
     def __init__(self) -> None:
         """Start the writing thread."""
@@ -196,16 +198,16 @@ class CheckpointWriter:
         self._last: Future[None] | None = None
 
     def write(self, paths: list[Path], checkpoint: Checkpoint) -> None:
-        """Write `checkpoint` to every one of `paths`, in this order, after the one before is done.
+        """Start writing `checkpoint` to every path of `paths`, in order, after the previous one is written.
 
         Raises:
-            StorageError: The one before could not be written.
+            StorageError: The previous checkpoint could not be written.
         """
         self.wait()
         self._last = self._pool.submit(self._write_all, paths, checkpoint)
 
     def wait(self) -> None:
-        """Return when everything given is on disk.
+        """Wait until the last checkpoint is on disk.
 
         Raises:
             StorageError: It could not be written.
@@ -215,7 +217,7 @@ class CheckpointWriter:
             last.result()
 
     def close(self) -> None:
-        """Finish what was given and end the thread."""
+        """Write the last checkpoint and end the thread."""
         try:
             self.wait()
         finally:

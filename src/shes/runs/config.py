@@ -1,150 +1,38 @@
-"""Every setting of a training run, in rooms. They stop here: the packages below take plain arguments."""
+"""The configuration of a training run. Settings objects stop here: the packages below take plain arguments."""
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
-from shes.algorithms.contract import Algorithm
-from shes.algorithms.evolution.rooms import (
-    SCHEDULED,
-    EstimateSettings,
-    EvolutionSettings,
-    HierarchySettings,
-    NetworkSettings,
-    NoveltySettings,
-    ScheduleSettings,
-    TransferSettings,
-)
-from shes.algorithms.registry import ALGORITHMS, find_algorithm, learners
-from shes.cores import num_cores
-from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
-from shes.envs.tasks.options import TaskOptions
+from shes.algorithms.evolution.rooms import SCHEDULED
+from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import check_perturbation
 from shes.es.schedules import make_schedule
-from shes.settings import (
-    Choices,
-    Execution,
-    Ge,
-    Gt,
-    Lt,
-    Setting,
-    Settings,
-    Shown,
-    Unasked,
-    flag,
-    out_of_range,
-    setting_fields,
-)
-from shes.sim.warp_device import DEVICES
+from shes.runs.rooms import check_names, learner, settings_in
+from shes.settings import Execution, Setting, flag, out_of_range, setting_fields
 
-__all__ = [
-    "EpisodeSettings",
-    "EvaluationSettings",
-    "RunSettings",
-    "TrainConfig",
-    "WorkerSettings",
-    "check_names",
-    "execution_settings",
-    "known_settings",
-    "learner",
-    "rooms_of",
-]
+if TYPE_CHECKING:
+    from shes.algorithms.evolution.rooms import (
+        EstimateSettings,
+        EvolutionSettings,
+        HierarchySettings,
+        NetworkSettings,
+        NoveltySettings,
+        ScheduleSettings,
+        TransferSettings,
+    )
+    from shes.envs.tasks.options import TaskOptions
+    from shes.runs.rooms import EpisodeSettings, EvaluationSettings, RunSettings, WorkerSettings
+    from shes.settings import Settings
 
-
-@dataclass(frozen=True, kw_only=True)
-class RunSettings(Settings):
-    """Run."""
-
-    env: str
-    """Environment; `shes envs` lists them. Or `gymnasium:` and an id of Gymnasium."""
-    algorithm: Annotated[
-        str,
-        Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE."),
-        Shown(everyday=True),
-    ] = "shes"
-    """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES."""
-    preset: Annotated[str, Execution(), Shown(everyday=True)] = "laptop"
-    """What the other settings start from: paper, laptop or smoke."""
-    seed: Annotated[int, Ge(0), Lt(2**63), Shown(everyday=True)] = 1
-    """Seed of every random draw."""
-    generations: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] = 1000
-    """Generations after which the run ends (Table I: 3000)."""
-    env_steps: Annotated[int, Ge(1), Execution()] | None = None
-    """Environment steps of training after whose generation the run ends, whichever comes first."""
-    minutes: Annotated[float, Gt(0), Execution(), Shown(everyday=True)] | None = None
-    """Minutes after which this call ends, whichever comes first."""
-
-    def is_over(self, generation: int, env_steps: int) -> bool:
-        """Return whether the run ends after `generation` generations and `env_steps` of training."""
-        return generation >= self.generations or (self.env_steps is not None and env_steps >= self.env_steps)
-
-
-@dataclass(frozen=True, kw_only=True)
-class WorkerSettings(Settings):
-    """Workers."""
-
-    backend: Annotated[Literal["processes", "serial"], Execution()] = "processes"
-    """Where the work is done on the CPU: processes (on this machine) or serial (in this process)."""
-    num_workers: Annotated[int, Ge(0), Execution(), Shown(flag="--workers", everyday=True)] = 0
-    """Worker processes; 0 is one for every core. Never changes a number."""
-    chunk_size: Annotated[int, Ge(0), Execution()] = 0
-    """Policies that a worker, or a device, runs in lockstep; 0 chooses. Never changes a number on the CPU."""
-    device: Annotated[str, Choices(("cpu", *DEVICES)), Execution(), Shown(everyday=True)] = "cpu"
-    """What computes the physics: cpu, cuda (an NVIDIA card; extra gpu) or warp-cpu (extra warp; for tests)."""
-    nconmax: Annotated[int, Ge(1), Execution()] | None = None
-    """Contacts that a device has room for, per simulation on average; chosen by the world if none."""
-    njmax: Annotated[int, Ge(1), Execution()] | None = None
-    """Constraint rows that a device has room for, per simulation; chosen by the world if none."""
-
-    @property
-    def count(self) -> int:
-        """Worker processes asked for: `num_workers`, or one for every core that this process may use."""
-        return self.num_workers or num_cores()
-
-
-@dataclass(frozen=True, kw_only=True)
-class EpisodeSettings(Settings):
-    """Episodes."""
-
-    horizon: Annotated[int, Ge(1), Shown(everyday=True)] = 200
-    """Control steps in an episode of training (Table I: 500)."""
-    evaluation_horizon: Annotated[int, Ge(1)] | None = None
-    """Control steps in an episode of evaluation; the same as in training if none."""
-    evaluation_reset_noise: Annotated[float, Ge(0), Lt(1)] = 0.1
-    """reset_noise in evaluation."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluationSettings(Settings):
-    """Evaluation and checkpoints."""
-
-    evaluation_interval: Annotated[int, Ge(1)] = 10
-    """Generations between evaluations of the mean policies (there is one after the first generation, too)."""
-    evaluation_episodes: Annotated[int, Ge(1)] = 50
-    """Episodes of an evaluation."""
-    keep_checkpoints: Annotated[int, Ge(1), Execution()] = 50
-    """Generations between checkpoints that are kept beside `last` and `best`."""
-
-
-_OF_EVERY_RUN: dict[str, type[Settings]] = {
-    "run": RunSettings,
-    "workers": WorkerSettings,
-    "episodes": EpisodeSettings,
-    "evaluation": EvaluationSettings,
-}
+__all__ = ["TrainConfig"]
 
 
 class TrainConfig:
-    """The settings of a training run: rooms, each a frozen dataclass. `config.evolution.sigma` is one.
-
-    Every run has `run`, `workers`, `environment` (the options of its task), `episodes` and `evaluation`, and `body`
-    where the robot has options. The others are those of its algorithm: a run of es has no `hierarchy`.
-    """
+    """The settings of a training run, immutable, in rooms: `config.evolution.sigma`. See `shes.runs.rooms`."""
 
     if TYPE_CHECKING:
         run: RunSettings
@@ -162,11 +50,11 @@ class TrainConfig:
         transfer: TransferSettings
 
     def __init__(self, values: Mapping[str, Any]) -> None:
-        """Make the rooms from settings by name.
+        """Build the rooms from settings by name.
 
         Raises:
-            ConfigError: A setting is unknown, or its value is out of range, or values do not go together.
-            UnknownNameError: A name is in no registry.
+            ConfigError: A setting is unknown, a value is out of range, or two values do not go together.
+            UnknownNameError: A value is a name that is in no registry.
         """
         classes = check_names(values)
         self.__dict__["rooms"] = {room: cls.of(values) for room, cls in classes.items()}
@@ -178,7 +66,7 @@ class TrainConfig:
         return cls(values)
 
     def having(self, **values: Any) -> TrainConfig:
-        """Return this configuration with other values of some settings."""
+        """Return a copy with other values of some settings."""
         return TrainConfig({**self.settings, **values})
 
     def __getattr__(self, name: str) -> Any:
@@ -189,11 +77,11 @@ class TrainConfig:
         return rooms[name]
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Refuse: settings are never changed."""
+        """Raise: a configuration is immutable."""
         raise AttributeError(f"settings cannot be changed: {name}. Use having().")
 
     def __contains__(self, room: str) -> bool:
-        """Tell whether there is a room of this name."""
+        """Return whether there is a room of this name."""
         return room in self.rooms
 
     def __iter__(self) -> Iterator[str]:
@@ -201,36 +89,31 @@ class TrainConfig:
         return iter(self.rooms)
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether every setting is the same."""
+        """Return whether all settings are equal."""
         return isinstance(other, TrainConfig) and self.rooms == other.rooms
 
-    __hash__ = None  # type: ignore[assignment] - rooms may hold what cannot be hashed
+    __hash__ = None  # type: ignore[assignment] - a room may not be hashable
 
     def __repr__(self) -> str:
-        """Return the rooms."""
+        """Return the rooms as text."""
         return f"TrainConfig({', '.join(map(repr, self.rooms.values()))})"
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Every setting by its own name, whatever room it is in."""
-        return {
-            name: getattr(room, name)
-            for room in self.rooms.values()
-            for name, setting in setting_fields(type(room)).items()
-            if not setting.has(Unasked)
-        }
+        """The values of all settings by name."""
+        return {name: getattr(room, name) for room in self.rooms.values() for name in settings_in([type(room)])}
 
     def setting(self, name: str) -> Setting:
-        """Return what there is to know of setting `name`."""
-        return _settings_in(map(type, self.rooms.values()))[name]
+        """Return the description of setting `name`."""
+        return settings_in(map(type, self.rooms.values()))[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as JSON holds them, room by room."""
+        """Return the settings as JSON types, by room."""
         return {name: room.to_dict() for name, room in self.rooms.items()}
 
     @classmethod
     def from_dict(cls, rooms: Mapping[str, Mapping[str, Any]]) -> TrainConfig:
-        """Return the configuration that `to_dict` wrote.
+        """Return the configuration from the result of `to_dict`.
 
         Raises:
             ConfigError: A key is unknown or missing, or a value is not allowed.
@@ -249,36 +132,36 @@ class TrainConfig:
         return config
 
     def numbers(self) -> dict[str, Any]:
-        """Return the settings that change the numbers of a generation, by name, as JSON holds them."""
+        """Return the settings that change the numbers of a run, by name, as JSON types."""
         values = {name: value for room in self.to_dict().values() for name, value in room.items()}
         return {name: value for name, value in values.items() if not self.setting(name).has(Execution)}
 
-    # What follows from the settings.
+    # Derived properties.
 
     @property
     def level_names(self) -> tuple[str, ...]:
-        """What the levels of the run are called."""
+        """The names of the levels of the run."""
         return learner(self.run).level_names
 
     @property
     def learns(self) -> tuple[bool, ...]:
-        """Which levels learn."""
+        """Whether each level learns."""
         is_frozen = "transfer" in self and self.transfer.primitive is not None and self.transfer.freeze_primitive
         return tuple(not (is_frozen and name == "primitive") for name in self.level_names)
 
     @property
     def is_branched(self) -> bool:
-        """Whether the primitive is judged by intervals, learning or not."""
+        """Whether the primitive's fitness is estimated by branched intervals, even if it does not learn."""
         return "estimate" in self and self.estimate.primitive_estimate == "interval"
 
     @property
     def by_episodes(self) -> tuple[bool, ...]:
-        """Which levels whole episodes judge; a primitive alone that branches do counts, for the size of its pairs."""
+        """Whether each level's mirrored groups are those of whole episodes; true for a primitive that learns alone."""
         return (*self.learns[:-1], False) if self.is_branched and len(self.level_names) > 1 else self.learns
 
     @property
     def has_schedule(self) -> bool:
-        """Whether anything changes over generations."""
+        """Whether a setting changes over generations."""
         return "schedules" in self and any(
             getattr(self.schedules, kind) != "constant" for kind, _ in SCHEDULED.values()
         )
@@ -288,10 +171,10 @@ class TrainConfig:
         """Control steps in an episode of evaluation."""
         return self.episodes.evaluation_horizon or self.episodes.horizon
 
-    # What goes together.
+    # Checks of combinations.
 
     def _check(self) -> None:
-        """Refuse settings that do not go together."""
+        """Raise ConfigError for settings that do not go together."""
         if self.workers.device != "cpu" and find_environment(self.run.env).has_own_physics:
             raise ConfigError(
                 f"device is {self.workers.device!r}, but {self.run.env} has physics of its own: it runs on the CPU "
@@ -310,7 +193,7 @@ class TrainConfig:
             self._check_branches()
 
     def _check_schedules(self) -> None:
-        """Refuse a schedule without an end, an end without a schedule, and one that cannot be reached."""
+        """Check that a schedule has an end that it can reach, and a constant none."""
         values = self.settings
         for name, (kind, end) in SCHEDULED.items():
             is_constant, has_end = values[kind] == "constant", values[end] is not None
@@ -327,7 +210,7 @@ class TrainConfig:
                 make_schedule(quantity, values[kind], values[name], values[end], generations)
 
     def _check_population(self) -> None:
-        """Refuse a population that does not fit its groups, and pairs where members are no pairs."""
+        """Check that the population consists of whole mirrored groups, and fits shaping and symmetry."""
         evolution = self.evolution
         members = len(sign_matrix(evolution.mirrored, max(1, sum(self.by_episodes))))
         if evolution.fitness_shaping == "pair_rank" and members != 2:
@@ -345,7 +228,7 @@ class TrainConfig:
         check_perturbation(perturbation, evolution.population_size, evolution.mirrored, self.by_episodes)
 
     def _check_branches(self) -> None:
-        """Refuse branches of a primitive that cannot be branched."""
+        """Check that the primitive's episodes can be branched."""
         if find_environment(self.run.env).has_own_physics:
             raise ConfigError(
                 f"primitive_estimate is 'interval', but the physics of {self.run.env} is its own and cannot be "
@@ -355,72 +238,9 @@ class TrainConfig:
         if is_beside and self.learns[-1] and self.hierarchy.primitive_view == "observation":
             raise ConfigError(
                 "primitive_estimate is 'interval', but the primitive sees the task's observation, which a branch does "
-                "not go on with. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."
+                "not continue. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."
             )
         own = self.estimate.primitive_population_size if is_beside else None
         name, pairs = ("primitive_population_size", own) if own else ("population_size", self.evolution.population_size)
         if pairs % 2:
             raise out_of_range(name, pairs, "an even number: branches are mirrored pairs")
-
-
-def learner(run: RunSettings) -> type[Algorithm[Any]]:
-    """Return what learns in a run."""
-    return find_algorithm(run.algorithm, sets_goals=find_environment(run.env).sets_goals)
-
-
-def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
-    """Return the classes of settings that a run has, by room, in the order of the help."""
-    env = find_environment(run.env)
-    body = env.body.Options if isinstance(env, Environment) else Settings
-    return {
-        "run": _OF_EVERY_RUN["run"],
-        "workers": _OF_EVERY_RUN["workers"],
-        **learner(run).rooms,
-        "environment": env.options,
-        **({"body": body} if setting_fields(body) else {}),
-        "episodes": _OF_EVERY_RUN["episodes"],
-        "evaluation": _OF_EVERY_RUN["evaluation"],
-    }
-
-
-def _settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
-    """Return the settings of several classes by name, without what the program sets."""
-    return {
-        name: setting for cls in classes for name, setting in setting_fields(cls).items() if not setting.has(Unasked)
-    }
-
-
-def known_settings() -> dict[str, Setting]:
-    """Return every setting of every algorithm, environment and body by name."""
-    tasks = {cls: None for each in ENVIRONMENTS.values() for cls in (each.options, each.body.Options)}
-    methods = [cls for each in learners() for cls in each.rooms.values()]
-    return _settings_in([*_OF_EVERY_RUN.values(), *tasks, *methods])
-
-
-def execution_settings() -> dict[str, Setting]:
-    """Return the settings that say how, where and how long, by name: all that `resume` takes, and the preset."""
-    return {name: each for name, each in _settings_in(_OF_EVERY_RUN.values()).items() if each.has(Execution)}
-
-
-def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
-    """Return the rooms of a run with these settings; refuse names that are no settings, or none of this run.
-
-    Raises:
-        ConfigError: There is one; the message names the nearest.
-    """
-    if "env" not in values:
-        raise ConfigError("the configuration names no environment (key 'env').")
-    classes = rooms_of(RunSettings.of(values))
-    here, everywhere = _settings_in(classes.values()), known_settings()
-    for name, value in values.items():
-        if name in here:
-            continue
-        if name in everywhere:
-            raise ConfigError(
-                f"{name} is no setting of a run of {values['env']} with algorithm "
-                f"{values.get('algorithm', 'shes')!r}, got {value!r}. Leave {everywhere[name].flag} away."
-            )
-        close = difflib.get_close_matches(name, here, n=1)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise ConfigError(f"unknown setting {name!r}.{hint} Settings: {', '.join(here)}.")
-    return classes

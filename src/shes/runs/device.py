@@ -1,4 +1,4 @@
-"""Where a run's physics is computed: what goes with a device, whether there is one, and what the record says of it."""
+"""The device of a run's physics: settings that need one, and its entry in the run's record."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ __all__ = ["check_asked_device", "device_changes", "device_facts"]
 
 
 def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
-    """Refuse settings among the `asked` ones that do nothing on the device of `config`.
+    """Check that the settings in `asked` have an effect on the device of `config`.
 
-    The same settings may stay from a time on another device: a run that goes on there has its workers, or its buffers,
-    back when it returns.
+    Other settings of `config` may be left from another device, for a run that returns to it.
 
     Raises:
-        ConfigError: There is one.
+        ConfigError: A setting has no effect.
     """
     device = config.workers.device
     if device == "cpu":
@@ -31,30 +30,26 @@ def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 )
         return
     backend, workers = asked.get("backend", "serial"), asked.get("num_workers", 0)
-    if backend != "serial":
-        raise ConfigError(
-            f"backend is {backend!r}, but one process serves device {device}. "
-            "Leave --backend away, or set --device cpu."
-        )
-    if workers > 1:
-        raise ConfigError(
-            f"num_workers is {workers}, but one process serves device {device}. "
-            "Leave --workers away, or set --device cpu."
-        )
+    for name, value, is_idle in (("backend", backend, backend != "serial"), ("num_workers", workers, workers > 1)):
+        if is_idle:
+            raise ConfigError(
+                f"{name} is {value!r}, but one process serves device {device}. "
+                f"Leave {config.setting(name).flag} away, or set --device cpu."
+            )
 
 
 def device_facts(name: str) -> dict[str, str]:
-    """Return what a run writes down of device `name`: the card, and versions, where it is not the CPU.
+    """Return the record of device `name`: for a GPU its model and the versions of its software.
 
     Raises:
         MissingExtraError: The device needs a package that is not installed.
-        ConfigError: There is no such device in this machine, or versions do not go together.
+        ConfigError: The machine has no such device, or software versions do not match.
     """
     return {"name": name} if name == "cpu" else WarpDevice(name).facts
 
 
 def device_changes(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Return what differs between the devices of two parts of a run: `device cpu -> cuda`."""
+    """Return the differences between the devices of two parts of a run: `device cpu -> cuda`."""
     if before.get("name") != now["name"]:
         return [f"device {before.get('name')} -> {now['name']}"]
     return [f"{key} {before.get(key)} -> {value}" for key, value in now.items() if before.get(key) != value]

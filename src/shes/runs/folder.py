@@ -1,4 +1,4 @@
-"""The run folder: where it keeps what, and that there is exactly one run in it."""
+"""The run folder: its files, its lock, and its record."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _FORMAT = 2
 
 
 def new_folder(config: TrainConfig) -> Path:
-    """Make a new folder below `runs/` in the working directory; no two runs are given the same one.
+    """Create a new folder below `runs/` in the working directory and return it; safe for concurrent runs.
 
     Raises:
-        StorageError: It cannot be made.
+        StorageError: The folder cannot be created.
     """
     env = config.run.env.removeprefix(GYMNASIUM).replace("/", "-")
     name = f"{env}-{config.run.preset}-seed{config.run.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
@@ -58,29 +58,11 @@ class RunFolder:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep other processes from running in this folder.
+        """Hold the lock of the folder, so that no other process trains in it.
 
         Raises:
-            RunFolderError: Another process does, or the folder is that of a shipped agent.
+            RunFolderError: Another process holds it, or the folder belongs to a shipped agent.
             StorageError: The folder cannot be written.
-        """
-        self._refuse_shipped()
-        with storage_errors(self._lock):
-            file = self._lock.open("w")
-        with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise RunFolderError(
-                    f"{self.path} is in use: a run is being trained in it. Wait for its end, or choose another folder."
-                ) from error
-            yield
-
-    def _refuse_shipped(self) -> None:
-        """Refuse to write into a shipped agent.
-
-        Raises:
-            RunFolderError: This is the folder of one.
         """
         name = shipped_name(self.path)
         if name is not None:
@@ -89,10 +71,20 @@ class RunFolder:
                 f"primitive: shes train ENV --primitive {name}. Or copy {self.path} to a folder of your own, with its "
                 "checkpoints/best.npz as checkpoints/last.npz, and resume that."
             )
+        with storage_errors(self._lock):
+            file = self._lock.open("w")
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise RunFolderError(
+                    f"{self.path} is in use: another process trains in it. Wait for its end, or choose another folder."
+                ) from error
+            yield
 
     @classmethod
     def create(cls, path: Path) -> RunFolder:
-        """Make a folder at `path`; it holds a run as soon as `record_start` has written its record.
+        """Create the folder at `path`; it holds a run once `record_start` has written its record.
 
         Raises:
             RunFolderError: `path` already holds a run or parts of one, or is a file.
@@ -106,7 +98,7 @@ class RunFolder:
             )
         if path.exists() and not path.is_dir():
             raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
-        # A start that was cut short leaves a lock and first checkpoints; whatever else is there is not ours.
+        # An interrupted start leaves the lock and first checkpoints; other files come from elsewhere.
         checkpoints = [] if folder._lock.exists() else folder.checkpoints.glob("*.npz")
         for taken in (folder.progress, folder.evaluation, *checkpoints):
             if taken.exists():
@@ -149,10 +141,10 @@ class RunFolder:
             raise ConfigError(f"{self.config}: {error}") from error
 
     def record_start(self, config: TrainConfig, origins: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write down what the run is, and which levels (`primitive`, `controller`) it has from other runs.
+        """Write the record of a new run, with the origins of levels that other runs trained.
 
         Raises:
-            StorageError: It cannot be written.
+            StorageError: The record cannot be written.
         """
         record = {
             "format": _FORMAT,
@@ -164,9 +156,9 @@ class RunFolder:
         self.write_record(record)
 
     def record_resume(self, generation: int, config: TrainConfig) -> list[str]:
-        """Write down that the run went on from `generation`; return what is other than before, on what numbers depend.
+        """Record that the run was resumed after `generation`; return the changes that may change numbers.
 
-        Versions are compared with those that the run began with, the device with that of the part before.
+        Versions are compared with those of the start, the device with that of the previous part.
         """
         record = self.read_record()
         here, began = provenance(config.workers.device), record.get("versions", {})
@@ -181,14 +173,14 @@ class RunFolder:
         return changes
 
     def checkpoint_path(self, name: str | int) -> Path:
-        """Return the file of checkpoint `name`: `last`, `best` or the number of a generation."""
+        """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
     def load(self, name: str | int) -> Checkpoint:
         """Return checkpoint `name` of this run.
 
         Raises:
-            CheckpointError: It is missing, damaged, or of another run.
+            CheckpointError: It is missing, damaged, or from another run.
         """
         path, agent = self.checkpoint_path(name), shipped_name(self.path)
         if agent is not None and not path.is_file():
@@ -197,7 +189,7 @@ class RunFolder:
             )
         checkpoint, config = load_checkpoint(path), self.read_config()
         mine = config.numbers()
-        # Settings that came after the checkpoint was written have their defaults, which change nothing.
+        # Settings that are newer than the checkpoint have their defaults, which change nothing.
         missing = {name: config.setting(name).default for name in mine if name not in checkpoint.numbers}
         checkpoint = replace(checkpoint, numbers={**missing, **checkpoint.numbers})
         if checkpoint.numbers != mine:
@@ -208,10 +200,10 @@ class RunFolder:
         return checkpoint
 
     def read_record(self) -> dict[str, Any]:
-        """Return what `config.json` holds: the settings, and what made the run.
+        """Return the content of `config.json`: settings and provenance.
 
         Raises:
-            RunFolderError: It is damaged, or of another format.
+            RunFolderError: The file is damaged, or has another format.
         """
         try:
             record = json.loads(self.config.read_text(encoding="utf-8"))
@@ -228,7 +220,7 @@ class RunFolder:
         """Write `config.json`.
 
         Raises:
-            StorageError: It cannot be written.
+            StorageError: The file cannot be written.
         """
         text = json.dumps(record, indent=2) + "\n"
         write_atomically(self.config, lambda file: file.write(text.encode()))

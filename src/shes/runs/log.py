@@ -1,4 +1,4 @@
-"""The log of a run: when its generations begin and end, lost workers, the simulator's warnings."""
+"""The log of a run: begin and end of generations, lost workers, warnings of the simulator."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ logger = logging.getLogger("shes.run")
 
 
 class _LogFile(logging.FileHandler):
-    """A log that no full disk ends the run by: the tables and the checkpoints, written next, say it better."""
+    """A log file whose errors are ignored: a full disk ends the run when tables or checkpoints are written."""
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's own name
-        """Leave the record out."""
+        """Drop the record."""
 
     def close(self) -> None:
-        """Close the file, whatever is still unwritten."""
+        """Close the file, even if buffered text cannot be written."""
         with suppress(OSError):
             super().close()
 
 
 @contextmanager
 def run_log(folder: RunFolder) -> Iterator[None]:
-    """Send the log of the run to its `log.txt`."""
+    """Write the log of the run to its `log.txt` inside the block."""
     with storage_errors(folder.log):
         handler = _LogFile(folder.log, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))

@@ -1,4 +1,4 @@
-"""When, where, by what command and with what versions a run was made."""
+"""The provenance of a run: time, command, versions, machine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PACKAGES = ("shes", "mujoco", "numpy")
 
 
 def provenance(device: str) -> dict[str, Any]:
-    """Return what a run writes down of this process, which computes on `device`."""
+    """Return the provenance of a run of this process on `device`, as JSON types."""
     versions = {name: metadata.version(name) for name in _PACKAGES}
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -32,7 +32,7 @@ def provenance(device: str) -> dict[str, Any]:
 
 
 def _git_commit() -> str | None:
-    """Return the commit of this package's source tree; None where the package is not part of a repository."""
+    """Return the git commit of this package's source tree; None if the package is not in a repository."""
     here = Path(__file__)
     try:
         for command in (["ls-files", "--error-unmatch", here.name], ["rev-parse", "HEAD"]):
@@ -45,7 +45,7 @@ def _git_commit() -> str | None:
 
 
 def _processor() -> str:
-    """Return the processor's name: results repeat to the bit only on processors with the same features."""
+    """Return the processor's name: results are bit-identical only between processors with the same features."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -1,6 +1,6 @@
-"""Shipped agents: trained agents that are part of the package, and stand by name wherever a run folder may.
+"""Shipped agents: trained agents in the package, whose names can be given instead of a run folder.
 
-Each is a small run folder below `agents/`, with `agent.json` beside its `config.json`; `ship` makes one out of a run.
+Each is a small run folder below `agents/`, with `agent.json` beside its `config.json`. `ship` makes one from a run.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ __all__ = [
 ]
 
 AGENTS = Path(str(files("shes") / "agents"))
-"""Where the shipped agents are."""
+"""Folder of the shipped agents."""
 AGENT_FILE = "agent.json"
-"""What is told of an agent; a folder without it is none."""
+"""Description of an agent; a folder without it is not an agent."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreshEvaluation:
-    """An agent's result on fresh episodes, as `shes evaluate NAME --episodes ... --seed ...` gives it again."""
+    """An agent's result on fresh episodes: that of `shes evaluate NAME --episodes ... --seed ...`."""
 
     episodes: int
     score_mean: float
@@ -46,36 +46,36 @@ class FreshEvaluation:
     success_rate: float
     episode_steps_mean: float
     seed: int | None
-    """Seed of the episodes; None is a stream of the run's own, apart from its training."""
+    """Seed of the episodes; if None, from a stream of the run that its training does not use."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShippedAgent:
-    """What `agent.json` tells of a shipped agent."""
+    """The description of a shipped agent in `agent.json`."""
 
     description: str
     """What it does, on one line."""
     env: str
-    """The environment that it was trained on."""
+    """Environment of its training."""
     commands: tuple[str, ...]
-    """The commands that made it."""
+    """Commands that trained it."""
     cores: int
-    """Cores that its run had."""
+    """Number of cores of its run."""
     hours: float
     """Wall-clock time of its run, in hours."""
     env_steps: int
     """Environment steps of its run."""
     generation: int
-    """The generation of its run that it is of: the one with the best evaluation."""
+    """Generation of its run with the best evaluation, whose policies it has."""
     evaluation: FreshEvaluation
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as JSON holds it."""
+        """Return the description as JSON types."""
         return {**asdict(self), "commands": list(self.commands)}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> ShippedAgent:
-        """Return what `to_dict` wrote.
+        """Return the description from the result of `to_dict`.
 
         Raises:
             KeyError: `commands` or `evaluation` is missing.
@@ -94,7 +94,7 @@ def shipped_path(name: str) -> Path:
     """Return the folder of the shipped agent `name`.
 
     Raises:
-        UnknownNameError: There is none of this name.
+        UnknownNameError: There is no such agent.
     """
     if name not in shipped_names():
         raise UnknownNameError("shipped agent", name, shipped_names(), "`shes list` shows them.")
@@ -102,16 +102,16 @@ def shipped_path(name: str) -> Path:
 
 
 def shipped_name(path: Path) -> str | None:
-    """Return the name of the shipped agent whose folder `path` is; None if it is no place of a shipped agent."""
+    """Return the name of the shipped agent in folder `path`; None if `path` is not below the folder of agents."""
     place = path.resolve()
     return place.name if place.parent == AGENTS.resolve() else None
 
 
 def read_agent(name: str) -> ShippedAgent:
-    """Return what is told of the shipped agent `name`.
+    """Return the description of the shipped agent `name`.
 
     Raises:
-        UnknownNameError: There is none of this name.
+        UnknownNameError: There is no such agent.
         RunFolderError: Its `agent.json` is damaged.
     """
     file = shipped_path(name) / AGENT_FILE
@@ -122,9 +122,10 @@ def read_agent(name: str) -> ShippedAgent:
 
 
 def find_run(run: Path | str) -> Path:
-    """Return the folder that `run` means: the path itself, or the shipped agent of this name.
+    """Return the folder of `run`: the path itself, or that of the shipped agent of this name.
 
-    Only a string can be a name. A path that exists wins over a name, and `./name` or a `pathlib.Path` is always a path.
+    Only a string can be a name. An existing path takes precedence over a name; `./name` and a `pathlib.Path` are
+    always paths.
     """
     if isinstance(run, str) and run in shipped_names() and not os.path.lexists(run):
         return AGENTS / run
@@ -132,13 +133,13 @@ def find_run(run: Path | str) -> Path:
 
 
 def run_text(run: Path | str) -> str:
-    """Return `run` as text that means the same: a path object without a separator gets `./`, as it is no name."""
+    """Return `run` as a string with the same meaning: a `Path` without a separator gets `./`, to be no name."""
     given = os.fspath(run)
     return given if isinstance(run, str) or os.sep in given else f".{os.sep}{given}"
 
 
 def shipped_hint(run: Path | str) -> str:
-    """Return what an error says of shipped agents where `run` is no run folder; nothing if there are none."""
+    """Return a hint at shipped agents for the error that `run` is not a run folder; empty without agents."""
     given, names = os.fspath(run), shipped_names()
     if given in names and not os.path.lexists(given):
         return f" A pathlib.Path is always a path: for the shipped agent of this name, give the string {given!r}."

@@ -1,4 +1,4 @@
-"""How far a run came: what `shes list` and `shes info` say of it."""
+"""The state of a run, for `shes list` and `shes info`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["RunState", "run_state"]
 
 @dataclass(frozen=True, kw_only=True)
 class RunState:
-    """How far a run came."""
+    """The state of a run."""
 
     run: str
     """The run folder."""
@@ -23,36 +23,36 @@ class RunState:
     preset: str
     seed: int
     generation: int
-    """Generations made."""
+    """Number of finished generations."""
     generations: int
-    """Generations asked for."""
+    """Number of generations after which it ends."""
     env_steps: int
     """Environment steps of training."""
     best_score: float | None
     """Score of the best evaluation; None before the first one."""
     state: Literal["running", "finished", "stopped", "damaged", "tables only"]
-    """`stopped` runs can be resumed; one of `tables only` has no checkpoints."""
+    """A `stopped` run can be resumed; a run with `tables only` has no checkpoints."""
 
     @property
     def shown_score(self) -> str:
-        """The best score in words."""
+        """The best score as text."""
         return "-" if self.best_score is None else f"{self.best_score:.2f}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as JSON holds it."""
+        """Return the state as JSON types."""
         return asdict(self)
 
 
 def run_state(folder: RunFolder) -> RunState:
-    """Return how far the run in `folder` came.
+    """Return the state of the run in `folder`.
 
     Raises:
         RunFolderError: Its record is damaged.
-        ConfigError: A setting in it is unknown or not allowed.
+        ConfigError: A setting in its record is unknown or not allowed.
     """
     config = folder.read_config()
     generation, steps, score, is_over = 0, 0, None, False
-    name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has the best alone
+    name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has only the best
     try:
         checkpoint = folder.load(name)
         generation, steps = checkpoint.generation, checkpoint.env_steps
@@ -77,7 +77,7 @@ def run_state(folder: RunFolder) -> RunState:
 
 
 def _is_locked(folder: RunFolder) -> bool:
-    """Tell whether a process trains in `folder`."""
+    """Return whether a process trains in `folder`."""
     file = folder.path / ".lock"
     if not file.is_file():
         return False

@@ -1,10 +1,11 @@
-"""What a run writes down every generation: CSV always, TensorBoard beside it."""
+"""The tables of a run, with a row per generation or evaluation: CSV and TensorBoard."""
 
 from __future__ import annotations
 
 import csv
 import io
 import os
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from time import time
 from typing import Any
@@ -18,13 +19,13 @@ from shes.errors import RunFolderError
 from shes.runs.folder import RunFolder
 from shes.storage import storage_errors, write_atomically
 
-__all__ = ["CsvTable", "Records", "Row", "read_csv"]
+__all__ = ["CsvTable", "Records", "Row", "csv_text", "read_csv"]
 
 Row = dict[str, Any]
 
 
 def read_csv(path: Path) -> dict[str, list[float]]:
-    """Return the columns of a CSV file of a run.
+    """Return the columns of a CSV file of numbers by name.
 
     Raises:
         RunFolderError: The file is missing or damaged.
@@ -37,15 +38,22 @@ def read_csv(path: Path) -> dict[str, list[float]]:
         raise RunFolderError(f"{path} cannot be read as a table of numbers: {error}.") from error
 
 
+def csv_text(rows: Iterable[Sequence[Any]]) -> str:
+    """Return `rows` as the text of a CSV file."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
+
+
 class CsvTable:
-    """A CSV file to which whole rows are added; numbers are written so that they read back to the bit."""
+    """A CSV file to which whole rows are appended; numbers read back bit-identically."""
 
     def __init__(self, path: Path, keep_until: int) -> None:
-        """Open `path`, keeping its rows up to generation `keep_until`: later ones are done again.
+        """Open `path` and remove the rows after generation `keep_until`.
 
         Raises:
-            StorageError: It cannot be written.
-            RunFolderError: It is damaged.
+            StorageError: The file cannot be written.
+            RunFolderError: The file is damaged.
         """
         self._path = path
         self._columns: list[str] | None = None
@@ -62,42 +70,37 @@ class CsvTable:
             kept = [row for row in rows[1:] if len(row) == len(rows[0]) and int(row[0]) <= keep_until]
         except ValueError as error:
             raise RunFolderError(f"{self._path} is damaged: {error}. Restore it from a copy.") from error
-        if not kept:  # the header may be half written: it comes again with the first row
+        if not kept:  # the header may be incomplete: it is written again with the first row
             self._columns = None
             write_atomically(self._path, lambda file: file.write(b""))
             return
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([rows[0], *kept])
-        write_atomically(self._path, lambda file: file.write(text.getvalue().encode()))
+        write_atomically(self._path, lambda file: file.write(csv_text([rows[0], *kept]).encode()))
 
     def add(self, row: Row) -> None:
-        """Add `row`, with one write.
+        """Append `row`, with one write.
 
         Raises:
-            StorageError: It cannot be written.
+            StorageError: The file cannot be written.
         """
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        if self._columns is None:
-            self._columns = list(row)
-            writer.writerow(self._columns)
-        writer.writerow([repr(row[name]) for name in self._columns])
+        header = [] if self._columns else [list(row)]
+        self._columns = self._columns or list(row)
+        text = csv_text([*header, [repr(row[name]) for name in self._columns]])
         with storage_errors(self._path), self._path.open("a", encoding="utf-8") as file:
-            file.write(text.getvalue())
+            file.write(text)
 
 
 class _Events:
     """A file of TensorBoard events, written in this thread.
 
-    Not tensorboardX's `SummaryWriter`: its thread dies of a full disk, and the run then waits for it for ever.
+    The thread of tensorboardX's `SummaryWriter` dies when the disk is full, and then blocks the run for ever.
     """
 
     def __init__(self, folder: Path, generation: int) -> None:
-        """Begin a file that takes the place of earlier ones' events after `generation`."""
+        """Open a file that supersedes the events of earlier files after `generation`."""
         self._folder = folder
         with storage_errors(folder):
             folder.mkdir(exist_ok=True)
-            # The name holds the second; two parts of a run that begin in the same one must not share a file.
+            # The name contains the second; two parts of a run that begin in the same second need different files.
             self._writer = EventsWriter(str(folder / "events"), f".{os.getpid()}.{generation}")
             if generation:
                 start = SessionLog(status=SessionLog.START)
@@ -110,10 +113,10 @@ class _Events:
                 if name != "generation" and np.isfinite(value):
                     summary = scalar(f"{group}/{name}", value)
                     self._writer.write_event(Event(wall_time=time(), step=row["generation"], summary=summary))
-            self._writer.flush()  # before the checkpoint, which says that this generation is done
+            self._writer.flush()  # before the checkpoint marks this generation as done
 
     def close(self) -> None:
-        """Finish the file."""
+        """Close the file."""
         with storage_errors(self._folder):
             self._writer.close()
 
@@ -122,21 +125,21 @@ class Records:
     """The tables of a run and its TensorBoard events."""
 
     def __init__(self, folder: RunFolder, generation: int) -> None:
-        """Go on after `generation`: what the tables say of later ones is forgotten."""
+        """Open the tables and remove the rows after `generation`."""
         self._progress = CsvTable(folder.progress, generation)
         self._evaluation = CsvTable(folder.evaluation, generation)
         self._events = _Events(folder.tensorboard, generation)
 
     def add_progress(self, row: Row) -> None:
-        """Write down a generation."""
+        """Add the row of a generation."""
         self._progress.add(row)
         self._events.add("progress", row)
 
     def add_evaluation(self, row: Row) -> None:
-        """Write down an evaluation."""
+        """Add the row of an evaluation."""
         self._evaluation.add(row)
         self._events.add("evaluation", row)
 
     def close(self) -> None:
-        """Finish the event file."""
+        """Close the event file."""
         self._events.close()

@@ -1,4 +1,4 @@
-"""Comparisons of a study's variants, with the base and with each other: means, intervals, permutation tests."""
+"""Comparisons of a study's variants with the base and with each other: means, intervals, permutation tests."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Comparison", "compare"]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """A variant on a task, beside another one: a row of `comparison.csv`."""
+    """The comparison of a variant with another one on a task: a row of `comparison.csv`."""
 
     group: str
     variant: str
@@ -28,24 +28,24 @@ class Comparison:
     seeds: int
     score_mean: float
     score_low: float
-    """The interval of the mean over seeds, 95 %, by bootstrap."""
+    """Lower end of the 95 % bootstrap interval of the mean over seeds."""
     score_high: float
     against: str | None = None
-    """The other variant; none for the base itself."""
+    """The other variant; None for the base itself."""
     difference: float | None = None
-    """How much higher the mean is than the other one's."""
+    """Difference of the means, this variant minus the other."""
     p: float | None = None
-    """Two-sided, by a permutation test of the difference of means."""
+    """Two-sided p of a permutation test of the difference of means."""
     p_holm: float | None = None
-    """The same, corrected for the comparisons of this group on this task."""
+    """`p` with Holm's correction for the comparisons of this group on this task."""
 
     def row(self) -> Row:
-        """Return its columns."""
+        """Return the columns of the row."""
         return asdict(self)
 
 
 def compare(study: Study, summaries: Mapping[str, Summary]) -> list[Comparison]:
-    """Return every variant of which a run is finished, compared with the base of its task, and in pairs."""
+    """Return the comparisons of all variants with a finished run: with the base of their task, and in pairs."""
     design, scores = study.design, dict[tuple[str, str, str], list[float]]()
     for cell in study.cells:
         if cell.name in summaries and cell.env in design.metrics:
@@ -63,7 +63,7 @@ def compare(study: Study, summaries: Mapping[str, Summary]) -> list[Comparison]:
 def _compare_group(
     design: StudyDesign, group: str, env: str, variants: dict[str, F64Array], base: F64Array | None
 ) -> list[Comparison]:
-    """Return the comparisons of a group on a task, corrected for their number."""
+    """Return the comparisons of a group on a task, with Holm's correction."""
     pairs: list[tuple[str, str | None, F64Array | None]] = []
     for variant in variants:
         is_base = (group, variant) == design.base or base is None

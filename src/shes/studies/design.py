@@ -1,4 +1,4 @@
-"""What a study asks, as data: groups of variants, what is measured and compared, which figures are drawn of it."""
+"""The design of a study as data: groups of variants, measures, comparisons, figures."""
 
 from __future__ import annotations
 
@@ -9,46 +9,55 @@ from typing import Any, NamedTuple
 
 from shes.errors import ConfigError, UnknownNameError
 
-__all__ = ["Curve", "CurvePanel", "Curves", "Forest", "Measure", "StudyDesign", "Sweep", "check_size", "multiplied"]
-__all__ += ["sweep_name", "whole"]
+__all__ = ["Curve", "CurvePanel", "Curves", "Forest", "Measure", "StudyDesign", "Sweep", "Variant", "check_size"]
+__all__ += ["multiplied", "sweep_name", "whole"]
+
+
+class Variant(NamedTuple):
+    """Runs that differ from the base in some settings."""
+
+    words: str
+    """Its name in tables and figures."""
+    changes: Mapping[str, Any]
+    """Settings that differ from those of the base."""
 
 
 class Measure(NamedTuple):
-    """A column of a table of a study, and its words."""
+    """A column of a study's table, and its name in words."""
 
     column: str
     words: str
     short: str = ""
-    """Words for a narrow axis."""
+    """Name for a narrow axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Forest:
-    """A figure: variants below each other, each with its seeds, its mean and its p against the base."""
+    """A figure: a row per variant with its seeds, mean and p against the base; a panel per environment."""
 
     file: str
     group: str
-    """The group that is drawn, the base above it; a panel per environment."""
+    """The group that is drawn below the base."""
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Groups without which there is nothing to draw."""
+        """Groups of which a finished cell is needed."""
         return (self.group,)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """A figure: what factors do to settings, a panel per environment and setting."""
+    """A figure: the effect of factors of settings, with a panel per environment and setting."""
 
     file: str
     group: str
     settings: tuple[str, ...]
     factors: tuple[float, ...]
-    """What the base's values are multiplied by; the base itself is the 1."""
+    """Factors of the base's values."""
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Groups without which there is nothing to draw."""
+        """Groups of which a finished cell is needed."""
         return (self.group,)
 
 
@@ -58,11 +67,11 @@ class Curve(NamedTuple):
     group: str
     variant: str
     words: str = ""
-    """What the legend calls it; as tables do if empty."""
+    """Its name in the legend; that of tables if empty."""
 
 
 class CurvePanel(NamedTuple):
-    """Lines that are drawn over each other."""
+    """A panel of learning curves."""
 
     env: str
     title: str
@@ -71,45 +80,45 @@ class CurvePanel(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Curves:
-    """A figure: learning curves, panel beside panel."""
+    """A figure: panels of learning curves."""
 
     file: str
     groups: tuple[str, ...]
-    """Groups without which there is nothing to draw."""
+    """Groups of which a finished cell is needed."""
     panels: tuple[CurvePanel, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyDesign:
-    """What a study asks beside its cells."""
+    """The comparisons and figures of a study."""
 
     groups: Mapping[str, str] = field(default_factory=dict)
-    """Groups of cells, and what they ask."""
+    """Groups of cells, with their questions."""
     base: tuple[str, str] = ("", "base")
-    """Group and variant that everything is compared with."""
+    """Group and variant of the base, with which the others are compared."""
     metrics: Mapping[str, Measure] = field(default_factory=dict)
-    """What is compared on each environment, on fresh episodes: column of `runs.csv`."""
+    """Column of `runs.csv` that is compared, by environment: a result on fresh episodes."""
     curves: Mapping[str, Measure] = field(default_factory=dict)
-    """What learning curves show of each environment: column of `curves.csv`."""
+    """Column of `curves.csv` that learning curves show, by environment."""
     labels: Mapping[str, str] = field(default_factory=dict)
-    """Variants in words."""
+    """Names of variants in words."""
     paired: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
-    """Variants of a group that are compared with each other, too: second with first."""
+    """Further comparisons within a group: second with first variant."""
     figures: tuple[Forest | Sweep | Curves, ...] = ()
     steps_per_s: int = 30_000
-    """Environment steps per second of one core, all of a run included, for the forecast."""
+    """Environment steps per second of one core in a whole run, for the forecast."""
 
     def label(self, variant: str) -> str:
-        """Return a variant in words."""
+        """Return the name of a variant in words."""
         return self.labels.get(variant, variant.replace("-x", " × ").replace("-", " "))
 
     def metric(self, env: str) -> Measure:
-        """Return what is compared on `env`; the score where nothing is."""
+        """Return the measure compared on `env`; the score if none is."""
         return self.metrics.get(env, Measure("best_score", "score"))
 
 
 def check_size(scale: str, seeds: int | None, scales: Mapping[str, Any]) -> None:
-    """Refuse a size that a study does not have.
+    """Check the size of a study.
 
     Raises:
         UnknownNameError: There is no such scale.
@@ -122,12 +131,12 @@ def check_size(scale: str, seeds: int | None, scales: Mapping[str, Any]) -> None
 
 
 def sweep_name(setting: str, factor: float) -> str:
-    """Return the variant whose `setting` is `factor` times the base's."""
+    """Return the name of the variant with `factor` times the base's `setting`."""
     return f"{setting.replace('_', '-')}-x{factor:g}"
 
 
 def multiplied(base: Mapping[str, Any], name: str, factor: float) -> dict[str, Any]:
-    """Return setting `name` at `factor` times the base's: whole where that is, a population of whole groups of four."""
+    """Return setting `name` at `factor` times the base's; integers stay integers, populations multiples of four."""
     value = factor * base[name]
     if name == "population_size":
         return {name: 4 * whole(value / 4)}
@@ -135,5 +144,5 @@ def multiplied(base: Mapping[str, Any], name: str, factor: float) -> dict[str, A
 
 
 def whole(value: float) -> int:
-    """Return the nearest whole number, at least 1; a half is rounded up."""
+    """Return the nearest integer of at least 1; halves are rounded up."""
     return max(1, math.floor(value + 0.5))

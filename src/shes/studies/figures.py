@@ -1,4 +1,4 @@
-"""Figures of a study, by its design: variants below each other, what factors of settings do, learning curves."""
+"""The figures of a study: variants with intervals, effects of factors of settings, learning curves."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from shes.viewing.curves import interpolate, interval
 __all__ = ["draw_figures"]
 
 _WIDTH = 10.0
-"""Inches: at 100 % of a page of 900 pixels, text is as large as the page's own."""
+"""Width in inches."""
 _DPI = 150
 _BASE_COLOR, _COLOR = "#1f77b4", "#c44e00"
 _Place = tuple[str, str, str]
@@ -31,7 +31,7 @@ _Place = tuple[str, str, str]
 
 
 class _Results:
-    """The finished cells of a study by place, seed after seed."""
+    """The results of a study by place, ordered by seed."""
 
     def __init__(self, study: Study, summaries: Mapping[str, Summary], comparisons: Sequence[Comparison]) -> None:
         self.design = study.design
@@ -45,23 +45,23 @@ class _Results:
         self._p = {(c.env, c.group, c.variant): c.p_holm for c in comparisons if c.against == study.design.base[1]}
 
     def scores(self, place: _Place) -> F64Array:
-        """Return what is compared, of every seed."""
+        """Return the compared measure of every seed."""
         column = self.design.metrics[place[0]].column
         return np.array([summary.row[column] for summary in self.summaries.get(place, ())], dtype=np.float64)
 
     def p(self, place: _Place) -> str:
-        """Return the corrected p against the base, in words; their heading beside the base itself."""
+        """Return the corrected p against the base as text; beside the base itself, the heading."""
         p = self._p.get(place)
         if p is None:
             return "against base" if place[1:] == self.design.base else ""
         return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
 
     def has(self, *groups: str) -> bool:
-        """Tell whether a cell of one of `groups`, other than the base, is finished."""
+        """Return whether a cell of one of `groups`, other than the base, is finished."""
         return any(place[1] in groups and place[1:] != self.design.base for place in self.summaries)
 
     def variants(self, env: str, group: str) -> list[_Place]:
-        """Return the base of `env` and the variants of `group`, in the order of the study, if anything is finished."""
+        """Return the base of `env` and the variants of `group` that have finished runs, in the order of the study."""
         own = [place for place in self.cells if place[:2] == (env, group) and place[1:] != self.design.base]
         return [place for place in ((env, *self.design.base), *own) if place in self.summaries]
 
@@ -69,12 +69,10 @@ class _Results:
 def draw_figures(
     study: Study, summaries: Mapping[str, Summary], comparisons: Sequence[Comparison], out: Path
 ) -> list[Path]:
-    """Draw what the finished cells of a study show into `out`; return the pictures.
-
-    They are those of the study's design, each if a cell of it is finished.
+    """Draw the figures of a study that have finished cells into `out`; return their paths.
 
     Raises:
-        StorageError: A picture cannot be written.
+        StorageError: A figure cannot be written.
     """
     results = _Results(study, summaries, comparisons)
     drawn: list[Path] = []
@@ -91,7 +89,7 @@ def draw_figures(
 
 
 def _draw(results: _Results, asked: Forest | Sweep | Curves) -> Figure:
-    """Draw the figure that is asked for."""
+    """Return a figure."""
     if isinstance(asked, Forest):
         return _draw_forest(results, asked)
     if isinstance(asked, Sweep):
@@ -100,19 +98,19 @@ def _draw(results: _Results, asked: Forest | Sweep | Curves) -> Figure:
 
 
 def _title(env: str) -> str:
-    """Return an environment's name as a heading."""
+    """Return the title of an environment."""
     return env.replace("-", " ").title()
 
 
 @contextmanager
 def _style() -> Iterator[None]:
-    """Draw without a box around, and with letters of one size."""
+    """Set the style inside the block."""
     with plt.rc_context({"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": _DPI, "font.size": 10}):
         yield
 
 
 def _draw_forest(results: _Results, figure_of: Forest) -> Figure:
-    """Draw a panel per environment: every variant of the group with its seeds, its mean and its interval."""
+    """Return a figure with a panel per environment: variants with their seeds, mean and interval."""
     envs = list(results.design.metrics)
     panels = {env: results.variants(env, figure_of.group) for env in envs}
     heights = [max(1, len(places)) for places in panels.values()]
@@ -131,13 +129,13 @@ def _draw_forest(results: _Results, figure_of: Forest) -> Figure:
 
 
 def _forest(axis: Axes, results: _Results, env: str, places: Sequence[_Place]) -> None:
-    """Draw the variants at `places` below each other."""
+    """Draw the variants at `places`, one per row."""
     rng = np.random.default_rng(0)
     for y, place in enumerate(places):
         values = results.scores(place)
         is_base = place[1:] == results.design.base
         color = _BASE_COLOR if is_base else _COLOR
-        heights = y + rng.uniform(-0.16, 0.16, len(values))  # seeds of one score stay apart
+        heights = y + rng.uniform(-0.16, 0.16, len(values))  # so that equal scores are distinguishable
         axis.scatter(values, heights, s=14, color=color, alpha=0.35, linewidth=0)
         low, high = interval(values[:, None])
         axis.plot([low[0], high[0]], [y, y], color=color, linewidth=2)
@@ -153,7 +151,7 @@ def _forest(axis: Axes, results: _Results, env: str, places: Sequence[_Place]) -
 
 
 def _draw_sweep(results: _Results, figure_of: Sweep) -> Figure:
-    """Draw a row per environment and a column per setting: mean and interval over the factor."""
+    """Return a figure with a row per environment and a column per setting: mean and interval over the factor."""
     metrics = results.design.metrics
     height = max(3.4, 2.6 * len(metrics))
     figure, axes = plt.subplots(
@@ -174,7 +172,7 @@ def _draw_sweep(results: _Results, figure_of: Sweep) -> Figure:
 
 
 def _sensitivity(axis: Axes, results: _Results, env: str, figure_of: Sweep, setting: str) -> None:
-    """Draw what the factors of a setting do on a task, the base in the middle."""
+    """Draw the effect of the factors of a setting on a task, with the base at 1."""
     places = {factor: (env, figure_of.group, sweep_name(setting, factor)) for factor in figure_of.factors}
     places = dict(sorted({**places, 1.0: (env, *results.design.base)}.items()))
     found = {factor: values for factor, place in places.items() if len(values := results.scores(place))}
@@ -201,7 +199,7 @@ def _sensitivity(axis: Axes, results: _Results, env: str, figure_of: Sweep, sett
 
 
 def _draw_curves(results: _Results, figure_of: Curves) -> Figure:
-    """Draw what is measured over environment steps, panel beside panel."""
+    """Return a figure with panels of measures over environment steps."""
     panels = figure_of.panels
     lines = max(len(panel.curves) for panel in panels)
     figure, axes = plt.subplots(
@@ -224,7 +222,7 @@ def _draw_curves(results: _Results, figure_of: Curves) -> Figure:
 
 
 def _draw_curve(axis: Axes, runs: Sequence[Summary], column: str, name: str, color: str) -> None:
-    """Draw the mean of the seeds and its interval, where all of them reach."""
+    """Draw the mean over seeds and its interval, as far as all seeds reach."""
     steps = [np.array([row["env_steps"] for row in run.curve], dtype=np.float64) for run in runs]
     scores = [np.array([row[column] for row in run.curve], dtype=np.float64) for run in runs]
     grid, values = interpolate(steps, scores)

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
 
 from shes.studies.ablation import ablation
 from shes.studies.learning import learning
 from shes.studies.study import Study
 
-__all__ = ["STUDIES", "StudyMaker"]
+__all__ = ["STUDIES"]
 
-
-class StudyMaker(Protocol):
-    """Makes a study of a size."""
-
-    def __call__(self, scale: str = "laptop", seeds: int | None = None) -> Study:
-        """Return the cells of the study at `scale`, with so many seeds of every variant."""
-        ...
-
-
-STUDIES: dict[str, StudyMaker] = {"ablation": ablation, "learning": learning}
+STUDIES: dict[str, Callable[[str, int | None], Study]] = {"ablation": ablation, "learning": learning}
+"""Functions of the scale and the number of seeds."""

@@ -1,7 +1,7 @@
-"""The learning study: what each piece of the walker's learning is worth, on Ant Flagrun.
+"""The learning study: the worth of each piece of the walker's learning, on Ant Flagrun.
 
-Source: learning specification, sections 1 to 3. Every run ends with the generation that reaches the same number of
-environment steps, whatever its population or estimate; everything is compared with one base.
+Source: docs/learning.md. Every run ends with the generation that reaches the same number of environment steps; all
+variants are compared with one base.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from shes.studies.design import (
     Curve,
@@ -19,6 +19,7 @@ from shes.studies.design import (
     Measure,
     StudyDesign,
     Sweep,
+    Variant,
     check_size,
     multiplied,
     sweep_name,
@@ -28,23 +29,23 @@ from shes.studies.study import Study, generation_steps
 from shes.studies.tables import Cell
 from shes.training.presets import make_config
 
-__all__ = ["BASE", "ENV", "FACTORS", "GROUPS", "SCALES", "SWEPT", "Variant", "learning", "variants"]
+__all__ = ["BASE", "ENV", "FACTORS", "GROUPS", "SCALES", "SWEPT", "learning", "variants"]
 
 ENV = "ant-flagrun"
 GROUPS: dict[str, str] = {
-    "pieces": "the base, with one piece of it left out or changed",
+    "pieces": "the base with one piece left out or changed",
     "form": "the paper's form, alone and with one piece added",
     "alternatives": "other networks, fitness shapings, reward and schedule",
     "sweep": "population, sigma, learning rate and intervals, at half and twice the base",
 }
-"""Groups of cells, and what they ask."""
+"""Groups of cells."""
 BASE = "base"
 SWEPT = ("population_size", "sigma", "learning_rate", "intervals")
 FACTORS = (0.5, 2.0)
-"""What the base's values are multiplied by; the base itself is the 1."""
+"""Factors of the base's values."""
 
 _PRESET = "smoke"
-"""Not `laptop`, which has most of the pieces: what a variant leaves out must be out. The base sets all else itself."""
+"""Not `laptop`, which would bring back pieces that a variant leaves out."""
 _BASE: dict[str, Any] = {
     "primitive_view": "egocentric",
     "symmetry": "dihedral",
@@ -66,24 +67,24 @@ _BASE: dict[str, Any] = {
     "keep_checkpoints": 10_000,
     "noise_table_size": 5_000_000,
 }
-"""What learned most within a minute of two cores, of some thirty short runs of one or two seeds."""
+"""The best of some thirty runs of a minute on two cores, with one or two seeds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Scale:
-    """How large the study is."""
+    """The size of the study."""
 
     settings: Mapping[str, Any]
-    """Settings over the base."""
+    """Changes to the base."""
     seeds: int
     env_steps: int
-    """Environment steps of training, of every run."""
+    """Environment steps of training in every run."""
     evaluation_steps: int
     """Environment steps of training between evaluations."""
     episode_population: int
-    """Policies in a generation that is judged by whole episodes."""
+    """Population if the fitness is that of whole episodes."""
     episodes: int
-    """Fresh episodes at the end of every run."""
+    """Number of fresh episodes at the end of every run."""
 
 
 SCALES: dict[str, _Scale] = {
@@ -95,7 +96,7 @@ SCALES: dict[str, _Scale] = {
         episode_population=240,
         episodes=50,
     ),
-    # To see that everything works, not to learn.
+    # A test, too short to learn.
     "smoke": _Scale(
         settings={
             "population_size": 8,
@@ -113,89 +114,74 @@ SCALES: dict[str, _Scale] = {
 }
 
 
-class Variant(NamedTuple):
-    """What is run beside the base."""
-
-    words: str
-    reason: str
-    """Why it is run."""
-    changes: Mapping[str, Any]
-    """Settings over the base; one that is None is left to the package's default, and unset where it has no meaning."""
+_EPISODES = {
+    "primitive_estimate": "episode",
+    "intervals": None,
+    "episodes_per_policy": 1,
+    "fitness_shaping": "centred_rank",
+}
+_NO_VIEW = {"primitive_view": "proprioception", "symmetry": None}
+_FORM = {
+    **_NO_VIEW,
+    **_EPISODES,
+    "output_weights": "glorot_normal",
+    "clock_frequency": None,
+    "goal_encoding": "angle",
+    "fall_price": 0.0,
+}
+"""The paper's form. A setting that is None is left to the package's default, and unset where it has no meaning."""
+_EGOCENTRIC = {"primitive_view": "egocentric", "symmetry": "none"}
 
 
 def variants(scale: str = "laptop") -> dict[str, dict[str, Variant]]:
-    """Return the variants of every group, the base first of all."""
+    """Return the variants of every group, the base first."""
     size = SCALES[scale]
     base = {**_BASE, **size.settings}
-    episodes = {
-        "primitive_estimate": "episode",
-        "intervals": None,
-        "population_size": size.episode_population,
-        "episodes_per_policy": 1,
-        "fitness_shaping": "centred_rank",
-    }
-    intervals = {name: base.get(name) for name in episodes}
-    no_view = {"primitive_view": "proprioception", "symmetry": None}
-    glorot, no_clock = {"output_weights": "glorot_normal"}, {"clock_frequency": None}
-    angle, free_falls = {"goal_encoding": "angle"}, {"fall_price": 0.0}
-    form = {**no_view, **episodes, **glorot, **no_clock, **angle, **free_falls}
-    egocentric = {"primitive_view": "egocentric", "symmetry": "none"}
+    whole_episodes = {**_EPISODES, "population_size": size.episode_population}
+    form = {**_FORM, **whole_episodes}
+    branched = {name: base.get(name) for name in whole_episodes}
     generations = math.ceil(size.env_steps / generation_steps(make_config(ENV, _PRESET, base)))
-    decay = {
-        "sigma_schedule": "exponential",
-        "sigma_end": base["sigma"] / 5,
-        "schedule_generations": generations,
-    }
+    decay = {"sigma_schedule": "exponential", "sigma_end": base["sigma"] / 5, "schedule_generations": generations}
     return {
-        "pieces": {
-            BASE: Variant("base", "everything is compared with it", {}),
-            "no-view": Variant("world's frame", "what seeing itself in its own frame is worth", no_view),
-            "no-symmetry": Variant("no symmetry", "what the body's symmetry is worth", {"symmetry": "none"}),
-            "rotation": Variant("rotation alone", "what the mirror adds to the turns", {"symmetry": "rotation"}),
-            "glorot-output": Variant("random output layer", "what a start that does nothing is worth", glorot),
-            "no-clock": Variant("no clock", "whether a linear policy needs a rhythm given to it", no_clock),
-            "episodes": Variant("whole episodes", "what branched pairs are worth", episodes),
-            "episodes-unmirrored": Variant(
-                "whole episodes, no mirroring",
-                "mirroring can be left out with whole episodes alone: branches are pairs",
-                {**episodes, "mirrored": "none"},
-            ),
-            "goal-angle": Variant("goal as angle", "what the distance in metres tells beside the paper's angle", angle),
-            "fall-price-0": Variant("falls cost nothing", "what a price of falls is worth", free_falls),
-            "fall-price-8": Variant("falls cost 8", "whether a higher price keeps more upright", {"fall_price": 8.0}),
-        },
+        "pieces": _pieces(whole_episodes),
         "form": {
-            "form": Variant("paper's form", "where the paper's method stands after as many steps", form),
-            "form-egocentric": Variant("form + egocentric", "the view alone", {**form, **egocentric}),
-            "form-dihedral": Variant(
-                "form + egocentric, dihedral",
-                "the symmetry, which needs the view",
-                {**form, **egocentric, "symmetry": "dihedral"},
-            ),
-            "form-interval": Variant("form + branched pairs", "the estimate alone", {**form, **intervals}),
-            "form-zero": Variant("form + zero output", "the start alone", {**form, "output_weights": "zero"}),
+            "form": Variant("paper's form", form),
+            "form-egocentric": Variant("form + egocentric", {**form, **_EGOCENTRIC}),
+            "form-dihedral": Variant("form + egocentric, dihedral", {**form, **_EGOCENTRIC, "symmetry": "dihedral"}),
+            "form-interval": Variant("form + branched pairs", {**form, **branched}),
+            "form-zero": Variant("form + zero output", {**form, "output_weights": "zero"}),
         },
         "alternatives": {
-            "hidden-32": Variant("32 hidden units", "whether linear is enough so early", {"hidden": (32,)}),
-            "hidden-64-64": Variant("64 × 64 hidden units", "the network of the long runs", {"hidden": (64, 64)}),
-            "centred-rank": Variant(
-                "ranks of all", "ranks of the generation, not of pairs", {"primitive_fitness_shaping": "centred_rank"}
-            ),
-            "z-score": Variant(
-                "z-scores", "sizes of the differences, not their order", {"primitive_fitness_shaping": "z_score"}
-            ),
-            "metres": Variant("paid in metres", "pay for speed, not for shares", {"primitive_reward": "metres"}),
-            "sigma-decay": Variant("sigma to a fifth", "finer steps towards the end, over the whole run", decay),
+            "hidden-32": Variant("32 hidden units", {"hidden": (32,)}),
+            "hidden-64-64": Variant("64 × 64 hidden units", {"hidden": (64, 64)}),
+            "centred-rank": Variant("ranks of all", {"primitive_fitness_shaping": "centred_rank"}),
+            "z-score": Variant("z-scores", {"primitive_fitness_shaping": "z_score"}),
+            "metres": Variant("paid in metres", {"primitive_reward": "metres"}),
+            "sigma-decay": Variant("sigma to a fifth", decay),
         },
         "sweep": {
-            sweep_name(name, factor): Variant(
-                f"{name.replace('_', ' ')} × {factor:g}",
-                "whether the base's value matters",
-                multiplied(base, name, factor),
-            )
+            sweep_name(name, factor): Variant(f"{name.replace('_', ' ')} × {factor:g}", multiplied(base, name, factor))
             for name in SWEPT
             for factor in FACTORS
         },
+    }
+
+
+def _pieces(whole_episodes: Mapping[str, Any]) -> dict[str, Variant]:
+    """Return the base, and variants that lack one piece of it or change it."""
+    return {
+        BASE: Variant("base", {}),
+        "no-view": Variant("world's frame", _NO_VIEW),
+        "no-symmetry": Variant("no symmetry", {"symmetry": "none"}),
+        "rotation": Variant("rotation alone", {"symmetry": "rotation"}),
+        "glorot-output": Variant("random output layer", {"output_weights": "glorot_normal"}),
+        "no-clock": Variant("no clock", {"clock_frequency": None}),
+        "episodes": Variant("whole episodes", whole_episodes),
+        # Only whole episodes can do without mirroring: branches are pairs.
+        "episodes-unmirrored": Variant("whole episodes, no mirroring", {**whole_episodes, "mirrored": "none"}),
+        "goal-angle": Variant("goal as angle", {"goal_encoding": "angle"}),
+        "fall-price-0": Variant("falls cost nothing", {"fall_price": 0.0}),
+        "fall-price-8": Variant("falls cost 8", {"fall_price": 8.0}),
     }
 
 
@@ -203,8 +189,8 @@ def learning(scale: str = "laptop", seeds: int | None = None) -> Study:
     """Return the cells of the learning study.
 
     Args:
-        scale: `laptop`, two hours on two cores; or `smoke`, a minute.
-        seeds: Seeds of every variant; the scale's own number if none.
+        scale: `laptop` (two hours on two cores) or `smoke` (a minute).
+        seeds: Number of seeds of every variant; that of the scale if none.
 
     Raises:
         UnknownNameError: There is no such scale.
@@ -223,7 +209,7 @@ def learning(scale: str = "laptop", seeds: int | None = None) -> Study:
 
 
 def _settings(variant: Variant, size: _Scale) -> dict[str, Any]:
-    """Return the settings of the runs of `variant`: as many environment steps and evaluations as the others have."""
+    """Return the settings of a variant, with the same environment steps and evaluations for all variants."""
     merged = {**_BASE, **size.settings, **variant.changes, "env_steps": size.env_steps}
     settings = {name: value for name, value in merged.items() if value is not None}
     steps = generation_steps(make_config(ENV, _PRESET, settings))
@@ -231,7 +217,7 @@ def _settings(variant: Variant, size: _Scale) -> dict[str, Any]:
 
 
 def _design(labels: Mapping[str, str]) -> StudyDesign:
-    """Return what is compared and drawn."""
+    """Return the comparisons and figures of the study."""
     base = Curve("pieces", BASE)
 
     def panel(title: str, group: str, *names: str) -> CurvePanel:

@@ -1,4 +1,4 @@
-"""Tests of whether two samples of seeds differ. Needs SciPy (extra `study`)."""
+"""Significance tests for the difference between two samples of seeds. Needs SciPy (extra `study`)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from shes.types import F64Array
 
 __all__ = ["check_scipy", "holm", "permutation_test"]
 
-_DIGITS = 12  # equal differences of means, summed in another order, are equal to this many digits
+_DIGITS = 12  # to this many digits, differences of means do not depend on the order of summation
 
 
 def check_scipy() -> ModuleType:
@@ -33,9 +33,9 @@ def check_scipy() -> ModuleType:
 def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_000, seed: int = 0) -> float:
     """Return the two-sided p of the difference of means between two samples.
 
-    It is the share of divisions of all values into two such samples whose difference is at least as large: of all
-    divisions, if there are no more than `permutations`, else of so many random ones, with the division at hand as one
-    more, so that p is never 0 (Phipson and Smyth 2010). It is 1 where one of them has a single value: too few to tell.
+    p is the share of divisions of all values into two such samples whose difference is at least as large. If there
+    are more than `permutations` divisions, it is estimated from as many random ones and the given one, so that it is
+    never 0. It is 1 if a sample has a single value. Source: Phipson and Smyth (2010).
 
     Raises:
         MissingExtraError: SciPy is not installed.
@@ -54,7 +54,7 @@ def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_0
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return `p_values` corrected for their number by Holm's step-down method (1979)."""
+    """Return `p_values` corrected for multiple comparisons. Source: the step-down method of Holm (1979)."""
     order = np.argsort(p_values, kind="stable")
     corrected = np.empty(len(order))
     steps = np.asarray(p_values, dtype=np.float64)[order] * np.arange(len(order), 0, -1)

@@ -1,10 +1,9 @@
-"""The tables of a study. They are enough to go on from where the run folders, a gigabyte, are gone."""
+"""The tables of a study. A study can be continued from them alone, without the run folders."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from shes.errors import RunFolderError
-from shes.runs.tables import Row
+from shes.runs.tables import Row, csv_text
 from shes.storage import write_atomically
 
 __all__ = ["Cell", "Summary", "read_tables", "write_csv", "write_tables"]
 
-_SETTINGS = "settings"  # the column that says of which settings a row is
+_SETTINGS = "settings"  # the column with the digest of a row's settings
 _PLACE = ("group", "variant", "env", "seed")
-_WORDS = frozenset({"group", "variant", "env", _SETTINGS})  # columns that are no numbers
+_WORDS = frozenset({"group", "variant", "env", _SETTINGS})  # columns of text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,37 +26,37 @@ class Cell:
     """One run of a study."""
 
     group: str
-    """Which question it belongs to."""
+    """Group of variants."""
     variant: str
-    """What is changed; runs of one variant differ in the seed alone."""
+    """Name of the changed settings; runs of a variant differ only in the seed."""
     env: str
     seed: int
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Settings of the run by name, over those of the preset."""
+    """Settings by name that differ from those of the preset."""
     primitive: str | None = None
-    """Name of the cell whose primitive it begins with."""
+    """Name of the cell whose primitive it takes."""
     preset: str = "laptop"
 
     @property
     def name(self) -> str:
-        """What it is called, and its run folder below that of the study."""
+        """Its name, which is the path of its run folder below that of the study."""
         return f"{self.env}/{self.group}/{self.variant}/seed-{self.seed}"
 
     @property
     def identity(self) -> Row:
-        """The columns by which tables know it."""
+        """The columns that identify it in tables."""
         return {"group": self.group, "variant": self.variant, "env": self.env, "seed": self.seed}
 
     @property
     def digest(self) -> str:
-        """What tells its settings from others, in eight letters."""
-        told = json.dumps([self.preset, dict(self.settings), self.primitive], sort_keys=True)
-        return hashlib.sha256(told.encode()).hexdigest()[:8]
+        """Digest of its settings: eight hexadecimal digits."""
+        text = json.dumps([self.preset, dict(self.settings), self.primitive], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """What came of a cell."""
+    """The results of a cell."""
 
     row: Row
     """Its row of `runs.csv`."""
@@ -68,11 +67,11 @@ class Summary:
 def write_tables(cells: Sequence[Cell], summaries: Mapping[str, Summary], out: Path) -> None:
     """Write `runs.csv`, a row per finished cell, and `curves.csv`, a row per evaluation, in the order of `cells`.
 
-    Rows that are there already and belong to none of `cells` stay, behind these.
+    Existing rows of other cells are kept, after these.
 
     Raises:
         RunFolderError: A table is damaged.
-        StorageError: They cannot be written.
+        StorageError: A table cannot be written.
     """
     found = [(cell, summaries[cell.name]) for cell in cells if cell.name in summaries]
     curves = [{**row, _SETTINGS: cell.digest} for cell, summary in found for row in summary.curve]
@@ -84,7 +83,7 @@ def write_tables(cells: Sequence[Cell], summaries: Mapping[str, Summary], out: P
 
 
 def read_tables(cells: Sequence[Cell], out: Path) -> dict[str, Summary]:
-    """Return what the tables at `out` say of `cells`, by name; rows of other settings are not theirs.
+    """Return the summaries of `cells` in the tables at `out`, by name; rows with other settings are ignored.
 
     Raises:
         RunFolderError: A table is damaged.
@@ -113,10 +112,10 @@ def _place(row: Row) -> tuple[Any, ...]:
 
 
 def _read(path: Path) -> list[Row]:
-    """Return the rows of a table, none if there is no table.
+    """Return the rows of a table; none if it does not exist.
 
     Raises:
-        RunFolderError: It is damaged, or does not say of which settings it is.
+        RunFolderError: It is damaged, or lacks a column that identifies cells.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -137,7 +136,7 @@ def _check_columns(row: Mapping[str, str]) -> None:
 
 
 def _value(name: str, text: str) -> Any:
-    """Return what was written as `text`."""
+    """Return the value written as `text`."""
     if name in _WORDS:
         return text
     if not text:
@@ -146,15 +145,11 @@ def _value(name: str, text: str) -> Any:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Write `rows` as a table; None, and a column that a row has not, is an empty place.
+    """Write `rows` as a CSV file; None and missing columns are empty.
 
     Raises:
-        StorageError: It cannot be written; what was there is untouched.
+        StorageError: The file cannot be written; an earlier one is unchanged.
     """
-    text = io.StringIO()
-    if rows:
-        columns = dict.fromkeys(name for row in rows for name in row)
-        writer = csv.DictWriter(text, list(columns), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    write_atomically(path, lambda file: file.write(text.getvalue().encode()))
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    text = csv_text([columns, *([row.get(name) for name in columns] for row in rows)]) if rows else ""
+    write_atomically(path, lambda file: file.write(text.encode()))

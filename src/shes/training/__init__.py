@@ -1,1 +1,1 @@
-"""Training, evaluation and what they are built from."""
+"""Training, evaluation and their construction from settings."""

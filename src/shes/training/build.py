@@ -1,4 +1,4 @@
-"""The only constructors: from settings to the parts of a run."""
+"""The construction of a run's parts from its settings."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from shes.envs.registry import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError
 from shes.runs.checkpoint import restore
-from shes.runs.config import TrainConfig, learner
+from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
+from shes.runs.rooms import learner
 from shes.sim.warp_device import is_out_of_memory
 
 __all__ = [
@@ -37,29 +38,29 @@ __all__ = [
 
 
 def build_environment(config: TrainConfig) -> EnvironmentMaker:
-    """Return what makes episodes of the environment of `config`.
+    """Return the environment of `config`.
 
     Raises:
-        UnknownNameError: There is none of its name.
+        UnknownNameError: There is no such environment.
     """
     env = find_environment(config.run.env)
     return env.with_body_options(config.body) if isinstance(env, Environment) and "body" in config else env
 
 
 def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
-    """Return the options of the environment in training or in evaluation."""
+    """Return the options of the environment for training or evaluation."""
     noise = config.episodes.evaluation_reset_noise if is_evaluation else config.environment.reset_noise
     return replace(config.environment, reset_noise=noise, evaluation=is_evaluation)
 
 
 def build_task(config: TrainConfig, num_episodes: int, *, is_evaluation: bool) -> EpisodeBatch:
-    """Return the environment of `config` for `num_episodes` episodes."""
+    """Return a batch of `num_episodes` episodes of the environment of `config`."""
     env = build_environment(config)
     return env.make(num_episodes, build_options(config, is_evaluation=is_evaluation))
 
 
 def build_problem(config: TrainConfig) -> Problem:
-    """Return the environment of `config`, and what a learner is to know of the run."""
+    """Return the problem that the algorithm of `config` has to solve."""
     workers = config.workers
     return Problem(
         name=config.run.env,
@@ -79,27 +80,24 @@ def build_problem(config: TrainConfig) -> Problem:
 
 
 def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
-    """Return the learner of `config`.
+    """Return the algorithm of `config`.
 
     Raises:
-        ShesError: It cannot learn in the environment of `config` with these settings.
+        ShesError: It cannot learn in this environment with these settings.
     """
-    problem = build_problem(config)
-    made_from: Callable[[Problem], Algorithm[Any]] = cast(
-        "Any", learner(config.run)
-    )  # an algorithm is made from the problem alone: `register_algorithm` checks it
-    return made_from(problem)
+    construct = cast("Callable[[Problem], Algorithm[Any]]", learner(config.run))  # as `register_algorithm` checks
+    return construct(build_problem(config))
 
 
 @dataclass(frozen=True, kw_only=True)
 class OpenedRun:
-    """A checkpoint of a run, and the learner that it is of."""
+    """A run with the state of its algorithm in a checkpoint."""
 
     folder: RunFolder
     config: TrainConfig
     algorithm: Algorithm[Any]
     state: Any
-    """The learner's state."""
+    """State of the algorithm."""
 
 
 def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> OpenedRun:
@@ -108,7 +106,7 @@ def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> Ope
     Args:
         run: The run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
-        execution: Settings that are to be other than the run's, and change none of its numbers.
+        execution: Execution settings that replace those of the run.
 
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
@@ -123,12 +121,12 @@ def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> Ope
 
 
 def check_device(config: TrainConfig) -> None:
-    """Refuse a device that is not there, or that does not run the world of `config`: before anything is written.
+    """Check that the device of `config` exists and can simulate its world.
 
     Raises:
         MissingExtraError: It needs a package that is not installed.
-        ConfigError: There is no card, its driver is too old, versions do not go together, the world needs the CPU, or
-            there is not the memory for one.
+        ConfigError: There is no GPU, its driver is too old, versions do not match, the world needs the CPU, or the
+            memory is too small for one episode.
     """
     workers = config.workers
     if workers.device == "cpu":
@@ -141,13 +139,13 @@ def check_device(config: TrainConfig) -> None:
         if not is_out_of_memory(error):
             raise
         raise ConfigError(
-            f"device {workers.device} has too little memory for a single episode ({error}). See what else uses it, set "
-            "--nconmax or --njmax lower, or use --device cpu."
+            f"device {workers.device} has too little memory for a single episode ({error}). Find out what else "
+            "uses it, lower --nconmax or --njmax, or use --device cpu."
         ) from error
 
 
 def build_backend(config: TrainConfig, plan: WorkerPlan) -> Backend:
-    """Start the workers; a device has one, in this process."""
+    """Return the started backend of `config`; a device has one worker, in this process."""
     factory = partial(RolloutWorker, plan)
     if config.workers.backend == "serial" or config.workers.device != "cpu":
         return SerialBackend(factory)

@@ -1,11 +1,11 @@
-"""Evaluation: the mean policies without noise, on fresh episodes. Source: algorithm specification section 5."""
+"""Evaluation of the mean policies without noise, on fresh episodes. Source: SHES paper, III."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -24,30 +24,30 @@ __all__ = ["TARGETS", "Evaluation", "evaluate", "evaluate_state", "evaluation_se
 StateT = TypeVar("StateT", bound=AnyState)
 
 TARGETS = ("evaluation", "training")
-"""Whose targets and reset noise an evaluation may have."""
+"""Phases whose targets and reset noise an evaluation can have."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """K episodes of the mean policies."""
+    """Results of K episodes of the mean policies."""
 
     scores: F64Array
-    """Test score of the task [K]."""
+    """Score of the task [K]."""
     returns: F64Array
-    """Summed reward of the environment [K]."""
+    """Return of the environment [K]."""
     primitive_returns: F64Array | None
-    """Summed reward for its goals that the primitive got [K]; none where there is no primitive."""
+    """Intrinsic return of the primitive [K]; None without a primitive."""
     goals_reached: F64Array
     """Goals that the primitive reached [K]."""
     successes: F64Array
-    """1 where the task counts as solved, else 0 [K]."""
+    """1 if the task was solved, else 0 [K]."""
     steps: F64Array
     """Environment steps [K]."""
     diverged: F64Array
-    """1 where the physics blew up, else 0 [K]."""
+    """1 if the simulation diverged, else 0 [K]."""
 
     def summary(self) -> dict[str, Any]:
-        """Return the means and deviations that tables show."""
+        """Return means and standard deviations by column name, as tables show them."""
         primitive: dict[str, Any] = {}
         if self.primitive_returns is not None:
             primitive = {
@@ -70,21 +70,21 @@ class Evaluation:
 def evaluation_seeds(
     seed: int, generation: int, episodes: int, purpose: Purpose = Purpose.EVALUATION_EPISODES
 ) -> list[int]:
-    """Return the episodes' seeds for an evaluation after `generation`: other ones at every generation."""
+    """Return the seeds of the episodes of an evaluation after `generation`; they differ between generations."""
     return stream(seed, purpose, generation).integers(0, 2**63, episodes).tolist()
 
 
 def fresh_seeds(state: AnyState, episodes: int, seed: int | None = None) -> list[int]:
-    """Return the seeds of episodes that no training uses: by `seed`, or by the run's own in a stream apart if none."""
+    """Return seeds of episodes that training does not use: derived from `seed`, or from the run if None."""
     first, generation = (state.seed, state.generation) if seed is None else (seed, 0)
     return evaluation_seeds(first, generation, episodes, Purpose.FRESH_EPISODES)
 
 
 def evaluate_state(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int], backend: Backend) -> Evaluation:
-    """Run one episode of the agent of `state` for every seed; one that diverges counts as the worst of the others.
+    """Run an episode of the agent of `state` for every seed; return the results.
 
-    The episodes go out in blocks of `episodes_in_lockstep`, the rows that a policy's matmul has in training: one number
-    of rows serves both, and no result depends on how the blocks are spread.
+    A diverged episode counts as the worst of the others. The episodes run in blocks of `episodes_in_lockstep`, the
+    number of rows of a policy's matmul in training, so that results do not depend on the distribution of the blocks.
     """
     parameters, rows = algorithm.parameters(state), algorithm.episodes_in_lockstep
     zeros = (0,) * len(parameters)
@@ -104,7 +104,7 @@ def evaluate_state(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[
     results = PopulationResults.empty(len(parameters), len(tasks), rows)
     for task, result in zip(tasks, backend.map(tasks), strict=True):
         results.add(task, result)
-    count = len(seeds)  # the last block may be short: its unused slots are at the end
+    count = len(seeds)  # the last block may be shorter: its unused slots are at the end
 
     def column(values: np.ndarray) -> F64Array:
         return values.ravel()[:count].astype(np.float64)
@@ -129,30 +129,30 @@ def evaluate(
     episodes: int = 50,
     checkpoint: str = "best",
     num_workers: int = 0,
-    device: str = "cpu",
+    device: Literal["cpu", "cuda", "warp-cpu"] = "cpu",
     nconmax: int | None = None,
     njmax: int | None = None,
     seed: int | None = None,
-    targets: str = "evaluation",
+    targets: Literal["evaluation", "training"] = "evaluation",
 ) -> Evaluation:
-    """Evaluate a checkpoint of a run on episodes that its training never used, not even to choose the checkpoint.
+    """Evaluate a checkpoint of a run on episodes that its training did not use, not even to choose the checkpoint.
 
     Args:
         run: The run folder, or the name of a shipped agent.
         episodes: Number of episodes.
         checkpoint: `best`, `last` or the number of a generation.
-        num_workers: Worker processes; 0 is one for every core. Never changes a number.
-        device: What computes the physics, whatever the run was trained on: `cpu`, `cuda` or `warp-cpu`.
-        nconmax: Contacts that a device has room for, per simulation; the run's setting if none.
-        njmax: Constraint rows that a device has room for, per simulation; the run's setting if none.
-        seed: Seed of the episodes; the run's own, in a stream apart, if none.
-        targets: `evaluation`, or `training`: with training's targets and reset noise, as the maze's random targets.
+        num_workers: Worker processes; 0 is one for every core. Does not change results.
+        device: Device of the physics, whichever the run was trained on.
+        nconmax: Contact buffer of a device, per simulation; that of the run if none.
+        njmax: Constraint buffer of a device, in rows per simulation; that of the run if none.
+        seed: Seed of the episodes; derived from that of the run if none.
+        targets: Targets and reset noise: those of evaluation, or of training, such as random targets in the maze.
 
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: `episodes` is not positive, `seed` is negative, or there is no such device here.
-        UnknownNameError: `targets` or `device` is not known.
+        ConfigError: `episodes` is not positive, `seed` is negative, or the machine has no such device.
+        UnknownNameError: `targets` or `device` is unknown.
         MissingExtraError: The device needs a package that is not installed.
     """
     if targets not in TARGETS:

@@ -1,4 +1,4 @@
-"""Ctrl-C in a training run: what is written is finished, what is not is left to `shes resume`."""
+"""Ctrl-C in a training run: files are completed, and `shes resume` repeats the interrupted generation."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ __all__ = ["Interruption"]
 
 
 class Interruption:
-    """Ctrl-C (or SIGTERM): ends a generation at once, but never a file; the second one ends everything at once.
-
-    A generation that was cut short is done again by `shes resume`: the numbers are the same.
-    """
+    """A context that delays Ctrl-C and SIGTERM while files are written; the second signal ends the run at once."""
 
     def __init__(self) -> None:
         self.is_requested = False
@@ -40,7 +37,7 @@ class Interruption:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """Let an interruption end what is done inside, because it writes nothing."""
+        """Raise KeyboardInterrupt at once for a signal inside this block, which writes no file."""
         try:
             self._may_raise = True
             if self.is_requested:

@@ -1,4 +1,4 @@
-"""Trained agents, ready to act: parameters, observation statistics and the goal they hold."""
+"""Trained agents that act: parameters, observation statistics and current goals."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ __all__ = ["Agent", "load"]
 
 
 class Agent:
-    """The mean policies of a checkpoint, acting without noise in `num_envs` environments of the trained kind.
+    """The mean policies of a checkpoint, which act without noise in `num_envs` environments.
 
-    It holds its goal between calls: call `reset` when an episode begins.
+    The agent keeps its goals between calls: call `reset` when an episode begins.
     """
 
     def __init__(self, run: OpenedRun, num_envs: int = 1) -> None:
-        """Take the policies of a run; see `load`."""
+        """Build the agent of a run; see `load`."""
         if num_envs < 1:
             raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs}.")
         self.config = run.config
@@ -31,7 +31,7 @@ class Agent:
         self._reader = task.reader
         self.observation_size = task.observation_size
         task.close()
-        # One policy per environment, so that each has its own clock and can be reset alone.
+        # One policy per environment, so that each has a clock and can be reset separately.
         self._agent = run.algorithm.design.make(num_envs, 1)
         parameters = run.algorithm.parameters(run.state)
         self._agent.normalise_by(parameters)
@@ -41,33 +41,37 @@ class Agent:
 
     @property
     def goal(self) -> F64Array | None:
-        """The goals being held, in the world [num_envs, 2], in metres; none with flat S-ES, which knows no goals."""
+        """The current goals in world coordinates [num_envs, 2] in metres; None for flat S-ES, which has no goals."""
         held = self._agent.goal
         return None if held is None else held.copy()
 
     def reset(self, env: int | None = None) -> None:
-        """Begin a new episode in environment `env`, or in all of them: the next `act` sets a new goal."""
+        """Begin a new episode in environment `env`, or in all: the next `act` sets new goals.
+
+        Raises:
+            ConfigError: There is no environment `env`.
+        """
         if env is not None and not 0 <= env < self.num_envs:
             raise ConfigError(f"env must be from 0 to {self.num_envs - 1}, got {env}: there are {self.num_envs}.")
         for number in range(self.num_envs) if env is None else (env,):
             self._agent.start(np.array([number]))
 
     def act(self, observation: Any, info: Mapping[str, Any] | None = None, env: Any = None) -> FloatArray:
-        """Return the action for one step: in [-1, 1], or within the action space's bounds of an external environment.
+        """Return the action for one step: in [-1, 1], or within the bounds of an external environment's action space.
 
         Args:
-            observation: What the environment shows: [O], or [num_envs, O] for several; of an external environment
-                also its own observation, a dictionary for example, or that of a vector environment.
-            info: What an external environment says beside it, if its robot's place is read from there.
-            env: An external environment itself, if its robot's place is read from its MuJoCo joints. S-ES, which
-                knows no goals, needs neither.
+            observation: Observation [O], or [num_envs, O] of several environments; for an external environment also
+                its own observation, such as a dictionary, or that of a vector environment.
+            info: The info of an external environment, if the robot's position is read from it.
+            env: An external environment, if the robot's position is read from its MuJoCo joints. S-ES needs neither
+                `info` nor `env`.
 
         Returns:
-            [A], or [num_envs, A] if several observations were given.
+            Action [A], or [num_envs, A] for several observations.
 
         Raises:
-            ShapeError: `observation` has another shape.
-            PolicyError: `observation` holds NaN or infinity.
+            ShapeError: `observation` has a wrong shape.
+            PolicyError: `observation` contains NaN or infinity.
             ConfigError: `info` or `env` is needed.
         """
         try:
@@ -88,13 +92,13 @@ class Agent:
         return action[0] if is_single else action
 
     def control(self, rows: F64Array, position: F64Array, heading: F64Array, goal: F64Array | None = None) -> F64Array:
-        """Return the controls [num_envs, A] for one step of robots that observe `rows` [num_envs, O].
+        """Return the controls [num_envs, A] for one step.
 
         Args:
-            rows: What is observed, flat.
-            position: Where the robots are [num_envs, 2], in metres.
-            heading: Their yaw [num_envs], in radians.
-            goal: Where the environment itself tells them to go [num_envs, 2], in metres, if it does.
+            rows: Flat observations [num_envs, O].
+            position: Positions of the robots [num_envs, 2] in metres.
+            heading: Yaw of the robots [num_envs] in radians.
+            goal: Goals set by the environment [num_envs, 2] in metres, if it sets goals.
         """
         return self._agent.act(rows, position, heading, goal=goal).astype(np.float64)
 
@@ -105,7 +109,7 @@ def load(run: Path | str, *, checkpoint: str = "best", num_envs: int = 1) -> Age
     Args:
         run: The run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
-        num_envs: Environments that it acts in at once.
+        num_envs: Number of environments in which it acts at once.
 
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.

@@ -1,4 +1,4 @@
-"""Presets: what a run's settings start from. Source: algorithm specification section 7; SHES paper, Table I."""
+"""Presets: starting values of a run's settings. Source: SHES paper, Table I; docs/differences.md."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Any
 
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError, UnknownNameError
-from shes.runs.config import RunSettings, TrainConfig, check_names, rooms_of
+from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
+from shes.runs.rooms import RunSettings, check_names, rooms_of
 from shes.runs.shipped import run_text
 from shes.settings import Needs, setting_fields
 from shes.training.transfer import TRANSFERRED, brought_settings
@@ -17,7 +18,7 @@ from shes.training.transfer import TRANSFERRED, brought_settings
 __all__ = ["PRESETS", "make_config"]
 
 PRESETS: dict[str, dict[str, Any]] = {
-    # Table I to the letter; what it leaves out, as the authors' code does it.
+    # Table I exactly; what it leaves open is as in the authors' code.
     "paper": {
         "population_size": 1000,
         "episodes_per_policy": 5,
@@ -34,9 +35,9 @@ PRESETS: dict[str, dict[str, Any]] = {
         "evaluation_episodes": 10,
         "noise_table_size": 250_000_000,
     },
-    # Learns visibly on a few cores: the defaults of the settings.
+    # Learns visibly on a few cores: the default settings.
     "laptop": {"evaluation_horizon": 500},
-    # Seconds: to see that everything works, not to learn.
+    # Takes seconds: a test that does not learn.
     "smoke": {
         "population_size": 16,
         "generations": 3,
@@ -48,7 +49,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
 }
 
-# What makes an ant learn in minutes: docs/learning.md says what each is worth.
+# With these an ant learns in minutes; docs/learning.md measures each of them.
 _ANT_WALKER: dict[str, Any] = {
     "primitive_view": "egocentric",
     "symmetry": "dihedral",
@@ -90,34 +91,29 @@ _WALKERS: dict[str, dict[str, Any]] = {
     },
     **{f"ant-{task}": _ANT for task in ("gather", "maze", "push", "fall")},
 }
-"""What `laptop` sets otherwise where a primitive learns to walk: with `--algorithm es` there is none."""
+"""Changes to `laptop` where a primitive learns to walk, which `--algorithm es` does not have."""
 
 _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
     # The authors' pre-training of a primitive.
     ("paper", "ant-flagrun"): {"population_size": 256},
     ("paper", "point-flagrun"): {"population_size": 256},
     # The point reaches a goal in a second, not in two and a half, and its episodes cost little.
-    ("laptop", "point-gather"): {
-        "controller_interval": 10,
-        "learning_rate": 0.04,
-        "horizon": 500,
-        "generations": 80,
-    },
+    ("laptop", "point-gather"): {"controller_interval": 10, "learning_rate": 0.04, "horizon": 500, "generations": 80},
     # Cells of the point's maze are 1 m wide, those of the ant's 4 m.
     ("laptop", "robotics-point-maze"): {"goal_distance": 1.0, "minimum_goal_distance": False},
 }
-"""What a preset sets otherwise for an environment: (preset, environment) -> settings."""
+"""Changes to a preset for an environment: (preset, environment) -> settings."""
 
 
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
     """Return the settings of `preset` for `env`, with `overrides` by name.
 
-    An environment that brings a time limit has it in training and evaluation.
+    The time limit of an environment applies to training and evaluation.
 
     Raises:
-        UnknownNameError: `preset` or `env` is not known.
+        UnknownNameError: `preset` or `env` is unknown.
         ConfigError: A setting is unknown, out of range or without effect, or `env` cannot be made.
-        MissingExtraError: `env` comes with a package that is not installed.
+        MissingExtraError: `env` needs a package that is not installed.
     """
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError("preset", str(preset), PRESETS, "Set --preset.")
@@ -137,12 +133,12 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
             values.update(brought_settings(level, values[level], checkpoint, values, asked))
     config = TrainConfig(values)
     check_asked_device(config, asked)
-    _refuse_idle(config, asked)
+    _check_effects(config, asked)
     return config
 
 
 def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what `preset` sets of the settings that a run of `env` has."""
+    """Return the values that `preset` gives to settings of a run of `env`."""
     run = {name: asked[name] for name in ("algorithm",) if name in asked}
     classes = rooms_of(RunSettings.of({"env": env, **run}))
     has_walker = preset == "laptop" and run.get("algorithm", "shes") == "shes"
@@ -154,51 +150,51 @@ def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str,
 
 
 _OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction")
-"""Settings of whole episodes: a primitive alone that is judged by intervals has none."""
+"""Settings of whole episodes, without effect on a primitive that learns alone from intervals."""
 
 
-def _refuse_idle(config: TrainConfig, asked: Mapping[str, Any]) -> None:
-    """Refuse settings that somebody asked for, and that do nothing beside the others.
+def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
+    """Check that the settings in `asked` have an effect beside the others.
 
     Raises:
-        ConfigError: There is one.
+        ConfigError: One has none.
     """
     for name in asked:
         setting = config.setting(name)
         if not setting.needs or _is_heeded(config, setting.needs):
             continue
         needed = [each for each in setting.needs if each.other in config.settings]
-        there = ", ".join(f"{each.other} {config.settings[each.other]!r}" for each in needed)
+        others = ", ".join(f"{each.other} {config.settings[each.other]!r}" for each in needed)
         fixes = ", or ".join(f"{config.setting(each.other).flag}{_one_of(each.values)}" for each in needed[:1])
         raise ConfigError(
-            f"{name} does nothing with {there}, got {asked[name]!r}. Set {fixes}, or leave {setting.flag} away."
+            f"{name} has no effect with {others}, got {asked[name]!r}. Set {fixes}, or leave {setting.flag} away."
         )
     if config.is_branched and not config.learns[-1]:
         for name in setting_fields(type(config.estimate)):
             if name in asked and name != "primitive_estimate":
                 raise ConfigError(
-                    f"{name} does nothing where the primitive stays as it is; got {asked[name]!r}. "
+                    f"{name} has no effect on a frozen primitive; got {asked[name]!r}. "
                     f"Leave {config.setting(name).flag} away, or set --no-freeze-primitive."
                 )
     if config.is_branched and config.level_names == ("primitive",):
         for name in _OF_EPISODES:
             if name in asked:
                 raise ConfigError(
-                    f"{name} does nothing in a run of {config.run.env} whose primitive is judged by intervals: it "
+                    f"{name} has no effect in a run of {config.run.env} whose primitive is judged by intervals: it "
                     f"concerns whole episodes; got {asked[name]!r}. "
                     f"Leave {config.setting(name).flag} away, or set --primitive-estimate episode."
                 )
     if "perturbation" in asked and sum(config.by_episodes) == 1:
         (learning,) = (name for name, learns in zip(config.level_names, config.by_episodes, strict=True) if learns)
-        told = "learns" if sum(config.learns) == 1 else "is judged by whole episodes"
+        role = "learns" if sum(config.learns) == 1 else "is judged by whole episodes"
         raise ConfigError(
-            f"perturbation says how two levels share the population, but in this run the {learning} alone {told}; got "
+            f"perturbation says how two levels share the population, but in this run the {learning} alone {role}; got "
             f"{asked['perturbation']!r}. Leave --perturbation away."
         )
 
 
 def _is_heeded(config: TrainConfig, needs: tuple[Needs, ...]) -> bool:
-    """Tell whether one of the settings that are needed has a value that is, and does something itself."""
+    """Return whether one of `needs` is fulfilled by a setting that has an effect itself."""
     for need in needs:
         if need.other not in config.settings:
             continue

@@ -1,13 +1,12 @@
-"""`python -m shes.training.ship RUN NAME ...`: a shipped agent, made out of the best checkpoint of a run.
+"""`python -m shes.training.ship RUN NAME ...`: make a shipped agent from the best checkpoint of a run.
 
-The agent is complete or it is not there: it is made in a folder beside its place, evaluated, and then moved.
+It is made and evaluated in a temporary folder, and then moved to its place: it is never incomplete.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-import io
 import json
 import re
 import shlex
@@ -27,7 +26,7 @@ from shes.runs.checkpoint import Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import AGENT_FILE, FreshEvaluation, ShippedAgent
-from shes.runs.tables import read_csv
+from shes.runs.tables import csv_text, read_csv
 from shes.storage import storage_errors, write_atomically
 from shes.training.build import open_run
 from shes.training.evaluate import Evaluation, evaluate
@@ -40,7 +39,7 @@ _RUN_OPTIONS = ("--out", "--primitive", "--controller")
 """Options of `shes train` that name run folders."""
 _MOST_ROWS = 300
 _DIGITS = 6
-"""Significant digits that the tables keep."""
+"""Significant digits of numbers in the tables."""
 
 
 def ship(
@@ -55,29 +54,29 @@ def ship(
     into: Path | str | None = None,
     earlier: Sequence[Path | str] = (),
 ) -> ShippedAgent:
-    """Make the shipped agent `name` out of the best checkpoint of `run`, and return what is told of it.
+    """Make the shipped agent `name` from the best checkpoint of `run`, and return its description.
 
     Args:
         run: The run folder.
-        name: What it is called: small letters, digits and hyphens.
+        name: Its name: lower-case letters, digits and hyphens.
         description: What it does, on one line.
-        commands: The commands that made it. The record takes the names of run folders from the last one (`--out`,
-            `--primitive`), so that it agrees with them.
-        episodes: Fresh episodes on which it is evaluated.
-        seed: Seed of the episodes; a stream of the run's own, apart from its training, if none.
+        commands: The commands that trained it. The record takes the names of run folders from the last one (`--out`,
+            `--primitive`).
+        episodes: Number of fresh episodes of its evaluation.
+        seed: Seed of the episodes; derived from that of the run if none.
         num_workers: Worker processes; 0 is one for every core.
-        into: Where shipped agents are; the package if none.
-        earlier: Runs that this one went on from, such as its primitive's: their time and steps count, too.
+        into: Folder of shipped agents; that of the package if none.
+        earlier: Runs that came before this one, such as its primitive's: their time and steps are added.
 
     Raises:
-        RunFolderError: `run` is not a run folder or has no evaluation yet, or there is an agent of this name.
-        ConfigError: The name, the description, the commands or a number is not allowed.
+        RunFolderError: `run` is not a run folder or has no evaluation yet, or the agent exists.
+        ConfigError: The name, the description, the commands or a number is invalid.
         StorageError: A file cannot be written.
     """
     place = shipped.AGENTS if into is None else Path(into)
     _check_words(name, description, commands)
     if (place / name).exists():
-        raise RunFolderError(f"{place / name} is there already. Delete it first, or choose another name.")
+        raise RunFolderError(f"{place / name} exists already. Delete it first, or choose another name.")
     source = RunFolder.open(run)
     checkpoint = source.load("best")
     if checkpoint.best.generation < 0:
@@ -99,10 +98,10 @@ def ship(
 
 
 def _check_words(name: str, description: str, commands: Sequence[str]) -> None:
-    """Refuse a name, a description or commands that an agent cannot have.
+    """Check the name, the description and the commands.
 
     Raises:
-        ConfigError: There is one.
+        ConfigError: One of them is invalid.
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(f"name must be small letters, digits and hyphens, e.g. ant-walker, got {name!r}.")
@@ -124,9 +123,9 @@ def _describe(
     description: str,
     commands: Sequence[str],
 ) -> ShippedAgent:
-    """Return what is told of the agent of `checkpoint`, whose evaluation was `found`."""
+    """Return the description of the agent of `checkpoint`, with its evaluation `found`."""
     config, progress, summary = run.read_config(), read_csv(run.progress), found.summary()
-    told = [field.name for field in fields(FreshEvaluation) if field.name != "seed"]
+    names = [field.name for field in fields(FreshEvaluation) if field.name != "seed"]
     return ShippedAgent(
         description=description,
         env=config.run.env,
@@ -135,12 +134,12 @@ def _describe(
         hours=round(progress["wall_time_s"][-1] / 3600, 3),
         env_steps=int(progress["env_steps"][-1]),
         generation=checkpoint.generation,
-        evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in told}),
+        evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in names}),
     )
 
 
 def _with_cost_of(agent: ShippedAgent, earlier: Sequence[RunFolder]) -> ShippedAgent:
-    """Return `agent` with the time and the steps of the runs before its own."""
+    """Return `agent` with the time and the steps of earlier runs added."""
     tables = [read_csv(run.progress) for run in earlier]
     hours = agent.hours + sum(table["wall_time_s"][-1] for table in tables) / 3600
     steps = agent.env_steps + sum(int(table["env_steps"][-1]) for table in tables)
@@ -148,7 +147,7 @@ def _with_cost_of(agent: ShippedAgent, earlier: Sequence[RunFolder]) -> ShippedA
 
 
 def _copy(source: RunFolder, checkpoint: Checkpoint, target: RunFolder, command: str) -> None:
-    """Copy what an agent needs of a run, without paths of this machine, with the names of runs that `command` has."""
+    """Copy the files of an agent from `source`, without local paths, with run folders named as in `command`."""
     record = _with_names_of(command, _without_paths(source.read_record()))
     config = TrainConfig.from_dict(record["config"])
     record["config"] = config.to_dict()
@@ -162,7 +161,7 @@ def _copy(source: RunFolder, checkpoint: Checkpoint, target: RunFolder, command:
 
 
 def _without_paths(value: Any) -> Any:
-    """Return a value of JSON in which absolute paths, also after `--flag=`, are their last parts."""
+    """Return a JSON value with every absolute path, also after `--flag=`, reduced to its last part."""
     if isinstance(value, dict):
         return {key: _without_paths(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -174,7 +173,7 @@ def _without_paths(value: Any) -> Any:
 
 
 def _with_names_of(command: str, record: dict[str, Any]) -> dict[str, Any]:
-    """Return `record` with the run and those of its levels named as in `command`, where that names them."""
+    """Return `record` with its run folders named as in `command`, if that names them."""
     words = shlex.split(command)
     pairs = [*pairwise(words), *(word.partition("=")[::2] for word in words)]
     names = {option: name for option, name in pairs if option in _RUN_OPTIONS and name}
@@ -187,7 +186,7 @@ def _with_names_of(command: str, record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _rename_runs(words: Sequence[str], names: Mapping[str, str]) -> list[str]:
-    """Return the words of a command with the run folders of its options named as in `names`, by option."""
+    """Return the words of a command with its run folders replaced by `names`, by option."""
     renamed = list[str]()
     for before, word in pairwise(("", *words)):
         option, equals, _ = word.partition("=")
@@ -202,56 +201,55 @@ def _rename_runs(words: Sequence[str], names: Mapping[str, str]) -> list[str]:
 
 
 def _copy_table(source: Path, target: Path, generation: int) -> None:
-    """Copy a table with rounded numbers and at most `_MOST_ROWS` rows: first, last, and that of `generation` included.
+    """Copy at most `_MOST_ROWS` rows of a table, with rounded numbers: first, last and that of `generation` included.
 
     Raises:
-        RunFolderError: It is missing or damaged.
+        RunFolderError: The table is missing or damaged.
     """
     columns = read_csv(source)
     with source.open(newline="", encoding="utf-8") as file:
         header, *rows = csv.reader(file)
     kept = set(np.linspace(0, len(rows) - 1, min(len(rows), _MOST_ROWS - 1)).round().astype(int).tolist())
     kept |= {number for number, each in enumerate(columns["generation"]) if each == generation}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows([_rounded(cell) for cell in rows[number]] for number in sorted(kept))
-    write_atomically(target, lambda file: file.write(text.getvalue().encode()))
+    text = csv_text([header, *([_rounded(cell) for cell in rows[number]] for number in sorted(kept))])
+    write_atomically(target, lambda file: file.write(text.encode()))
 
 
 def _rounded(cell: str) -> str:
-    """Return a number of a table with six significant digits; a whole number as it is."""
+    """Return a number of a table with `_DIGITS` significant digits; an integer unchanged."""
     return cell if cell.lstrip("-").isdecimal() else f"{float(cell):.{_DIGITS}g}"
 
 
 def _cores(config: TrainConfig, run: RunFolder) -> int:
-    """Return the cores that a run had: one for each of its workers."""
+    """Return the number of cores of a run: one per worker."""
     if config.workers.backend == "serial" or config.workers.device != "cpu":
         return 1
     return config.workers.num_workers or run.read_record()["machine"]["cores"]
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Ship an agent as the command line asks for it; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m shes.training.ship", description="Make a run a shipped agent.")
+    """Make a shipped agent from the command line; return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m shes.training.ship", description="Make a shipped agent from a run."
+    )
     parser.add_argument("run", metavar="RUN", help="the run folder")
-    parser.add_argument("name", metavar="NAME", help="what the agent is called, e.g. ant-walker")
+    parser.add_argument("name", metavar="NAME", help="name of the agent, e.g. ant-walker")
     text, number = {"metavar": "TEXT", "required": True}, {"metavar": "INT", "type": int}
     parser.add_argument("--description", **text, help="what it does, on one line")
     parser.add_argument(
-        "--command", **text, action="append", dest="commands", help="a command that made it; repeatable"
+        "--command", **text, action="append", dest="commands", help="a command that trained it; repeatable"
     )
     parser.add_argument("--episodes", **number, default=200, help="fresh episodes of its evaluation (default: 200)")
-    parser.add_argument("--seed", **number, help="seed of the episodes; a stream of the run's own if none")
+    parser.add_argument("--seed", **number, help="seed of the episodes; derived from that of the run if none")
     parser.add_argument("--workers", **number, default=0, dest="num_workers", help="0 is one for every core")
     parser.add_argument(
         "--earlier",
         metavar="RUN",
         nargs="+",
         default=(),
-        help="runs that this one went on from, such as its primitive's: their time and steps count, too",
+        help="runs that came before this one, such as its primitive's: their time and steps are added",
     )
-    parser.add_argument("--into", metavar="DIR", help="where shipped agents are; the package if none")
+    parser.add_argument("--into", metavar="DIR", help="folder of shipped agents; that of the package if none")
     given = vars(parser.parse_args(words))
     try:
         agent = ship(given.pop("run"), given.pop("name"), **given)

@@ -1,61 +1,45 @@
-"""Training: the generator of `algorithm.py`, with files, evaluations, an end and an interruption around it."""
+"""Training: runs an algorithm's generator of generations, evaluates, writes files, and handles Ctrl-C."""
 
 from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
-from shes.algorithms.contract import Algorithm, Report
-from shes.backends.backend import Backend
+from shes.algorithms.contract import Algorithm
 from shes.errors import ConfigError
 from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, restore, save_checkpoint
-from shes.runs.config import TrainConfig, execution_settings, known_settings
+from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
-from shes.runs.tables import Records, Row, read_csv
+from shes.runs.rooms import execution_settings, known_settings
+from shes.runs.tables import Records
+from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
-from shes.training.evaluate import evaluate_state, evaluation_seeds
 from shes.training.interruption import Interruption
 from shes.training.presets import make_config
+from shes.training.session import Listener, Session
 from shes.training.transfer import check_robot, transfer
 
-__all__ = ["Listener", "Run", "resume", "start_run", "train"]
+__all__ = ["Listener", "Run", "check_resumable", "resumable_settings", "resume", "start_run", "train"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A run that has ended."""
+    """A finished or stopped run."""
 
     path: Path
     """The run folder."""
     config: TrainConfig
     generation: int
-    """Generations made."""
+    """Number of finished generations."""
     best: Best
     """The best evaluation."""
-
-
-class Listener(Protocol):
-    """Hears of a run's progress."""
-
-    def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
-        """Hear that the run at `path` begins after `generation`."""
-
-    def on_generation(self, row: Row) -> None:
-        """Hear of a row of `progress.csv`."""
-
-    def on_evaluation(self, row: Row) -> None:
-        """Hear of a row of `evaluation.csv`."""
-
-    def on_event(self, event: str) -> None:
-        """Hear of something unusual: a lost worker, a warning of the simulator."""
 
 
 def train(
@@ -71,12 +55,12 @@ def train(
     Args:
         env: Environment, e.g. `ant-gather`.
         preset: `paper`, `laptop` or `smoke`.
-        out: The run folder, which must not hold a run yet; a new one below `runs/` if none.
-        listener: Hears of the progress.
+        out: The run folder, which must not hold a run; a new one below `runs/` if none.
+        listener: Receives the progress.
         settings: Any setting by name, e.g. `seed=0, num_workers=4`.
 
     Raises:
-        UnknownNameError: An environment, preset or other name is not known.
+        UnknownNameError: The environment, the preset or another name is unknown.
         ConfigError: A setting is unknown or out of range.
         RunFolderError: `out` already holds a run.
         StorageError: A file cannot be written.
@@ -91,23 +75,23 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     check_device(config)
     check_robot(config)
     algorithm = build_algorithm(config)
-    algorithm.plan()  # what can be wrong with the noise table, or with a transfer, shows before there is a folder
+    algorithm.plan()  # errors of the noise table or a transfer arise before there is a folder
     state, origins = transfer(algorithm, algorithm.start(config.run.seed))
     folder = RunFolder.create(new_folder(config) if out is None else _path(out))
     with folder.lock():
         checkpoint = Checkpoint(arrays=algorithm.to_arrays(state), best=Best(), numbers=config.numbers())
         for name in ("0", "best", "last"):
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
-        # From here on it is a run, which can be resumed.
+        # From here on the run can be resumed.
         folder.record_start(config, {level: asdict(origin) for level, origin in origins.items()})
         return _go_on(folder, algorithm, state, checkpoint, listener)
 
 
 def _path(out: Path | str) -> Path:
-    """Return the run folder asked for.
+    """Return `out` as a path.
 
     Raises:
-        ConfigError: It is no path.
+        ConfigError: It is not a path.
     """
     if not isinstance(out, str | os.PathLike) or not str(out):
         raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or leave it away.")
@@ -115,23 +99,22 @@ def _path(out: Path | str) -> Path:
 
 
 def resume(path: Path | str, *, listener: Listener | None = None, **settings: Any) -> Run:
-    """Go on with the run at `path` as if it had never stopped, from its last checkpoint.
+    """Continue the run at `path` from its last checkpoint, as if it had never stopped.
 
     Args:
         path: The run folder.
-        listener: Hears of the progress.
-        settings: Settings that do not change what the run is, e.g. `generations=2000, num_workers=8, device="cuda"`.
+        listener: Receives the progress.
+        settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
 
     Raises:
-        RunFolderError: `path` is not a run folder, or that of a shipped agent.
-        CheckpointError: The last checkpoint is damaged or of another run.
-        ConfigError: A setting would change the run's numbers, the run has reached its last generation, or there is no
-            such device.
+        RunFolderError: `path` is not a run folder, or belongs to a shipped agent.
+        CheckpointError: The last checkpoint is damaged or from another run.
+        ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
         MissingExtraError: The device needs a package that is not installed.
     """
     folder = RunFolder.open(path)
     stored = folder.read_config()
-    _refuse_other_numbers(settings)
+    check_resumable(settings)
     config = stored.having(**{"minutes": None, **settings})
     check_asked_device(config, settings)
     check_device(config)
@@ -158,18 +141,23 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
         return _go_on(folder, algorithm, state, checkpoint, listener)
 
 
-def _refuse_other_numbers(settings: Mapping[str, Any]) -> None:
-    """Refuse settings that would make another run of the one to resume.
+def resumable_settings() -> dict[str, Setting]:
+    """Return the settings that `resume` takes, by name."""
+    return {name: each for name, each in execution_settings().items() if name != "preset"}
+
+
+def check_resumable(names: Iterable[str]) -> None:
+    """Check that `resume` takes the settings called `names`.
 
     Raises:
-        ConfigError: There is one.
+        ConfigError: A setting is unknown, or would change the numbers of the run.
     """
-    execution, known = execution_settings(), known_settings()
-    allowed = ", ".join(sorted(each.flag for name, each in execution.items() if name != "preset"))
-    for name in settings:
+    resumable, known = resumable_settings(), known_settings()
+    allowed = ", ".join(sorted(each.flag for each in resumable.values()))
+    for name in names:
         if name not in known:
             raise ConfigError(f"unknown setting {name!r}. resume takes {allowed}.")
-        if name not in execution or name == "preset":
+        if name not in resumable:
             raise ConfigError(
                 f"{known[name].flag} would change the numbers of the run; resume takes {allowed}. "
                 "Start another run to change it."
@@ -179,7 +167,11 @@ def _refuse_other_numbers(settings: Mapping[str, Any]) -> None:
 def _go_on(
     folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint: Checkpoint, listener: Listener | None
 ) -> Run:
-    """Run from `state` to the end of the generations, steps or minutes, or to an interruption."""
+    """Train from `state` until the run is over, its time is up, or Ctrl-C.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C came before the end.
+    """
     config: TrainConfig = algorithm.problem.settings
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))
@@ -187,7 +179,7 @@ def _go_on(
         records = stack.enter_context(closing(Records(folder, checkpoint.generation)))
         writer = stack.enter_context(closing(CheckpointWriter()))
         backend = stack.enter_context(build_backend(config, algorithm.plan()))
-        session = _Session(folder, algorithm, checkpoint, records, writer, backend, listener)
+        session = Session(folder, algorithm, checkpoint, records, writer, backend, listener)
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
         logger.info("begins after generation %d with %d workers%s", state.generation, backend.num_workers, on_device)
@@ -202,114 +194,3 @@ def _go_on(
         raise KeyboardInterrupt
     last = session.checkpoint
     return Run(path=folder.path, config=config, generation=last.generation, best=last.best)
-
-
-class _Session:
-    """What happens after every generation."""
-
-    def __init__(
-        self,
-        folder: RunFolder,
-        algorithm: Algorithm[Any],
-        checkpoint: Checkpoint,
-        records: Records,
-        writer: CheckpointWriter,
-        backend: Backend,
-        listener: Listener | None,
-    ) -> None:
-        self.checkpoint = checkpoint
-        self._folder, self._algorithm = folder, algorithm
-        self._config: TrainConfig = algorithm.problem.settings
-        self._records, self._writer, self._backend, self._listener = records, writer, backend, listener
-        self._earlier_s = _wall_time(folder)
-        self._start = self._generation_start = perf_counter()
-        if listener is not None:
-            listener.on_start(folder.path, self._config, checkpoint.generation, backend.num_workers)
-
-    def check_schedules(self) -> None:
-        """Say so where the run ends before its schedules do."""
-        config = self._config
-        if config.has_schedule and config.run.generations < config.schedules.schedule_generations:
-            self._tell_event(
-                f"the schedules take {config.schedules.schedule_generations} generations, but the run ends after "
-                f"{config.run.generations}, short of their end: see --schedule-generations"
-            )
-
-    def is_over(self) -> bool:
-        """Tell whether the run, or this call's time, has come to its end."""
-        minutes = self._config.run.minutes
-        is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
-        last = self.checkpoint
-        return is_late or self._config.run.is_over(last.generation, last.env_steps)
-
-    def add(self, report: Report[Any], interruption: Interruption) -> None:
-        """Write down a generation, evaluate where it is due, and put the checkpoint on its way."""
-        state = report.state
-        now = perf_counter()
-        made = state.env_steps - self.checkpoint.env_steps
-        row: Row = {
-            "generation": state.generation,
-            "env_steps": state.env_steps,
-            "wall_time_s": round(self._earlier_s + now - self._start, 3),
-            "env_steps_per_s": round(made / (now - self._generation_start), 1),
-            **report.columns,
-        }
-        self._generation_start = now
-        row["evaluation_s"] = 0.0
-        self._tell_events(list(report.log))
-        # `last` last: a run that dies before it does this generation, its evaluation and its other checkpoints again.
-        best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
-        if state.generation == 1 or state.generation % self._config.evaluation.evaluation_interval == 0:
-            with interruption.at_once():
-                evaluation = self._evaluate(state)
-            self._records.add_evaluation(evaluation)
-            is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score says nothing
-            if is_sound and best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
-                best = Best(
-                    generation=state.generation,
-                    score=evaluation["score_mean"],
-                    mean_return=evaluation["return_mean"],
-                )
-                paths.insert(0, self._folder.checkpoint_path("best"))
-            self._tell_events([])
-            self._tell("on_evaluation", evaluation)
-            self._generation_start = perf_counter()
-            row["evaluation_s"] = round(self._generation_start - now, 4)
-        if state.generation % self._config.evaluation.keep_checkpoints == 0:
-            paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
-        self._records.add_progress(row)
-        arrays = self._algorithm.to_arrays(state)
-        self.checkpoint = Checkpoint(arrays=arrays, best=best, numbers=self.checkpoint.numbers)
-        self._writer.write(paths, self.checkpoint)
-        self._tell("on_generation", row)
-
-    def _evaluate(self, state: Any) -> Row:
-        """Return the row of `evaluation.csv` for the agent of `state`."""
-        seeds = evaluation_seeds(state.seed, state.generation, self._config.evaluation.evaluation_episodes)
-        found = evaluate_state(self._algorithm, state, seeds, self._backend)
-        return {
-            "generation": state.generation,
-            "env_steps": state.env_steps,
-            "wall_time_s": round(self._earlier_s + perf_counter() - self._start, 3),
-            **found.summary(),
-        }
-
-    def _tell_events(self, lines: list[str]) -> None:
-        """Log what the simulators and the workers had to say."""
-        for event in (*lines, *self._backend.take_events()):
-            self._tell_event(event)
-
-    def _tell_event(self, event: str) -> None:
-        """Log something unusual."""
-        logger.warning(event)
-        self._tell("on_event", event)
-
-    def _tell(self, method: str, content: Any) -> None:
-        if self._listener is not None:
-            getattr(self._listener, method)(content)
-
-
-def _wall_time(folder: RunFolder) -> float:
-    """Return the seconds that the run took so far, by its table."""
-    times = read_csv(folder.progress).get("wall_time_s", []) if folder.progress.exists() else []
-    return times[-1] if times else 0.0

@@ -1,8 +1,8 @@
-"""Transfer: a run that begins with the primitive or the controller of another. Source: SHES paper II-D.
+"""Transfer: a run that begins with the primitive or the controller of another run. Source: SHES paper, II-D.
 
-A level brings what it was trained to observe, and the sizes of its layers: a primitive its goal encoding, clock, view
-and symmetry; a controller its view and its output. From then on these are settings of the new run, which needs the
-other's folder no more.
+A level brings the settings that determine its inputs and layers: a primitive its goal encoding, clock, view and
+symmetry; a controller its view and output. They become settings of the new run, which then no longer needs the folder
+of the other.
 """
 
 from __future__ import annotations
@@ -16,43 +16,41 @@ from shes.algorithms.evolution.designs import primitive_layers
 from shes.algorithms.evolution.learners import EvolutionStrategy
 from shes.errors import CheckpointError, ConfigError
 from shes.es.level import LevelState
-from shes.runs.config import RunSettings, TrainConfig, learner
+from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
+from shes.runs.rooms import RunSettings, learner
 from shes.settings import flag
 from shes.training.build import OpenedRun, build_task, open_run
 
 __all__ = ["TRANSFERRED", "Transferred", "brought_settings", "check_robot", "transfer"]
 
 TRANSFERRED = ("primitive", "controller")
-"""Levels that may come from another run; the setting of this name says from which."""
+"""Levels that may come from another run, which the setting of the same name gives."""
 _BROUGHT = {
     "primitive": ("goal_encoding", "clock_frequency", "hide_position", "symmetry"),
     "controller": ("controller_output", "controller_view", "hidden"),
 }
-"""Settings that a level was trained with, and that come with it."""
-_SUGGESTED = {
-    "primitive": (),
-    "controller": ("controller_interval", "goal_distance", "minimum_goal_distance"),
-}
-"""Settings that come along unless somebody asks for another value."""
+"""Settings that come with a level."""
+_SUGGESTED = {"primitive": (), "controller": ("controller_interval", "goal_distance", "minimum_goal_distance")}
+"""Settings that come with a level unless another value is asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Transferred:
-    """Where a run has a level from."""
+    """The origin of a level."""
 
     run: str
     """The run folder, or the name of a shipped agent."""
     env: str
     """Its environment."""
     checkpoint: str
-    """The checkpoint asked for: `best`, `last` or the number of a generation."""
+    """Checkpoint: `best`, `last` or the number of a generation."""
     generation: int
-    """The generation that this was."""
+    """Generation of the checkpoint."""
 
 
 def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState, Transferred]:
-    """Return the run at `path`, its level of that name, and what is told of them.
+    """Return the run at `path`, the state of its level of this name, and the level's origin.
 
     Raises:
         RunFolderError: `path` is neither a run folder nor a shipped agent.
@@ -65,7 +63,7 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState
         fix = f"Leave {checkpoint_flag} away." if there == ["best"] else f"Set {checkpoint_flag} to one of these."
         raise CheckpointError(f"{path} has no checkpoint {checkpoint!r}; it has {', '.join(there) or 'none'}. {fix}")
     opened = open_run(path, checkpoint)
-    levels = {each.name: each for each in getattr(opened.state, "levels", ())}  # none of a learner that is no ES
+    levels = {each.name: each for each in getattr(opened.state, "levels", ())}  # an algorithm other than ES has none
     if level not in levels:
         trained_by = {
             "primitive": "shes train ant-flagrun, or a run of two levels with --primitive-view proprioception",
@@ -75,12 +73,12 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState
             f"{path} has no {level}: its levels are {', '.join(opened.algorithm.level_names)}. Name a run with "
             f"--{level} that trained one: {trained_by}."
         )
-    told = Transferred(run=path, env=opened.config.run.env, checkpoint=checkpoint, generation=opened.state.generation)
-    return opened, levels[level], told
+    origin = Transferred(run=path, env=opened.config.run.env, checkpoint=checkpoint, generation=opened.state.generation)
+    return opened, levels[level], origin
 
 
 def _checkpoint_names(folder: RunFolder) -> list[str]:
-    """Return what --primitive-checkpoint or --controller-checkpoint may name in `folder`."""
+    """Return the names of the checkpoints in `folder`."""
     stems = sorted(file.stem for file in folder.checkpoints.glob("*.npz"))
     prefix = "generation_"
     return [f"{int(stem.removeprefix(prefix))}" if stem.startswith(prefix) else stem for stem in stems]
@@ -89,19 +87,19 @@ def _checkpoint_names(folder: RunFolder) -> list[str]:
 def brought_settings(
     level: str, path: str, checkpoint: str, values: Mapping[str, Any], asked: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the settings that a level of the run at `path` brings with it.
+    """Return the settings that come with a level of the run at `path`.
 
     Args:
         level: `primitive` or `controller`.
         path: The run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
-        values: The settings of the run that it comes to, so far.
-        asked: Those among them that somebody asked for.
+        values: Settings of the new run so far.
+        asked: Settings that were asked for, not from a preset.
 
     Raises:
         RunFolderError: `path` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: The run has no such level, or a setting was asked for that the level was not trained with.
+        ConfigError: The run has no such level, or a setting was asked for with another value than the level's.
     """
     if not isinstance(path, str) or not path:
         raise ConfigError(f"{level} must be the path of a run folder, got {path!r}. Set --{level}.")
@@ -124,19 +122,19 @@ def brought_settings(
 
 
 def check_robot(config: TrainConfig) -> None:
-    """Refuse a primitive of another robot: before the parts of the run are built by the settings that it brings.
+    """Check that the primitive that `config` names was trained with the same robot.
 
     Raises:
         RunFolderError: There is no such run folder.
         CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: The primitive that `config` names was trained with another robot.
+        ConfigError: It was trained with another robot.
     """
     path = config.settings.get("primitive")
     if path is None:
         return
     source = _read("primitive", path, config.transfer.primitive_checkpoint)[0].config
     (their_robot, theirs), (our_robot, ours) = _robot(source), _robot(config)
-    # What an external robot is like, only the layouts can tell; but it has no egocentric view.
+    # External robots can only be compared by their observation specs; but they have no egocentric view.
     is_known = None not in (their_robot, our_robot) or source.hierarchy.primitive_view == "egocentric"
     if is_known and their_robot != our_robot:
         raise ConfigError(
@@ -147,7 +145,7 @@ def check_robot(config: TrainConfig) -> None:
 
 
 def _robot(config: TrainConfig) -> tuple[str | None, str]:
-    """Return the name of the robot of `config`, None for an external one, and what it is in words."""
+    """Return the name of the robot of `config`, None for an external one, and its description."""
     task = build_task(config, 1, is_evaluation=False)
     task.close()
     name = None if task.robot is None else task.robot.name
@@ -156,14 +154,14 @@ def _robot(config: TrainConfig) -> tuple[str | None, str]:
 
 
 def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Transferred]]:
-    """Return `state` with the levels that the run's settings name of other runs, and where each of these is from.
+    """Return `state` with the levels from other runs that the settings name, and their origins.
 
-    A level comes with its parameters and its observation statistics.
+    A level comes with its parameters and observation statistics.
 
     Raises:
         RunFolderError: There is no such run folder.
         CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: The level does not fit: it observes, or controls, something else.
+        ConfigError: The level has other inputs or outputs.
     """
     origins: dict[str, Transferred] = {}
     config = algorithm.problem.settings
@@ -171,18 +169,18 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Tran
         path = config.settings.get(name)
         if path is None or not isinstance(algorithm, EvolutionStrategy):
             continue
-        source, level, told = _read(name, path, config.settings[f"{name}_checkpoint"])
+        source, level, origin = _read(name, path, config.settings[f"{name}_checkpoint"])
         assert isinstance(source.algorithm, EvolutionStrategy)
         _check_fit(name, path, source.algorithm, algorithm)
-        state, origins[name] = algorithm.with_level(state, name, level), told
+        state, origins[name] = algorithm.with_level(state, name, level), origin
     return state, origins
 
 
 def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionStrategy) -> None:
-    """Refuse a level of the run at `path` that observes, or controls, something else than that of our own run.
+    """Check that a level of the run at `path` has the inputs and outputs of the level in our own run.
 
     Raises:
-        ConfigError: It does.
+        ConfigError: It has not.
     """
     spec, advice = {
         "primitive": (
@@ -206,7 +204,7 @@ def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionS
 
 
 def _primitive_spec(algorithm: EvolutionStrategy) -> str:
-    """Return what the primitive observes and controls, in words."""
+    """Return the inputs and outputs of the primitive in words."""
     inputs, task, settings = algorithm.inputs("primitive"), algorithm.problem.sample(), algorithm.problem.settings
     kind = settings.hierarchy.symmetry
     symmetry = "" if kind == "none" else f" ({kind} symmetry)"
@@ -217,7 +215,7 @@ def _primitive_spec(algorithm: EvolutionStrategy) -> str:
 
 
 def _controller_spec(algorithm: EvolutionStrategy) -> str:
-    """Return what the controller observes and puts out, in words."""
+    """Return the inputs and outputs of the controller in words."""
     inputs, settings = algorithm.inputs("controller"), algorithm.problem.settings
-    told = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
-    return f"{len(inputs)} inputs ({', '.join(inputs)}) of {told}"
+    spec = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
+    return f"{len(inputs)} inputs ({', '.join(inputs)}) of {spec}"

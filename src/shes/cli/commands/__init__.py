@@ -1,1 +1,1 @@
-"""The subcommands: a module each, with a plain function. A new one is one file here and one line in `program`."""
+"""The commands: plain functions. A new one is a function here and a line in `program`."""

@@ -1,30 +1,32 @@
-"""`shes completion`: a script that teaches a shell the command's words."""
+"""`shes completion`: a script by which a shell completes the command line."""
 
 from __future__ import annotations
 
-import importlib
 from contextlib import suppress
 from typing import Annotated, Literal
 
 import tyro
 
 from shes.cli.parsing import program_of
-from shes.cli.program import COMMANDS
+from shes.cli.program import COMMANDS, find_command
+from shes.errors import MissingExtraError
 
 
-def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]) -> int:
-    """Print a script by which a shell completes commands, flags, environments and other names by the tab key.
+def completion(shell: Annotated[Literal["bash", "zsh", "fish", "tcsh"], tyro.conf.Positional]) -> int:
+    """Print a script by which a shell completes commands, flags, environments and other names with the Tab key.
 
-    Do it again after an update. For bash: shes completion bash > ~/.shes.bash; echo '. ~/.shes.bash' >> ~/.bashrc
+    Print it again after an update. For bash: shes completion bash > ~/.shes.bash; echo '. ~/.shes.bash' >> ~/.bashrc
 
     Args:
-        shell: The shell that the script is for.
+        shell: The shell. tcsh needs the package shtab.
     """
-    programs = {}
-    for name in COMMANDS:
-        module = importlib.import_module(f"shes.cli.commands.{name}")
-        programs[name] = program_of(getattr(module, f"{name}_" if name == "list" else name), [])
+    programs = {name: program_of(find_command(name)) for name in COMMANDS}
     arguments = ["--tyro-print-completion", shell]
-    with suppress(SystemExit):  # tyro prints the script and leaves
-        tyro.extras.subcommand_cli_from_dict(programs, prog="shes", args=arguments, config=(tyro.conf.OmitArgPrefixes,))
+    try:
+        with suppress(SystemExit):  # tyro prints the script and exits
+            tyro.extras.subcommand_cli_from_dict(
+                programs, prog="shes", args=arguments, config=(tyro.conf.OmitArgPrefixes,)
+            )
+    except ImportError as error:
+        raise MissingExtraError(f"completion for {shell} needs shtab (pip install shtab): {error}") from error
     return 0

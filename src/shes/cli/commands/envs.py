@@ -6,61 +6,64 @@ import json as json_text
 from typing import Any
 
 from shes.cli.output import print_table
+from shes.cli.parsing import Json
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.registry import ENVIRONMENTS, Environment, make_task
 from shes.envs.tasks.options import SPECS, TaskOptions
 from shes.errors import ShesError
 
 
-def envs(*, json: bool = False) -> int:
-    """List the environments.
-
-    Args:
-        json: Print a JSON array of objects.
-    """
-    rows: list[dict[str, Any]] = []
-    for name, environment in ENVIRONMENTS.items():
-        specs = environment.task.specs
-        sizes = {spec: make_task(name, 1, TaskOptions(spec=spec)) for spec in specs}
-        rows.append(
-            {
-                "name": name,
-                "task": environment.task.name,
-                "gymnasium": [gymnasium_id(name, spec) for spec in specs],
-                "observation": {spec: task.observation_size for spec, task in sizes.items()},
-                "action": sizes[specs[0]].action_size,
-                "reward": environment.task.description.reward,
-                "ends": environment.task.description.ends,
-                "score": environment.task.description.score,
-                "about": " ".join((environment.task.__doc__ or "").split("\n\n", maxsplit=1)[0].split()),
-            }
-        )
-    others = [_external_row(environment) for environment in EXTERNAL_ENVIRONMENTS.values()]
+def envs(*, json: Json = False) -> int:
+    """List the environments."""
+    own = [_row(name, environment) for name, environment in ENVIRONMENTS.items()]
+    external = [_external_row(environment) for environment in EXTERNAL_ENVIRONMENTS.values()]
     if json:
-        print(json_text.dumps([*rows, *others], indent=2))
+        print(json_text.dumps([*own, *external], indent=2))
         return 0
     print_table(
         ("environment", "task", "observation", "hiro", "action"),
         [
             (row["name"], row["task"], *(str(row["observation"].get(spec, "")) for spec in SPECS), str(row["action"]))
-            for row in rows
+            for row in own
         ],
     )
-    words = {environment.task.name: environment.task.description for environment in ENVIRONMENTS.values()}
-    texts = [(name, each.reward, each.ends, each.score) for name, each in words.items()]
-    print_table(("task", "reward of a step", "ends early", "score of an episode"), texts)
-    print_table(
-        ("of others", "in Gymnasium", "observation", "action"),
-        [(row["name"], row["gymnasium"][0], *_shown_sizes(row)) for row in others],
-    )
+    tasks = {row["task"]: (row["task"], row["reward"], row["ends"], row["score"]) for row in own}
+    print_table(("task", "reward of a step", "ends early", "score of an episode"), list(tasks.values()))
+    shown = [
+        (
+            row["name"],
+            row["gymnasium"][0],
+            str(row["observation"].get("external", row["about"])),
+            str(row["action"] or ""),
+        )
+        for row in external
+    ]
+    print_table(("external", "in Gymnasium", "observation", "action"), shown)
     print("In Gymnasium: shes/AntGather-v0, and shes/AntGatherHiro-v0 for --spec hiro. More: --json, and `make docs`.")
     return 0
 
 
+def _row(name: str, environment: Environment) -> dict[str, Any]:
+    """Return the description of an environment."""
+    task, text = environment.task, environment.task.description
+    sizes = {spec: make_task(name, 1, TaskOptions(spec=spec)) for spec in task.specs}
+    return {
+        "name": name,
+        "task": task.name,
+        "gymnasium": [gymnasium_id(name, spec) for spec in task.specs],
+        "observation": {spec: each.observation_size for spec, each in sizes.items()},
+        "action": sizes[task.specs[0]].action_size,
+        "reward": text.reward,
+        "ends": text.ends,
+        "score": text.score,
+        "about": " ".join((task.__doc__ or "").split("\n\n", maxsplit=1)[0].split()),
+    }
+
+
 def _external_row(environment: ExternalEnvironment) -> dict[str, Any]:
-    """Return what there is to say of an environment of others; no numbers where it cannot be made."""
+    """Return the description of an external environment, without dimensions if it cannot be made."""
     env_id = environment.source if isinstance(environment.source, str) else "made by a function"
     row: dict[str, Any] = {
         "name": environment.name,
@@ -78,10 +81,3 @@ def _external_row(environment: ExternalEnvironment) -> dict[str, Any]:
     except ShesError as error:
         return {**row, "about": str(error)}
     return {**row, "observation": {"external": task.observation_size}, "action": task.action_size}
-
-
-def _shown_sizes(row: dict[str, Any]) -> tuple[str, str]:
-    """Return the sizes of observation and action; of what cannot be made, why."""
-    if row["action"] is None:
-        return row["about"], ""
-    return str(row["observation"]["external"]), str(row["action"])

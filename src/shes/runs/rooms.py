@@ -1,0 +1,164 @@
+"""The settings of a run, in rooms: one frozen dataclass each.
+
+Every run has the rooms below, `environment` (the options of its task) and `body` if the robot has options. The others
+are those of its algorithm: a run of es has no `hierarchy`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from shes.algorithms.contract import Algorithm
+from shes.algorithms.registry import ALGORITHMS, find_algorithm, learners
+from shes.cores import num_cores
+from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
+from shes.errors import ConfigError
+from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shown, Unasked, setting_fields
+from shes.sim.warp_device import DEVICES
+
+__all__ = ["EpisodeSettings", "EvaluationSettings", "RunSettings", "WorkerSettings", "check_names"]
+__all__ += ["execution_settings", "known_settings", "learner", "rooms_of", "settings_in"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(Settings):
+    """Run."""
+
+    env: str
+    """Environment, see `shes envs`; or `gymnasium:ID` for one of Gymnasium."""
+    algorithm: Annotated[
+        str,
+        Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE."),
+        Shown(everyday=True),
+    ] = "shes"
+    """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES."""
+    preset: Annotated[str, Execution(), Shown(everyday=True)] = "laptop"
+    """Preset of the other settings: paper, laptop or smoke."""
+    seed: Annotated[int, Ge(0), Lt(2**63), Shown(everyday=True)] = 1
+    """Seed of every random draw."""
+    generations: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] = 1000
+    """Generations after which the run ends (Table I: 3000)."""
+    env_steps: Annotated[int, Ge(1), Execution()] | None = None
+    """Environment steps of training; the run ends with the generation that reaches them, if not before."""
+    minutes: Annotated[float, Gt(0), Execution(), Shown(everyday=True)] | None = None
+    """Minutes after which this call ends, if not before."""
+
+    def is_over(self, generation: int, env_steps: int) -> bool:
+        """Return whether a run ends after `generation` generations and `env_steps` environment steps."""
+        return generation >= self.generations or (self.env_steps is not None and env_steps >= self.env_steps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerSettings(Settings):
+    """Workers."""
+
+    backend: Annotated[Literal["processes", "serial"], Execution()] = "processes"
+    """Where the CPU does the work: processes (worker processes on this machine) or serial (this process)."""
+    num_workers: Annotated[int, Ge(0), Execution(), Shown(flag="--workers", everyday=True)] = 0
+    """Worker processes; 0 is one for every core. Never changes a number."""
+    chunk_size: Annotated[int, Ge(0), Execution()] = 0
+    """Policies that a worker or a device runs in lockstep; 0 is automatic. Never changes a number on the CPU."""
+    device: Annotated[str, Choices(("cpu", *DEVICES)), Execution(), Shown(everyday=True)] = "cpu"
+    """Device of the physics: cpu, cuda (an NVIDIA GPU; extra gpu) or warp-cpu (extra warp; for tests)."""
+    nconmax: Annotated[int, Ge(1), Execution()] | None = None
+    """Contact buffer of a device, per simulation on average; chosen by the world if none."""
+    njmax: Annotated[int, Ge(1), Execution()] | None = None
+    """Constraint buffer of a device, in rows per simulation; chosen by the world if none."""
+
+    @property
+    def count(self) -> int:
+        """Number of worker processes: `num_workers`, or one for every core that this process may use."""
+        return self.num_workers or num_cores()
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeSettings(Settings):
+    """Episodes."""
+
+    horizon: Annotated[int, Ge(1), Shown(everyday=True)] = 200
+    """Control steps in an episode of training (Table I: 500)."""
+    evaluation_horizon: Annotated[int, Ge(1)] | None = None
+    """Control steps in an episode of evaluation; as in training if none."""
+    evaluation_reset_noise: Annotated[float, Ge(0), Lt(1)] = 0.1
+    """reset_noise in evaluation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationSettings(Settings):
+    """Evaluation and checkpoints."""
+
+    evaluation_interval: Annotated[int, Ge(1)] = 10
+    """Generations between evaluations of the mean policies; the first generation is evaluated, too."""
+    evaluation_episodes: Annotated[int, Ge(1)] = 50
+    """Episodes of an evaluation."""
+    keep_checkpoints: Annotated[int, Ge(1), Execution()] = 50
+    """Generations between the checkpoints kept beside `last` and `best`."""
+
+
+_OF_EVERY_RUN = (RunSettings, WorkerSettings, EpisodeSettings, EvaluationSettings)
+
+
+def learner(run: RunSettings) -> type[Algorithm[Any]]:
+    """Return the algorithm of a run."""
+    return find_algorithm(run.algorithm, sets_goals=find_environment(run.env).sets_goals)
+
+
+def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
+    """Return the settings classes of a run by room, in the order of the help."""
+    env = find_environment(run.env)
+    body = env.body.Options if isinstance(env, Environment) else Settings
+    return {
+        "run": RunSettings,
+        "workers": WorkerSettings,
+        **learner(run).rooms,
+        "environment": env.options,
+        **({"body": body} if setting_fields(body) else {}),
+        "episodes": EpisodeSettings,
+        "evaluation": EvaluationSettings,
+    }
+
+
+def settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
+    """Return the settings of several classes by name, without `Unasked` fields."""
+    return {
+        name: setting for cls in classes for name, setting in setting_fields(cls).items() if not setting.has(Unasked)
+    }
+
+
+def known_settings() -> dict[str, Setting]:
+    """Return every setting of every algorithm, environment and body by name."""
+    tasks = {cls: None for each in ENVIRONMENTS.values() for cls in (each.options, each.body.Options)}
+    methods = [cls for each in learners() for cls in each.rooms.values()]
+    return settings_in([*_OF_EVERY_RUN, *tasks, *methods])
+
+
+def execution_settings() -> dict[str, Setting]:
+    """Return the settings that do not change the numbers of a run, by name."""
+    return {name: each for name, each in settings_in(_OF_EVERY_RUN).items() if each.has(Execution)}
+
+
+def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
+    """Return the settings classes of a run with these settings, by room.
+
+    Raises:
+        ConfigError: `env` is missing, or a name is unknown or not a setting of this run.
+    """
+    if "env" not in values:
+        raise ConfigError("the configuration names no environment (key 'env').")
+    classes = rooms_of(RunSettings.of(values))
+    here, everywhere = settings_in(classes.values()), known_settings()
+    for name, value in values.items():
+        if name in here:
+            continue
+        if name in everywhere:
+            raise ConfigError(
+                f"{name} is not a setting of a run of {values['env']} with algorithm "
+                f"{values.get('algorithm', 'shes')!r}, got {value!r}. Leave {everywhere[name].flag} away."
+            )
+        close = difflib.get_close_matches(name, here, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        raise ConfigError(f"unknown setting {name!r}.{hint} Settings: {', '.join(here)}.")
+    return classes

@@ -1,0 +1,267 @@
+"""The execution of a study: many runs by one call, which can be stopped and repeated.
+
+Every cell is an ordinary run folder, trained by one worker process. Finished cells are not run again, and unfinished
+ones continue as `shes resume` does: a study that was stopped has the same numbers as one that was not.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import traceback
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from shes.backends.backend import Backend
+from shes.backends.processes import ProcessesBackend
+from shes.errors import RunFolderError, ShesError
+from shes.runs.config import TrainConfig
+from shes.runs.folder import RunFolder
+from shes.runs.tables import Row, read_csv
+from shes.storage import storage_errors, write_atomically
+from shes.studies.significance import check_scipy
+from shes.studies.study import CHECKPOINTS, Study, cell_config
+from shes.studies.tables import Cell, Summary, read_tables
+from shes.training.evaluate import evaluate
+from shes.training.train import resume, start_run
+
+__all__ = ["Outcome", "StudyWorker", "cells_left", "check_study", "read_summaries", "run_cell", "run_study"]
+
+_SUMMARY = "summary.json"
+_CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """The summary of a finished cell, or the error of one that failed."""
+
+    cell: Cell
+    summary: Summary | None = None
+    error: str = ""
+    events: tuple[str, ...] = ()
+    """Events of the workers meanwhile."""
+
+
+# One cell, in a worker process.
+
+
+def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
+    """Train a cell to its end from its last checkpoint, if it has one; evaluate it and return its summary.
+
+    Raises:
+        RunFolderError: Its folder holds a run with other settings.
+        ShesError: Raised by `start_run`, `resume` or `evaluate`.
+    """
+    path = out / cell.name
+    summary = _read_summary(path)
+    if summary is not None:
+        return summary
+    config = cell_config(cell, out)
+    folder = RunFolder(path)
+    if not folder.config.is_file():
+        start_run(config, path)
+    else:
+        _check_settings(cell, folder, config)
+        last = folder.load("last")
+        if not config.run.is_over(last.generation, last.env_steps):
+            resume(path)
+    summary = _summarise(cell, folder, episodes)
+    text = json.dumps({"row": summary.row, "curve": summary.curve})
+    write_atomically(path / _SUMMARY, lambda file: file.write(text.encode()))
+    return summary
+
+
+def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
+    """Evaluate a finished run and return its summary."""
+    last = folder.load("last")
+    row: Row = {
+        **cell.identity,
+        "generations": last.generation,
+        "env_steps": last.env_steps,
+        "seconds": read_csv(folder.progress)["wall_time_s"][-1],
+    }
+    for checkpoint in CHECKPOINTS:
+        found = evaluate(folder.path, episodes=episodes, checkpoint=checkpoint, num_workers=1).summary()
+        row |= {
+            f"{checkpoint}_score": found["score_mean"],
+            f"{checkpoint}_return": found["return_mean"],
+            f"{checkpoint}_steps": found["episode_steps_mean"],
+            f"{checkpoint}_success": found["success_rate"],
+            f"{checkpoint}_primitive_return": found.get("primitive_return_mean"),
+            f"{checkpoint}_goals_reached": found.get("goals_reached_mean"),
+        }
+    random = evaluate(folder.path, episodes=episodes, checkpoint="last", num_workers=1, targets="training").summary()
+    row |= {"last_training_success": random["success_rate"], "last_training_return": random["return_mean"]}
+    table, progress = read_csv(folder.evaluation), read_csv(folder.progress)
+    curve: list[Row] = []
+    first = 0.0
+    for i, generation in enumerate(table["generation"]):
+        made = zip(progress["generation"], progress["success_rate"], strict=True)
+        since = [rate for number, rate in made if first < number <= generation]
+        shown = {name: table[name][i] if name in table else None for name in _CURVE}
+        curve.append({**cell.identity, **shown, "training_success_rate": sum(since) / len(since)})
+        first = generation
+    return Summary(row=row, curve=tuple(curve))
+
+
+def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
+    """Check that a run folder has the settings of its cell.
+
+    Raises:
+        RunFolderError: It has other settings.
+    """
+    # The path of the primitive is not compared: the same folder may have another path.
+    wanted, there = (
+        {
+            **settings.numbers(),
+            "generations": settings.run.generations,
+            "env_steps": settings.run.env_steps,
+            "primitive": settings.settings.get("primitive") is not None,
+        }
+        for settings in (config, folder.read_config())
+    )
+    other = [
+        f"{name} is {there.get(name)!r} there and {value!r} in the study"
+        for name, value in wanted.items()
+        if there.get(name) != value
+    ]
+    if other:
+        raise RunFolderError(
+            f"{folder.path} holds a run of other settings than cell {cell.name}: {'; '.join(other[:3])}. "
+            f"Choose another folder with --out, or remove this one to have it made anew."
+        )
+
+
+class StudyWorker:
+    """The `Worker` of a study's processes: runs one cell after another."""
+
+    def __init__(self, out: Path, episodes: int) -> None:
+        """Block Ctrl-C, which reaches the whole process group: the parent handles it."""
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        self._out, self._episodes = out, episodes
+
+    def receive(self, state: Any) -> None:
+        """Do nothing: cells share no state."""
+
+    def run(self, work: Iterator[tuple[int, Cell]], share: int) -> Iterator[tuple[int, Outcome]]:
+        """Yield the outcome of each cell; a failed cell has one, too."""
+        for number, cell in work:
+            yield number, self._outcome(cell)
+
+    def _outcome(self, cell: Cell) -> Outcome:
+        try:
+            return Outcome(cell=cell, summary=run_cell(cell, self._out, self._episodes))
+        except ShesError as error:
+            return Outcome(cell=cell, error=str(error))
+        except Exception:  # noqa: BLE001 - no error may stop the other cells
+            return Outcome(cell=cell, error=traceback.format_exc())
+
+
+# All cells.
+
+
+def run_study(study: Study, out: Path, *, num_workers: int) -> Generator[Outcome]:
+    """Run the unfinished cells of `study`, `num_workers` at a time, and yield their outcomes in order.
+
+    Raises:
+        RunFolderError: `out` is in use, or a folder below it holds a run with other settings.
+        ConfigError: The settings of a cell are not allowed.
+        StorageError: `out` cannot be written.
+        WorkerError: Workers keep dying.
+    """
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    failed: set[str] = set()
+    with RunFolder(out).lock():
+        check_study(study, out)
+        names = {cell.name for cell in cells_left(study, out)}
+        left = [tuple(cell for cell in stage if cell.name in names) for stage in study.stages()]
+        size = min(num_workers, max(map(len, left), default=0))
+        if not size:
+            return
+        with ProcessesBackend(partial(StudyWorker, out, study.episodes), size) as backend:
+            for stage in left:
+                for outcome in _run_stage(stage, failed, backend):
+                    if outcome.summary is None:
+                        failed.add(outcome.cell.name)
+                    yield outcome
+
+
+def _run_stage(stage: Sequence[Cell], failed: set[str], backend: Backend) -> Iterator[Outcome]:
+    """Yield the outcomes of a stage; cells whose primitive failed are not run."""
+    for cell in stage:
+        if cell.primitive in failed:
+            yield Outcome(cell=cell, error=f"not run: it begins with the primitive of {cell.primitive}, which failed.")
+    for outcome in backend.map([cell for cell in stage if cell.primitive not in failed]):
+        events = tuple(backend.take_events())
+        yield Outcome(cell=outcome.cell, summary=outcome.summary, error=outcome.error, events=events)
+
+
+def check_study(study: Study, out: Path) -> None:
+    """Check all settings and folders of a study before it begins.
+
+    Raises:
+        RunFolderError: A folder holds a run with other settings, or `out` is a run folder or a file.
+        ConfigError: The settings of a cell are not allowed.
+        MissingExtraError: SciPy, which compares the finished runs, is not installed.
+    """
+    check_scipy()
+    if out.exists() and not out.is_dir():
+        raise RunFolderError(f"{out} is a file, not a folder. Choose another path with --out.")
+    if RunFolder(out).config.exists():
+        raise RunFolderError(f"{out} is a run folder: the runs of a study need one of their own. Set --out.")
+    for cell in study.cells:
+        if cell.primitive is not None and not RunFolder(out / cell.primitive).config.is_file():
+            continue  # the settings of the primitive are not known yet; the worker checks them
+        config, folder = cell_config(cell, out), RunFolder(out / cell.name)
+        if folder.config.is_file():
+            _check_settings(cell, folder, config)
+
+
+# Summaries.
+
+
+def _read_summary(path: Path) -> Summary | None:
+    """Return the summary of the cell in the folder at `path`; None if it is not finished.
+
+    Raises:
+        RunFolderError: The file is damaged.
+    """
+    file = path / _SUMMARY
+    try:
+        found = json.loads(file.read_bytes())
+        return Summary(row=found["row"], curve=tuple(found["curve"]))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunFolderError(f"{file} cannot be read: {error!r}. Remove it to have it made again.") from error
+
+
+def read_summaries(study: Study, out: Path) -> dict[str, Summary]:
+    """Return the summaries of the finished cells by name, from their folders or the tables, in order of execution.
+
+    Raises:
+        RunFolderError: A summary or a table is damaged.
+    """
+    cells = study.ordered()
+    # A folder takes precedence over a row: a cell with an unfinished folder is unfinished.
+    without = [cell for cell in cells if not (out / cell.name).exists()]
+    tables = read_tables(without, out) if without else {}
+    found = {cell.name: tables.get(cell.name) or _read_summary(out / cell.name) for cell in cells}
+    return {name: summary for name, summary in found.items() if summary is not None}
+
+
+def cells_left(study: Study, out: Path) -> list[Cell]:
+    """Return the cells still to be run, in order, with primitives whose folder is needed but no longer exists.
+
+    Raises:
+        RunFolderError: A summary or a table is damaged.
+    """
+    done = set(read_summaries(study, out))
+    for cell in reversed(study.ordered()):  # a cell comes after its primitive
+        if cell.primitive is not None and cell.name not in done and _read_summary(out / cell.primitive) is None:
+            done.discard(cell.primitive)
+    return [cell for cell in study.ordered() if cell.name not in done]

@@ -1,0 +1,144 @@
+"""The records of a run during one call of `train` or `resume`: tables, evaluations, checkpoints, events."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Protocol
+
+from shes.algorithms.contract import Algorithm, Report
+from shes.backends.backend import Backend
+from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter
+from shes.runs.config import TrainConfig
+from shes.runs.folder import RunFolder
+from shes.runs.log import logger
+from shes.runs.tables import Records, Row, read_csv
+from shes.training.evaluate import evaluate_state, evaluation_seeds
+from shes.training.interruption import Interruption
+
+__all__ = ["Listener", "Session"]
+
+
+class Listener(Protocol):
+    """Receives the progress of a run."""
+
+    def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
+        """Receive the start of the run at `path`, after `generation`."""
+
+    def on_generation(self, row: Row) -> None:
+        """Receive a row of `progress.csv`."""
+
+    def on_evaluation(self, row: Row) -> None:
+        """Receive a row of `evaluation.csv`."""
+
+    def on_event(self, event: str) -> None:
+        """Receive a warning: a lost worker, or one of the simulator."""
+
+
+class Session:
+    """The records, evaluations and checkpoints of a run during one call."""
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        algorithm: Algorithm[Any],
+        checkpoint: Checkpoint,
+        records: Records,
+        writer: CheckpointWriter,
+        backend: Backend,
+        listener: Listener | None,
+    ) -> None:
+        self.checkpoint = checkpoint
+        self._folder, self._algorithm = folder, algorithm
+        self._config: TrainConfig = algorithm.problem.settings
+        self._records, self._writer, self._backend, self._listener = records, writer, backend, listener
+        self._earlier_s = _wall_time(folder)
+        self._start = self._generation_start = perf_counter()
+        if listener is not None:
+            listener.on_start(folder.path, self._config, checkpoint.generation, backend.num_workers)
+
+    def check_schedules(self) -> None:
+        """Log a warning if the run ends before its schedules do."""
+        config = self._config
+        if config.has_schedule and config.run.generations < config.schedules.schedule_generations:
+            self._tell_event(
+                f"the schedules take {config.schedules.schedule_generations} generations, but the run ends after "
+                f"{config.run.generations}, short of their end: see --schedule-generations"
+            )
+
+    def is_over(self) -> bool:
+        """Return whether the run, or the time of this call, is over."""
+        minutes = self._config.run.minutes
+        is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
+        last = self.checkpoint
+        return is_late or self._config.run.is_over(last.generation, last.env_steps)
+
+    def add(self, report: Report[Any], interruption: Interruption) -> None:
+        """Record a generation, evaluate if it is due, and start writing the checkpoint."""
+        state = report.state
+        now = perf_counter()
+        made = state.env_steps - self.checkpoint.env_steps
+        row: Row = {
+            "generation": state.generation,
+            "env_steps": state.env_steps,
+            "wall_time_s": round(self._earlier_s + now - self._start, 3),
+            "env_steps_per_s": round(made / (now - self._generation_start), 1),
+            **report.columns,
+        }
+        self._generation_start = now
+        row["evaluation_s"] = 0.0
+        self._tell_events(list(report.log))
+        # `last` comes last: a run killed before that repeats this generation with its evaluation and checkpoints.
+        best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
+        if state.generation == 1 or state.generation % self._config.evaluation.evaluation_interval == 0:
+            with interruption.at_once():
+                evaluation = self._evaluate(state)
+            self._records.add_evaluation(evaluation)
+            is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score means nothing
+            if is_sound and best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
+                best = Best(
+                    generation=state.generation, score=evaluation["score_mean"], mean_return=evaluation["return_mean"]
+                )
+                paths.insert(0, self._folder.checkpoint_path("best"))
+            self._tell_events([])
+            self._tell("on_evaluation", evaluation)
+            self._generation_start = perf_counter()
+            row["evaluation_s"] = round(self._generation_start - now, 4)
+        if state.generation % self._config.evaluation.keep_checkpoints == 0:
+            paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
+        self._records.add_progress(row)
+        arrays = self._algorithm.to_arrays(state)
+        self.checkpoint = Checkpoint(arrays=arrays, best=best, numbers=self.checkpoint.numbers)
+        self._writer.write(paths, self.checkpoint)
+        self._tell("on_generation", row)
+
+    def _evaluate(self, state: Any) -> Row:
+        """Return the row of `evaluation.csv` for the agent of `state`."""
+        seeds = evaluation_seeds(state.seed, state.generation, self._config.evaluation.evaluation_episodes)
+        found = evaluate_state(self._algorithm, state, seeds, self._backend)
+        return {
+            "generation": state.generation,
+            "env_steps": state.env_steps,
+            "wall_time_s": round(self._earlier_s + perf_counter() - self._start, 3),
+            **found.summary(),
+        }
+
+    def _tell_events(self, lines: list[str]) -> None:
+        """Log `lines` and the events of the workers."""
+        for event in (*lines, *self._backend.take_events()):
+            self._tell_event(event)
+
+    def _tell_event(self, event: str) -> None:
+        """Log a warning and tell the listener."""
+        logger.warning(event)
+        self._tell("on_event", event)
+
+    def _tell(self, method: str, content: Any) -> None:
+        if self._listener is not None:
+            getattr(self._listener, method)(content)
+
+
+def _wall_time(folder: RunFolder) -> float:
+    """Return the wall-clock seconds of the run so far, from its table."""
+    times = read_csv(folder.progress).get("wall_time_s", []) if folder.progress.exists() else []
+    return times[-1] if times else 0.0
