@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.rooms import (
@@ -19,6 +19,7 @@ from shes.algorithms.evolution.rooms import (
     TransferSettings,
 )
 from shes.algorithms.registry import ALGORITHMS, find_algorithm, learners
+from shes.backends.registry import BACKENDS
 from shes.cores import num_cores
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.options import TaskOptions
@@ -39,6 +40,7 @@ from shes.settings import (
     flag,
     out_of_range,
     setting_fields,
+    with_options,
 )
 from shes.sim.warp_device import DEVICES
 
@@ -88,8 +90,8 @@ class RunSettings(Settings):
 class WorkerSettings(Settings):
     """Workers."""
 
-    backend: Annotated[Literal["processes", "serial"], Execution()] = "processes"
-    """Where the work is done on the CPU: processes (on this machine) or serial (in this process)."""
+    backend: Annotated[str, Choices(BACKENDS, is_described=True), Execution()] = "processes"
+    """What runs the episodes on the CPU."""
     num_workers: Annotated[int, Ge(0), Execution(), Shown(flag="--workers", everyday=True)] = 0
     """Worker processes; 0 is one for every core. Never changes a number."""
     chunk_size: Annotated[int, Ge(0), Execution()] = 0
@@ -372,15 +374,17 @@ def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
     """Return the classes of settings that a run has, by room, in the order of the help."""
     env = find_environment(run.env)
     body = env.body.Options if isinstance(env, Environment) else Settings
-    return {
-        "run": _OF_EVERY_RUN["run"],
-        "workers": _OF_EVERY_RUN["workers"],
-        **learner(run).rooms,
-        "environment": env.options,
-        **({"body": body} if setting_fields(body) else {}),
-        "episodes": _OF_EVERY_RUN["episodes"],
-        "evaluation": _OF_EVERY_RUN["evaluation"],
-    }
+    return with_options(
+        {
+            "run": _OF_EVERY_RUN["run"],
+            "workers": _OF_EVERY_RUN["workers"],
+            **learner(run).rooms,
+            "environment": env.options,
+            **({"body": body} if setting_fields(body) else {}),
+            "episodes": _OF_EVERY_RUN["episodes"],
+            "evaluation": _OF_EVERY_RUN["evaluation"],
+        }
+    )
 
 
 def _settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
@@ -393,13 +397,13 @@ def _settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
     tasks = {cls: None for each in ENVIRONMENTS.values() for cls in (each.options, each.body.Options)}
-    methods = [cls for each in learners() for cls in each.rooms.values()]
-    return _settings_in([*_OF_EVERY_RUN.values(), *tasks, *methods])
+    methods = [cls for each in learners() for cls in with_options(each.rooms).values()]
+    return _settings_in([*with_options(_OF_EVERY_RUN).values(), *tasks, *methods])
 
 
 def execution_settings() -> dict[str, Setting]:
     """Return the settings that say how, where and how long, by name: all that `resume` takes, and the preset."""
-    return {name: each for name, each in _settings_in(_OF_EVERY_RUN.values()).items() if each.has(Execution)}
+    return {name: each for name, each in _settings_in(with_options(_OF_EVERY_RUN).values()).items() if each.has(Execution)}
 
 
 def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
