@@ -312,7 +312,7 @@ def test_code_that_a_page_names_exists(path, source):
     ("name", "message"),
     [
         ("shes.algorithms.evolution.algorithm.dissolve", "algorithm.py defines no 'dissolve'"),
-        ("shes.algorithms.evolution.populations.Settings.nothing", "defines no 'nothing'"),
+        ("shes.algorithms.evolution.populations.Hyperparameters.nothing", "defines no 'nothing'"),
         ("nothing.at.all", "there is no module 'nothing.at.all'"),
     ],
 )

@@ -45,6 +45,7 @@ __all__ = [
     "flag",
     "make",
     "out_of_range",
+    "own_settings",
     "setting_fields",
     "with_options",
 ]
@@ -171,7 +172,7 @@ class Setting:
     def options(self) -> dict[str, type[Settings]]:
         """The settings that classes among the choices bring, by the name of the choice."""
         entries = (_entries(note.names).items() for note in self.notes if isinstance(note, Choices))
-        return {name: own for each in entries for name, cls in each if (own := _own_settings(cls)) is not None}
+        return {name: own for each in entries for name, cls in each if (own := own_settings(cls)) is not None}
 
     @property
     def needs(self) -> tuple[Needs, ...]:
@@ -352,10 +353,18 @@ def _extended(
     if not options:
         return room
     made = [
-        (name, Annotated[get_type_hints(own, include_extras=True)[name], *needs], field(default=setting_fields(own)[name].default))
+        (
+            name,
+            Annotated[get_type_hints(own, include_extras=True)[name], *needs],
+            field(default=setting_fields(own)[name].default),
+        )
         for name, own, needs in options
     ]
-    namespace = {"__doc__": room.__doc__, "__module__": room.__module__, "_option_classes": [own for _, own, _ in options]}
+    namespace = {
+        "__doc__": room.__doc__,
+        "__module__": room.__module__,
+        "_option_classes": [own for _, own, _ in options],
+    }
     return make_dataclass(room.__name__, made, bases=(room,), namespace=namespace, frozen=True, kw_only=True)
 
 
@@ -364,7 +373,7 @@ def _entries(names: Collection[str]) -> Mapping[str, Any]:
     return names if isinstance(names, Registry) else {}
 
 
-def _own_settings(cls: Any) -> type[Settings] | None:
+def own_settings(cls: Any) -> type[Settings] | None:
     """Return the settings that a registered class brings, if any."""
     options = getattr(cls, "Options", cls)
     return options if isinstance(options, type) and issubclass(options, Settings) else None

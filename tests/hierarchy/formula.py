@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.algorithm import Settings, evolve
+from shes.algorithms.evolution.algorithm import Hyperparameters, evolve
 from shes.backends.backend import Backend
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.schedules import Constant, make_schedule
@@ -26,7 +26,7 @@ def changing(quantity, start, end, generations, kind="linear"):
     return make_schedule(quantity, kind, start, end, generations)
 
 
-SETTINGS = Settings(
+SETTINGS = Hyperparameters(
     population_size=8,
     episodes_per_policy=constant("episodes_per_policy", EPISODES),
     sigma=constant("sigma", 0.1),

@@ -46,8 +46,8 @@ class RandomResults:
 
     def _snapshots(self, task: EpisodeTask, generation: Generation) -> list[Snapshot | None]:
         """Return all the snapshots that are asked for."""
-        left = Snapshot(state=self._state, steps=0, goals=np.zeros((generation.goals_noted, 2)))
-        return [left if task.noted_steps or slot == task.kept_slot else None for slot in task.slots]
+        left = Snapshot(state=self._state, steps=0, goals=np.zeros((generation.snapshot_goals, 2)))
+        return [left if task.snapshot_steps or slot == task.kept_slot else None for slot in task.slots]
 
 
 def _moments(generation: Generation, episodes: int) -> tuple[LevelMoments, ...]:

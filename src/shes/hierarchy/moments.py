@@ -1,4 +1,4 @@
-"""What episodes observe, summed: for the observation statistics."""
+"""Sums over the observations of episodes, for the observation statistics."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["Moments"]
 
 
 class Moments:
-    """Sums of what each of N episodes observed at one level, for `ObservationStatistics`."""
+    """Count, sum and sum of squares of the observations of each of N episodes at one level."""
 
     def __init__(self, num_episodes: int, size: int, xp: ModuleType = np) -> None:
-        """Hold sums of `size` values for `num_episodes` episodes, in arrays of `xp`."""
+        """Allocate sums of `size` values for `num_episodes` episodes, as arrays of `xp`."""
         self.count: IntArray = xp.zeros(num_episodes, dtype=np.int64)
         self.total: F64Array = xp.zeros((num_episodes, size))
         self.total_squares: F64Array = xp.zeros((num_episodes, size))
@@ -27,7 +27,6 @@ class Moments:
         self.total_squares[rows] += observation * observation
 
     def clear(self, rows: slice | IntArray) -> None:
-        """Forget what `rows` observed."""
-        self.count[rows] = 0
-        self.total[rows] = 0
-        self.total_squares[rows] = 0
+        """Reset the sums of `rows`."""
+        for sums in (self.count, self.total, self.total_squares):
+            sums[rows] = 0

@@ -25,7 +25,7 @@ from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
-from shes.es.perturbation import check_perturbation
+from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import make_schedule
 from shes.settings import (
     Choices,
@@ -344,7 +344,7 @@ class TrainConfig:
                 "Set --primitive-view egocentric, or --symmetry none."
             )
         perturbation = self.hierarchy.perturbation if len(self.level_names) > 1 else "many_to_many"
-        check_perturbation(perturbation, evolution.population_size, evolution.mirrored, self.by_episodes)
+        PERTURBATIONS.find(perturbation)().signs(0, evolution.population_size, evolution.mirrored, self.by_episodes)
 
     def _check_branches(self) -> None:
         """Refuse branches of a primitive that cannot be branched."""
@@ -403,7 +403,9 @@ def known_settings() -> dict[str, Setting]:
 
 def execution_settings() -> dict[str, Setting]:
     """Return the settings that say how, where and how long, by name: all that `resume` takes, and the preset."""
-    return {name: each for name, each in _settings_in(with_options(_OF_EVERY_RUN).values()).items() if each.has(Execution)}
+    return {
+        name: each for name, each in _settings_in(with_options(_OF_EVERY_RUN).values()).items() if each.has(Execution)
+    }
 
 
 def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:

@@ -13,7 +13,7 @@ from typing import Any
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.designs import primitive_layers
-from shes.algorithms.evolution.learners import EvolutionStrategy
+from shes.algorithms.evolution.learners import EvolutionAlgorithm
 from shes.errors import CheckpointError, ConfigError
 from shes.es.level import LevelState
 from shes.runs.config import RunSettings, TrainConfig, learner
@@ -169,16 +169,16 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Tran
     config = algorithm.problem.settings
     for name in TRANSFERRED:
         path = config.settings.get(name)
-        if path is None or not isinstance(algorithm, EvolutionStrategy):
+        if path is None or not isinstance(algorithm, EvolutionAlgorithm):
             continue
         source, level, told = _read(name, path, config.settings[f"{name}_checkpoint"])
-        assert isinstance(source.algorithm, EvolutionStrategy)
+        assert isinstance(source.algorithm, EvolutionAlgorithm)
         _check_fit(name, path, source.algorithm, algorithm)
         state, origins[name] = algorithm.with_level(state, name, level), told
     return state, origins
 
 
-def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionStrategy) -> None:
+def _check_fit(level: str, path: str, source: EvolutionAlgorithm, own: EvolutionAlgorithm) -> None:
     """Refuse a level of the run at `path` that observes, or controls, something else than that of our own run.
 
     Raises:
@@ -205,7 +205,7 @@ def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionS
         )
 
 
-def _primitive_spec(algorithm: EvolutionStrategy) -> str:
+def _primitive_spec(algorithm: EvolutionAlgorithm) -> str:
     """Return what the primitive observes and controls, in words."""
     inputs, task, settings = algorithm.inputs("primitive"), algorithm.problem.sample(), algorithm.problem.settings
     kind = settings.hierarchy.symmetry
@@ -216,7 +216,7 @@ def _primitive_spec(algorithm: EvolutionStrategy) -> str:
     )
 
 
-def _controller_spec(algorithm: EvolutionStrategy) -> str:
+def _controller_spec(algorithm: EvolutionAlgorithm) -> str:
     """Return what the controller observes and puts out, in words."""
     inputs, settings = algorithm.inputs("controller"), algorithm.problem.settings
     told = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
