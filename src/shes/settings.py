@@ -312,7 +312,8 @@ def make(registry: Registry[type[T]], name: str, values: Mapping[str, Any]) -> T
         ConfigError: A value is not allowed.
     """
     cls: Any = registry.find(name)
-    return cls.of(values) if issubclass(cls, Settings) else cls()
+    made: Any = cls.of(values) if issubclass(cls, Settings) else cls()
+    return made
 
 
 def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings]]:

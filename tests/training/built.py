@@ -31,7 +31,7 @@ class Built:
     def of(cls, env, **settings):
         config = make_config(env, "smoke", settings)
         made = build_algorithm(config)
-        return cls(config, made.design, made.settings, made.plan(), made.start(config.run.seed), made.table)
+        return cls(config, made.design, made.hyperparameters, made.plan(), made.start(config.run.seed), made.table)
 
     @property
     def intervals(self) -> Any:

@@ -53,7 +53,7 @@ class Optimizer(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Adam(Optimizer):
-    """Adam. Source: Kingma and Ba 2014, end of section 2 (bias correction folded into the learning rate)."""
+    """Adaptive moment estimation. Source: Kingma and Ba 2014, end of section 2 (bias correction in the rate)."""
 
     slots: ClassVar[tuple[str, ...]] = ("first", "second")
     """Running means of the gradient and of the squared gradient."""
@@ -74,7 +74,9 @@ class Adam(Optimizer):
 
 @dataclass(frozen=True, kw_only=True)
 class SGD(Optimizer, Settings):
-    """Gradient ascent with momentum: `v = m v + (1 - m) g`, step `rate * v`.
+    """Gradient ascent with momentum.
+
+    The velocity is `v = m v + (1 - m) g` and the step `rate * v`.
 
     Source: Polyak 1964, in the form of Salimans et al.'s code (evolution-strategies-starter, `optimizers.py`).
     """
@@ -83,7 +85,7 @@ class SGD(Optimizer, Settings):
     """Running mean of the gradient."""
 
     momentum: Annotated[float, Ge(0), Lt(1)] = 0.9
-    """Momentum (m)."""
+    """Momentum (m): share of the velocity that is kept."""
 
     def step(self, gradient: F32Array, state: OptimizerState, learning_rate: float) -> tuple[F32Array, OptimizerState]:
         """Return the step [D] and the next state."""
@@ -94,10 +96,11 @@ class SGD(Optimizer, Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class ClipUp(Optimizer, Settings):
-    """Momentum on the normalised gradient, with a maximum speed: `v = m v + rate g / |g|`, `|v|` clipped, step `v`.
+    """Normalised gradient with momentum and a maximum speed.
 
-    The learning rate is a distance in parameter space, and the length of the gradient has no effect. A zero gradient
-    contributes nothing to the velocity. Norms are computed without BLAS, bit-identical for any number of threads.
+    The velocity is `v = m v + rate g / |g|`, clipped to the maximum speed, and the step `v`. The learning rate is a
+    distance in parameter space, and the length of the gradient has no effect. A zero gradient contributes nothing to the
+    velocity. Norms are computed without BLAS, bit-identical for any number of threads.
 
     Source: Toklu, Liskowski and Srivastava 2020 (ClipUp): the algorithm, and the rule of thumb for the maximum speed.
     """
@@ -106,7 +109,7 @@ class ClipUp(Optimizer, Settings):
     """The previous step."""
 
     momentum: Annotated[float, Ge(0), Lt(1)] = 0.9
-    """Momentum (m)."""
+    """Momentum (m): share of the velocity that is kept."""
     max_speed_ratio: Annotated[float, Gt(0), Unasked()] = 2.0
     """Maximum length of a step, in learning rates."""
 

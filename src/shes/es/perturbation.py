@@ -60,7 +60,7 @@ class OneToMany(Perturbation):
 
     def signs(self, generation: int, population_size: int, mirrored: str, learns: Sequence[bool]) -> Signs:
         """Return signs for the level whose turn it is."""
-        levels = np.flatnonzero(learns)
+        levels = np.flatnonzero(learns).tolist()
         return _one_level(levels[generation % len(levels)], population_size, mirrored, len(learns))
 
 
@@ -69,7 +69,7 @@ class OneToManyHalves(Perturbation):
 
     def signs(self, generation: int, population_size: int, mirrored: str, learns: Sequence[bool]) -> Signs:
         """Return the signs of the controller's half, then those of the primitive's."""
-        levels = np.flatnonzero(learns)
+        levels = np.flatnonzero(learns).tolist()
         least = len(levels) * len(sign_matrix(mirrored, 1))
         if population_size <= 0 or population_size % least:
             lower = max(least, population_size - population_size % least)

@@ -106,14 +106,14 @@ class PairRanks(FitnessShaping):
 
 @dataclass(frozen=True, kw_only=True)
 class TopFraction(FitnessShaping, Settings):
-    """Truncation selection with equal weights: 1 for the best `ceil(fraction * n)`, 0 for the rest, minus the mean.
+    """Truncation selection: 1 for the best `ceil(top_fraction * n)` members, 0 for the rest, minus the mean.
 
     Source: Beyer and Schwefel 2002, the (mu/mu, lambda)-ES with intermediate recombination.
     Deviation: the mean weight is subtracted, so that the weights sum to zero as those of the other shapings.
     """
 
     rank_ties: Annotated[str, Choices(TIES)] = "average"
-    """Whether members tied at the threshold share the remaining weight, or those with the higher index are selected."""
+    """How equal fitness values are ranked: by their average rank, or by their index in the population."""
     top_fraction: Annotated[float, Gt(0), Lt(1)] = 0.2
     """Fraction of the population that is selected by top_fraction."""
 

@@ -5,14 +5,13 @@ A task is a few integers. The worker reads the perturbations from its own noise 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.es.level import LevelParameters, TrainState
+from shes.es.level import LevelParameters
 from shes.types import F64Array, IntArray
 
 __all__ = [
@@ -117,27 +116,6 @@ class Generation:
     def rows_per_lane(self) -> int:
         """Number of rows of every matmul, R = M' * E. It affects rounding."""
         return self.members_per_lane * self.episodes_per_policy
-
-    @classmethod
-    def of_training(
-        cls,
-        state: TrainState,
-        sigma: float,
-        episodes: int,
-        learns: Sequence[bool],
-        members_per_lane: int,
-        snapshot_goals: int = 0,
-    ) -> Generation:
-        """Return the data shared by the training tasks that follow `state`, which perturb the levels in `learns`."""
-        return cls(
-            levels=LevelParameters.of_all(state.levels),
-            sigma=sigma,
-            episodes_per_policy=episodes,
-            is_evaluation=False,
-            has_frozen_control=not learns[-1],
-            members_per_lane=members_per_lane,
-            snapshot_goals=snapshot_goals,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

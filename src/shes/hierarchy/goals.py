@@ -131,18 +131,11 @@ GOAL_ENCODINGS: Registry[type[GoalEncoding]] = Registry(
 )
 """Goal encodings by name: the choices of `--goal-encoding`."""
 
+register_goal_encoding = GOAL_ENCODINGS.register
+"""Register a subclass of `GoalEncoding`, made without arguments, by name in this process; see `Registry.register`.
 
-def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:
-    """Register `encoding` as `name` in this process, for `shes.train(..., goal_encoding=name)`.
-
-    Args:
-        name: Lower-case words joined by `-` or `_`.
-        encoding: A complete subclass of `GoalEncoding`, made without arguments.
-
-    Raises:
-        ConfigError: The class is not a complete subclass, or the name is malformed or already taken.
-    """
-    GOAL_ENCODINGS.register(name, encoding)
+`shes.train(..., goal_encoding=name)` then uses it.
+"""
 
 
 def make_goal_encoding(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> GoalEncoding:

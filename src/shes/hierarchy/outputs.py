@@ -110,18 +110,11 @@ CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(
 )
 """Controller outputs by name: the choices of `--controller-output`."""
 
+register_controller_output = CONTROLLER_OUTPUTS.register
+"""Register a subclass of `ControllerOutput`, made without arguments, by name in this process; see `Registry.register`.
 
-def register_controller_output(name: str, output: type[ControllerOutput]) -> None:
-    """Register `output` as `name` in this process, for `shes.train(..., controller_output=name)`.
-
-    Args:
-        name: Lower-case words joined by `-` or `_`.
-        output: A complete subclass of `ControllerOutput`, made without arguments.
-
-    Raises:
-        ConfigError: The class is not a complete subclass, or the name is malformed or already taken.
-    """
-    CONTROLLER_OUTPUTS.register(name, output)
+`shes.train(..., controller_output=name)` then uses it.
+"""
 
 
 def make_controller_output(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> ControllerOutput:

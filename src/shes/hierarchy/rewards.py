@@ -143,18 +143,11 @@ PRIMITIVE_REWARDS: Registry[type[PrimitiveReward]] = Registry(
 )
 """Primitive rewards by name: the choices of `--primitive-reward`."""
 
+register_primitive_reward = PRIMITIVE_REWARDS.register
+"""Register a subclass of `PrimitiveReward`, made without arguments, by name in this process; see `Registry.register`.
 
-def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:
-    """Register `reward` as `name` in this process, for `shes.train(..., primitive_reward=name)`.
-
-    Args:
-        name: Lower-case words joined by `-` or `_`.
-        reward: A complete subclass of `PrimitiveReward`, made without arguments.
-
-    Raises:
-        ConfigError: The class is not a complete subclass, or the name is malformed or already taken.
-    """
-    PRIMITIVE_REWARDS.register(name, reward)
+`shes.train(..., primitive_reward=name)` then uses it.
+"""
 
 
 def make_primitive_reward(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> PrimitiveReward:

@@ -120,7 +120,9 @@ class Rollout:
                     self._start(started, means, generation, table)
             if not len(self._running):
                 return
-            yield from self._until_one_ends()
+            while not len(ended := self._step()):
+                pass
+            yield from self._finish(ended)
 
     def _start(
         self, started: dict[int, NumberedTask], means: list[F32Array], generation: Generation, table: NoiseTable
@@ -137,7 +139,8 @@ class Rollout:
             results = _empty_results(task, self.design.observation_sizes)
             self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(task.slots))), results=results)
         rows = np.array(slots)
-        _begin(self.batch, rows, seeds, [task for _, task in started.values()])
+        starts = [None if task.start is None else task.start.state for _, task in started.values() for _ in task.slots]
+        self.batch.reset(rows, seeds, starts if any(state is not None for state in starts) else ())
         # If none is running, lanes without work start as well: steps are faster if all lanes have the same clock.
         self.agent.start(np.array(list(started)) if len(self._running) else slice(None))
         for place, (_, task) in started.items():
@@ -165,13 +168,6 @@ class Rollout:
                 agent.scale[level][place, :, 0] = self.xp.asarray(each)
             else:
                 perturb(mean, noise, scales[0], agent.theta[level][place])
-
-    def _until_one_ends(self) -> Iterator[tuple[int, EpisodeResults]]:
-        """Advance every running episode until one has ended, and yield the results of finished tasks."""
-        ended = np.zeros(0, dtype=np.int64)
-        while not len(ended):
-            ended = self._step()
-        yield from self._finish(ended)
 
     def _step(self) -> IntArray:
         """Advance every running episode by one control step, and return the rows of those that ended."""
@@ -279,15 +275,6 @@ class Rollout:
                 f"{f' (parameters of its {which} are not finite)' if which else ''}; episode seed "
                 f"{seed}. Start another run with a lower --learning-rate or --sigma."
             )
-
-
-def _begin(batch: EpisodeBatch, rows: IntArray, seeds: list[int], tasks: list[EpisodeTask]) -> None:
-    """Reset the episodes of `tasks` in `rows` of `batch`, or restore the states in which they start."""
-    starts = [None if task.start is None else task.start.state for task in tasks for _ in task.slots]
-    if any(state is not None for state in starts):
-        batch.reset(rows, seeds, starts)
-    else:
-        batch.reset(rows, seeds)
 
 
 def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:

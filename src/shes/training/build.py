@@ -149,6 +149,6 @@ def check_device(config: TrainConfig) -> None:
 def build_backend(config: TrainConfig, plan: WorkerPlan) -> Backend:
     """Start the workers; a device has one, in this process."""
     factory = partial(RolloutWorker, plan)
-    cls = BACKENDS.find(config.workers.backend if config.workers.device == "cpu" else "serial")
+    cls: Any = BACKENDS.find(config.workers.backend if config.workers.device == "cpu" else "serial")
     options = cls.Options.of(config.settings)
     return cls(factory, config.workers.count, **{name: getattr(options, name) for name in setting_fields(cls.Options)})

@@ -11,7 +11,15 @@ from dataclasses import dataclass
 
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
-from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule, draw_noise_index, update_level
+from shes.es.level import (
+    LevelParameters,
+    LevelState,
+    LevelUpdate,
+    TrainState,
+    UpdateRule,
+    draw_noise_index,
+    update_level,
+)
 from shes.es.noise import NoiseTable
 from shes.es.novelty import NoveltyState, WeightRule
 from shes.es.perturbation import ManyToMany, Perturbation, Signs
@@ -154,8 +162,15 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
     shared = members_per_lane(signs.shape[1], episodes)
     if hyperparameters.novelty is not None:
         tasks.append(mean_policy_task(state, hyperparameters.population_size, episodes, shared))
-    sigma = hyperparameters.sigma.value(state.generation)
-    generation = Generation.of_training(state, sigma, episodes, hyperparameters.by_episodes, shared, snapshot_goals)
+    generation = Generation(
+        levels=LevelParameters.of_all(state.levels),
+        sigma=hyperparameters.sigma.value(state.generation),
+        episodes_per_policy=episodes,
+        is_evaluation=False,
+        members_per_lane=shared,
+        has_frozen_control=not hyperparameters.by_episodes[-1],
+        snapshot_goals=snapshot_goals,
+    )
     return Work(signs=signs, noise_index=noise_index, tasks=tasks, generation=generation)
 
 
