@@ -1,4 +1,4 @@
-"""The state of an evolution strategy as arrays: everything to the bit, through the file of a checkpoint."""
+"""The state of an evolution strategy as arrays: bit-identical after a round trip through a checkpoint file."""
 
 from dataclasses import replace
 from pathlib import Path

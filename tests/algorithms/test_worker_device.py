@@ -19,7 +19,7 @@ MEMBERS = 7
 
 
 def results_of(worker, plan, **changes):
-    """Return the returns of a generation by number, to the bit, and the results themselves."""
+    """Return the returns of a generation by number, and the results themselves."""
     found = _run(worker, _generation(plan, **changes), MEMBERS, MEMBERS)
     return {number: result.returns.tobytes() for number, result in found.items()}, found
 

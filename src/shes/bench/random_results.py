@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot, empty_outcomes
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, Snapshot, empty_outcomes
+from shes.hierarchy.moments import Moments
 
 __all__ = ["RandomResults"]
 
@@ -50,11 +51,11 @@ class RandomResults:
         return [left if task.snapshot_steps or slot == task.kept_slot else None for slot in task.slots]
 
 
-def _moments(generation: Generation, episodes: int) -> tuple[LevelMoments, ...]:
+def _moments(generation: Generation, episodes: int) -> tuple[...]:
     """Return the sums of one observation of each episode at each level, of mean 0 and variance 1."""
     sizes = [len(level.mean) for level in generation.levels]
     return tuple(
-        LevelMoments(
+        Moments(
             count=np.ones(episodes, np.int64),
             total=np.zeros((episodes, size)),
             total_squares=np.ones((episodes, size)),

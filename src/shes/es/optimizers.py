@@ -99,7 +99,7 @@ class ClipUp(Optimizer, Settings):
     """Normalised gradient with momentum and a maximum speed.
 
     The velocity is `v = m v + rate g / |g|`, clipped to the maximum speed, and the step `v`. The learning rate is a
-    distance in parameter space, and the length of the gradient has no effect. A zero gradient contributes nothing to the
+    distance in parameter space, and the length of the gradient has no effect. A zero gradient adds nothing to the
     velocity. Norms are computed without BLAS, bit-identical for any number of threads.
 
     Source: Toklu, Liskowski and Srivastava 2020 (ClipUp): the algorithm, and the rule of thumb for the maximum speed.

@@ -1,6 +1,6 @@
 """Running mean and variance of a policy's observations, for input normalisation.
 
-Source: Salimans et al. 2017, whose code normalises MuJoCo observations so instead of by virtual batch normalisation.
+Source: Salimans et al. 2017, whose code normalises MuJoCo observations in this way, not by virtual batch normalisation.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ class AgentBatch(ABC, Generic[Design]):
         self.scale: tuple[F32Array, ...] = tuple(zeros(1) for _ in design.dims)
         """Factor of the lane's noise in the parameters of each episode [P, R, 1], at each level."""
         self._mean = tuple(self._zero_parameters(1, dim) for dim in design.dims)
-        self.moments = tuple(Moments(rows, size, xp) for size in design.observation_sizes)
+        self.moments = tuple(Moments.zeros(rows, size, xp) for size in design.observation_sizes)
         self.is_recording = False
         """Whether observations are summed into `moments`."""
         self.clock: IntArray = np.zeros(num_lanes, dtype=np.int64)

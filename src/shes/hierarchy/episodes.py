@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.es.level import LevelParameters
-from shes.types import F64Array, IntArray
+from shes.hierarchy.moments import Moments
+from shes.types import F64Array
 
 __all__ = [
     "PARTS",
@@ -20,7 +21,6 @@ __all__ = [
     "EpisodeResults",
     "EpisodeTask",
     "Generation",
-    "LevelMoments",
     "Outcomes",
     "Snapshot",
     "empty_outcomes",
@@ -143,24 +143,12 @@ class EpisodeTask:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LevelMoments:
-    """Sums over the observations of one level in K episodes."""
-
-    count: IntArray
-    """Number of observations [K]."""
-    total: F64Array
-    """Their sum [K, O]."""
-    total_squares: F64Array
-    """Sum of their squares [K, O]."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class EpisodeResults(ByEpisode):
     """Results of the K episodes of a task, in the order of its slots."""
 
     outcomes: Outcomes
     """Outcome of each episode [K]."""
-    moments: tuple[LevelMoments, ...] | None
+    moments: tuple[Moments, ...] | None
     """Moments of the observations of each level, if recorded."""
     snapshots: list[Snapshot | None] = field(default_factory=list)
     """Snapshot of each episode [K], or None."""

@@ -14,11 +14,11 @@ from shes.hierarchy.episodes import (
     EpisodeResults,
     EpisodeTask,
     Generation,
-    LevelMoments,
     Outcomes,
     Snapshot,
     empty_outcomes,
 )
+from shes.hierarchy.moments import Moments
 from shes.types import BoolArray, F64Array
 
 __all__ = ["PopulationResults", "lower_diverged"]
@@ -42,7 +42,7 @@ class PopulationResults(ByEpisode):
 
     outcomes: Outcomes
     """Outcome of each episode [n, E]. `returns` are [L, n, E], final positions [n, E, 2]."""
-    moments: list[LevelMoments] = field(default_factory=list)
+    moments: list[Moments] = field(default_factory=list)
     """Moments of each level, summed over episodes (K = 1); empty before the first."""
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """Seconds spent on each of `PARTS`, summed over workers."""
@@ -70,7 +70,7 @@ class PopulationResults(ByEpisode):
     def fitness(self) -> F64Array:
         """Fitness of every member at each level [L, n]: its mean return.
 
-        A diverged episode counts as the worst of the others, so that breaking the physics never pays.
+        A diverged episode counts as the worst of the others, so that divergence is never rewarded.
         """
         returns = [lower_diverged(row, self.has_diverged) for row in np.ascontiguousarray(self.returns)]
         return np.stack(returns).mean(axis=2)
@@ -88,22 +88,19 @@ class PopulationResults(ByEpisode):
         if result.moments is None:
             return
         if not self.moments:
-            self.moments.extend(
-                LevelMoments(count=m.count[:1] * 0, total=m.total[0] * 0, total_squares=m.total_squares[0] * 0)
-                for m in result.moments
-            )
+            self.moments.extend(Moments.zeros(1, m.total.shape[1]) for m in result.moments)
         for mine, new in zip(self.moments, result.moments, strict=True):
             mine.count[0] += new.count.sum()
             for k in range(len(new.count)):
-                mine.total[:] += new.total[k]
-                mine.total_squares[:] += new.total_squares[k]
+                mine.total[0] += new.total[k]
+                mine.total_squares[0] += new.total_squares[k]
 
     def merge_statistics(self, levels: Sequence[LevelState], learns: Sequence[bool]) -> tuple[LevelState, ...]:
         """Return `levels` with the observations added to the statistics of those that learn."""
         if not self.moments:
             return tuple(levels)
         return tuple(
-            replace(level, statistics=level.statistics.merge(int(m.count[0]), m.total, m.total_squares))
+            replace(level, statistics=level.statistics.merge(int(m.count[0]), m.total[0], m.total_squares[0]))
             if is_learning
             else level
             for level, m, is_learning in zip(levels, self.moments, learns, strict=True)

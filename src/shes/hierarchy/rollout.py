@@ -29,12 +29,12 @@ from shes.hierarchy.episodes import (
     EpisodeResults,
     EpisodeTask,
     Generation,
-    LevelMoments,
     Outcomes,
     Snapshot,
     empty_outcomes,
 )
 from shes.hierarchy.exploration import Exploration
+from shes.hierarchy.moments import Moments
 from shes.hierarchy.snapshots import SnapshotRecorder
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
@@ -280,12 +280,8 @@ class Rollout:
 def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
     """Return empty results for the episodes of `task`, whose levels have `sizes` inputs."""
     k = len(task.slots)
-    moments = tuple(
-        LevelMoments(count=np.zeros(k, np.int64), total=np.zeros((k, size)), total_squares=np.zeros((k, size)))
-        for size in sizes
-    )
     return EpisodeResults(
         outcomes=empty_outcomes(len(sizes), k),
-        moments=moments if task.records_statistics else None,
+        moments=tuple(Moments.zeros(k, size) for size in sizes) if task.records_statistics else None,
         snapshots=[None] * k,
     )
