@@ -138,7 +138,7 @@ class NoiseTable:
             write_atomically(path, write)
         except StorageError as error:
             raise StorageError(
-                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be stored: {error} "
+                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be kept: {error} "
                 "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
             ) from error
 
