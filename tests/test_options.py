@@ -6,9 +6,10 @@ from typing import Annotated, ClassVar
 import pytest
 
 from shes.errors import ConfigError, UnknownNameError
+from shes.options import make, with_options
 from shes.registry import Registry, subclass_of
 from shes.runs.config import TrainConfig, known_settings
-from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Unasked, make, setting_fields, with_options
+from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Unasked, setting_fields
 
 
 class Shape:

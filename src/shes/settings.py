@@ -18,10 +18,10 @@ import math
 import re
 import textwrap
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, make_dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -43,14 +43,10 @@ __all__ = [
     "Unasked",
     "field_texts",
     "flag",
-    "make",
     "out_of_range",
-    "own_settings",
+    "registered",
     "setting_fields",
-    "with_options",
 ]
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -155,7 +151,9 @@ class Setting:
     def text(self) -> str:
         """The docstring under the field, on one line, and what each of the choices is."""
         described = (note.names for note in self.notes if isinstance(note, Choices) and note.is_described)
-        choices = "; ".join(f"{name}: {_summary(cls)}" for names in described for name, cls in _entries(names).items())
+        choices = "; ".join(
+            f"{name}: {_summary(cls)}" for names in described for name, cls in registered(names).items()
+        )
         return " ".join(filter(None, (field_texts(self.owner).get(self.name, ""), choices and choices + ".")))
 
     @property
@@ -167,12 +165,6 @@ class Setting:
     def choices(self) -> tuple[str, ...]:
         """The names that are allowed; none where any value of the type may be."""
         return tuple(name for note in self.notes if isinstance(note, Choices) for name in note.names)
-
-    @property
-    def options(self) -> dict[str, type[Settings]]:
-        """The settings that classes among the choices bring, by the name of the choice."""
-        entries = (_entries(note.names).items() for note in self.notes if isinstance(note, Choices))
-        return {name: own for each in entries for name, cls in each if (own := own_settings(cls)) is not None}
 
     @property
     def needs(self) -> tuple[Needs, ...]:
@@ -279,11 +271,11 @@ def setting_fields(cls: type) -> dict[str, Setting]:
     """Return the settings of a class, by name, those of its ancestors first."""
     hints = get_type_hints(cls, include_extras=True)
     found = {}
-    for each in fields(cls):
-        kind, notes = _unwrapped(hints[each.name])
+    for field in fields(cls):
+        kind, notes = _unwrapped(hints[field.name])
         is_optional = get_origin(kind) in (Union, UnionType) and NoneType in get_args(kind)
         if is_optional:
-            (kind,) = (other for other in get_args(kind) if other is not NoneType)
+            (kind,) = (each for each in get_args(kind) if each is not NoneType)
             kind, inner = _unwrapped(kind)
             notes += inner
         item = kind
@@ -292,92 +284,21 @@ def setting_fields(cls: type) -> dict[str, Setting]:
             kind, notes = tuple, notes + inner
         if get_origin(kind) is Literal:
             kind, item, notes = str, str, (*notes, Choices(get_args(kind)))
-        found[each.name] = Setting(
-            name=each.name,
+        found[field.name] = Setting(
+            name=field.name,
             kind=kind,
             item=item,
             is_optional=is_optional,
-            default=each.default_factory() if each.default_factory is not MISSING else each.default,
+            default=field.default_factory() if field.default_factory is not MISSING else field.default,
             notes=notes,
             owner=cls,
         )
     return found
 
 
-def make(registry: Registry[type[T]], name: str, values: Mapping[str, Any]) -> T:
-    """Return an object of the class registered as `name`, with those of `values` that are its own settings.
-
-    Raises:
-        UnknownNameError: There is no such class.
-        ConfigError: A value is not allowed.
-    """
-    cls: Any = registry.find(name)
-    made: Any = cls.of(values) if issubclass(cls, Settings) else cls()
-    return made
-
-
-def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings]]:
-    """Return `rooms` with the settings that the classes to be chosen in them bring.
-
-    A registered class brings settings by being a subclass of `Settings`, or by an attribute `Options` that is one. They
-    stand in the room of the first setting that can choose the class, and need one of the choices that bring them.
-    """
-    known = {name for cls in rooms.values() for name in setting_fields(cls)}
-    homes: dict[str, tuple[str, type[Settings]]] = {}
-    needs: dict[str, dict[str, tuple[str, ...]]] = {}
-    for room, cls in rooms.items():
-        for setting in setting_fields(cls).values():
-            for choice, own in setting.options.items():
-                for name in (each.name for each in setting_fields(own).values() if not each.has(Unasked)):
-                    if name not in known:
-                        homes.setdefault(name, (room, own))
-                        choices = needs.setdefault(name, {})
-                        choices[setting.name] = (*choices.get(setting.name, ()), choice)
-    return {
-        room: _extended(
-            cls,
-            tuple(
-                (name, own, tuple(Needs(*each) for each in needs[name].items()))
-                for name, (home, own) in homes.items()
-                if home == room
-            ),
-        )
-        for room, cls in rooms.items()
-    }
-
-
-@cache
-def _extended(
-    room: type[Settings], options: tuple[tuple[str, type[Settings], tuple[Needs, ...]], ...]
-) -> type[Settings]:
-    """Return `room` with more fields: for each its name, the class that has it, and the choices that it needs."""
-    if not options:
-        return room
-    made = [
-        (
-            name,
-            Annotated[get_type_hints(own, include_extras=True)[name], *needs],
-            field(default=setting_fields(own)[name].default),
-        )
-        for name, own, needs in options
-    ]
-    namespace = {
-        "__doc__": room.__doc__,
-        "__module__": room.__module__,
-        "_option_classes": [own for _, own, _ in options],
-    }
-    return make_dataclass(room.__name__, made, bases=(room,), namespace=namespace, frozen=True, kw_only=True)
-
-
-def _entries(names: Collection[str]) -> Mapping[str, Any]:
-    """Return the classes that `names` stand for, by name; none if they are names alone."""
+def registered(names: Collection[str]) -> Mapping[str, Any]:
+    """Return the registered classes by name, or nothing if `names` is not a registry."""
     return names if isinstance(names, Registry) else {}
-
-
-def own_settings(cls: Any) -> type[Settings] | None:
-    """Return the settings that a registered class brings, if any."""
-    options = getattr(cls, "Options", cls)
-    return options if isinstance(options, type) and issubclass(options, Settings) else None
 
 
 def _summary(cls: type) -> str:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.optimizers import OPTIMIZERS, SGD, Adam, ClipUp
-from shes.settings import make
+from shes.options import make
 from tests.es import textbook
 
 every_name = pytest.mark.parametrize("name", OPTIMIZERS)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from shes.errors import ConfigError, PolicyError, UnknownNameError
 from shes.es.ranking import TIES, centred_ranks
 from shes.es.shaping import FITNESS_SHAPINGS, CentredRanks, PairRanks, TopFraction, ZScore
-from shes.settings import make
+from shes.options import make
 
 # Few values, so many ties, and all exact in binary after any shift and scale below.
 fitnesses = st.lists(st.integers(-6, 6), min_size=2, max_size=50)

@@ -27,8 +27,8 @@ from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import MetresReward, ProgressReward
 from shes.hierarchy.views import ColumnsView, EgocentricView
+from shes.options import make
 from shes.policies.mlp import MLP
-from shes.settings import make
 from tests.hierarchy import designs
 from tests.hierarchy.formula import EPISODES, SETTINGS, changing, constant, run_bits, start_state
 from tests.hierarchy.workers import AnyWorker, fake_plan

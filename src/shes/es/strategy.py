@@ -27,7 +27,7 @@ from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, Signs
 from shes.es.shaping import FITNESS_SHAPINGS
-from shes.settings import make, own_settings, setting_fields
+from shes.options import make, options_of
 from shes.types import F32Array, F64Array, IntArray
 
 __all__ = ["EvolutionStrategy"]
@@ -186,8 +186,9 @@ def _is_whole(value: object, least: int) -> bool:
 
 def _check_options(options: dict[str, Any]) -> None:
     """Raise ConfigError if one of `options` belongs to no optimizer and no fitness shaping."""
-    classes = (own_settings(cls) for registry in (OPTIMIZERS, FITNESS_SHAPINGS) for cls in registry.values())
-    known = {name for cls in classes if cls is not None for name in setting_fields(cls)}
+    known = {
+        name for registry in (OPTIMIZERS, FITNESS_SHAPINGS) for cls in registry.values() for name in options_of(cls)
+    }
     for name, value in options.items():
         if name not in known:
             raise ConfigError(f"unknown option {name!r}, got {value!r}. Options: {', '.join(sorted(known))}.")

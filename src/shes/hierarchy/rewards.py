@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from shes.errors import ConfigError
+from shes.options import make
 from shes.registry import Registry, subclass_of
-from shes.settings import make
 from shes.types import F64Array
 
 __all__ = [

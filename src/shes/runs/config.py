@@ -27,6 +27,7 @@ from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import make_schedule
+from shes.options import with_options
 from shes.settings import (
     Choices,
     Execution,
@@ -40,7 +41,6 @@ from shes.settings import (
     flag,
     out_of_range,
     setting_fields,
-    with_options,
 )
 from shes.sim.warp_device import DEVICES
 

@@ -16,7 +16,7 @@ from shes.es.shaping import FITNESS_SHAPINGS
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.intervals import IntervalEstimate
-from shes.settings import make
+from shes.options import make
 
 __all__ = ["make_hyperparameters", "make_state", "make_update_rules"]
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import ClassVar
@@ -40,6 +39,9 @@ _MAX_THREADS = 8  # of the gradient; with more, memory bandwidth is the limit
 class EvolutionAlgorithm(Algorithm[TrainState]):
     """Algorithm 1 of the SHES paper, or S-ES with one level."""
 
+    make_design: ClassVar[Callable[[Problem], AgentDesign]]
+    """Returns the design of its agents."""
+
     def __init__(self, problem: Problem) -> None:
         """Create the agents' design and the hyperparameters.
 
@@ -47,12 +49,8 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
             ConfigError: The settings do not fit the environment.
             ShapeError: The observation does not have the size of the observation spec.
         """
-        super().__init__(problem, self._make_design(problem))
+        super().__init__(problem, type(self).make_design(problem))
         self.hyperparameters = make_hyperparameters(problem.settings)
-
-    @abstractmethod
-    def _make_design(self, problem: Problem) -> AgentDesign:
-        """Return the design of the agents."""
 
     def start(self, seed: int) -> TrainState:
         """Return the state before the first generation, without transferred parameters."""
@@ -123,9 +121,7 @@ class SHES(EvolutionAlgorithm):
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
-
-    def _make_design(self, problem: Problem) -> AgentDesign:
-        return hierarchical_design(problem)
+    make_design = staticmethod(hierarchical_design)
 
 
 class PrimitiveES(EvolutionAlgorithm):
@@ -133,9 +129,7 @@ class PrimitiveES(EvolutionAlgorithm):
 
     level_names: ClassVar[tuple[str, ...]] = ("primitive",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_ROOMS
-
-    def _make_design(self, problem: Problem) -> AgentDesign:
-        return primitive_design(problem)
+    make_design = staticmethod(primitive_design)
 
 
 class SES(EvolutionAlgorithm):
@@ -143,6 +137,4 @@ class SES(EvolutionAlgorithm):
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = SES_ROOMS
-
-    def _make_design(self, problem: Problem) -> AgentDesign:
-        return flat_design(problem)
+    make_design = staticmethod(flat_design)
