@@ -51,7 +51,7 @@ class RandomResults:
         return [left if task.snapshot_steps or slot == task.kept_slot else None for slot in task.slots]
 
 
-def _moments(generation: Generation, episodes: int) -> tuple[...]:
+def _moments(generation: Generation, episodes: int) -> tuple[Moments, ...]:
     """Return the sums of one observation of each episode at each level, of mean 0 and variance 1."""
     sizes = [len(level.mean) for level in generation.levels]
     return tuple(

@@ -131,11 +131,14 @@ GOAL_ENCODINGS: Registry[type[GoalEncoding]] = Registry(
 )
 """Goal encodings by name: the choices of `--goal-encoding`."""
 
-register_goal_encoding = GOAL_ENCODINGS.register
-"""Register a subclass of `GoalEncoding`, made without arguments, by name in this process; see `Registry.register`.
 
-`shes.train(..., goal_encoding=name)` then uses it.
-"""
+def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:
+    """Register `encoding` as `name` in this process, for `shes.train(..., goal_encoding=name)`.
+
+    Raises:
+        ConfigError: The class is not a complete subclass made without arguments, or the name is malformed or taken.
+    """
+    GOAL_ENCODINGS.register(name, encoding)
 
 
 def make_goal_encoding(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> GoalEncoding:

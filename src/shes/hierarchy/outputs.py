@@ -88,6 +88,7 @@ class OneHotOutput(ControllerOutput):
     Source: `onehot_forward` of the authors' code (policy.jl); not in the paper.
     Deviation: the authors add 1/8 to the angle in radians, which rotates every goal 7 degrees to the left, so that none
     is straight ahead. This offset is omitted.
+
     Deviation: in Gather the authors use the angles of its ten sensors, 36 degrees apart, with eight outputs, so that no
     goal lies within the 108 degrees behind to the left. Here all tasks have the same eight directions.
     """
@@ -110,11 +111,14 @@ CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(
 )
 """Controller outputs by name: the choices of `--controller-output`."""
 
-register_controller_output = CONTROLLER_OUTPUTS.register
-"""Register a subclass of `ControllerOutput`, made without arguments, by name in this process; see `Registry.register`.
 
-`shes.train(..., controller_output=name)` then uses it.
-"""
+def register_controller_output(name: str, output: type[ControllerOutput]) -> None:
+    """Register `output` as `name` in this process, for `shes.train(..., controller_output=name)`.
+
+    Raises:
+        ConfigError: The class is not a complete subclass made without arguments, or the name is malformed or taken.
+    """
+    CONTROLLER_OUTPUTS.register(name, output)
 
 
 def make_controller_output(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> ControllerOutput:

@@ -143,11 +143,14 @@ PRIMITIVE_REWARDS: Registry[type[PrimitiveReward]] = Registry(
 )
 """Primitive rewards by name: the choices of `--primitive-reward`."""
 
-register_primitive_reward = PRIMITIVE_REWARDS.register
-"""Register a subclass of `PrimitiveReward`, made without arguments, by name in this process; see `Registry.register`.
 
-`shes.train(..., primitive_reward=name)` then uses it.
-"""
+def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:
+    """Register `reward` as `name` in this process, for `shes.train(..., primitive_reward=name)`.
+
+    Raises:
+        ConfigError: The class is not a complete subclass made without arguments, or the name is malformed or taken.
+    """
+    PRIMITIVE_REWARDS.register(name, reward)
 
 
 def make_primitive_reward(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> PrimitiveReward:
