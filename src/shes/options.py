@@ -56,7 +56,7 @@ def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings
     homes: dict[str, tuple[str, Setting]] = {}
     needs: dict[str, dict[str, tuple[str, ...]]] = {}
     for room, cls in rooms.items():
-        for setting in setting_fields(cls).values():
+        for setting in _choosing(cls):
             for choice, entry in _entries(setting).items():
                 for name, option in options_of(entry).items():
                     if name not in known and not option.has(Unasked):
@@ -67,6 +67,16 @@ def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings
     for name, (room, option) in homes.items():
         added[room].append((option, tuple(Needs(*each) for each in needs[name].items())))
     return {room: _extended(cls, tuple(added[room])) for room, cls in rooms.items()}
+
+
+@cache
+def _choosing(room: type[Settings]) -> tuple[Setting, ...]:
+    """Return the settings of `room` that choose a registered class."""
+    return tuple(
+        setting
+        for setting in setting_fields(room).values()
+        if any(isinstance(note, Choices) and isinstance(note.names, Registry) for note in setting.notes)
+    )
 
 
 def _entries(setting: Setting) -> dict[str, Any]:
