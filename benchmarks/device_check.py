@@ -13,7 +13,7 @@ from statistics import NormalDist
 import numpy as np
 from scipy import stats
 
-from shes.algorithms.evolution.learners import EvolutionStrategy
+from shes.algorithms.evolution.learners import EvolutionAlgorithm
 from shes.envs.registry import find_environment
 from shes.envs.tasks.task import SimulatorFactory
 from shes.es.streams import Purpose, stream
@@ -100,7 +100,7 @@ def sample(
         env, "laptop", {"spec": spec, "hidden": (16,), "horizon": horizon, "noise_table_size": 1_000_000}
     )
     learner = build_algorithm(config)
-    assert isinstance(learner, EvolutionStrategy)
+    assert isinstance(learner, EvolutionAlgorithm)
     design, plan = learner.design, learner.plan()
     levels = learner.parameters(learner.start(config.run.seed))
     generation = Generation(levels=levels, sigma=_SPREAD, episodes_per_policy=1, is_evaluation=False)
@@ -120,8 +120,8 @@ def sample(
     rollout = Rollout(
         design, lambda n: environment.make(n, plan.training, simulator), min(episodes, _LANES), 1, horizon
     )
-    found = dict(rollout.run(iter(enumerate(tasks)), generation, learner.table.on(rollout.task.xp)))
-    rollout.task.check_buffers()
+    found = dict(rollout.run(iter(enumerate(tasks)), generation, learner.table.on(rollout.batch.xp)))
+    rollout.batch.check_buffers()
     return {name: np.array([measure(found[i]) for i in range(episodes)]) for name, measure in _MEASURES.items()}
 
 

@@ -27,7 +27,7 @@ import numpy as np
 from device_check import ALPHA, compare_samples, detectable_shift, sample
 
 from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.evolution.learners import EvolutionStrategy
+from shes.algorithms.evolution.learners import EvolutionAlgorithm
 from shes.envs.registry import ENVIRONMENTS, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import FRAME_SKIP
@@ -192,10 +192,12 @@ def generations(device: str, size: Size, out: Path) -> None:
 def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
     """Yield the seconds of every generation, by part."""
     learner = build_algorithm(config)
-    assert isinstance(learner, EvolutionStrategy)
+    assert isinstance(learner, EvolutionAlgorithm)
     opened = WarpDevice(config.workers.device)
     with build_backend(config, learner.plan()) as backend:
-        for report in evolve(learner.start(config.run.seed), learner.settings, learner.table.on(opened.xp), backend):
+        for report in evolve(
+            learner.start(config.run.seed), learner.hyperparameters, learner.table.on(opened.xp), backend
+        ):
             physics_s, policy_s, task_s = report.results.seconds.tolist()
             steps = int(report.results.steps.sum())
             yield {

@@ -1,7 +1,7 @@
-"""Arrays that may live on a device: NumPy's, or CuPy's on a CUDA card.
+"""Arrays on the host or on a device: NumPy's, or CuPy's on a CUDA GPU.
 
-NumPy's functions work on both where they are given an array: they hand the work to CuPy. What makes arrays of nothing
-takes the module, `xp`; a transfer is `xp.asarray` one way and `to_host` the other.
+NumPy functions accept both, because they dispatch to CuPy. Code that creates arrays uses the array module `xp`.
+`xp.asarray` transfers to the device, `to_host` back.
 """
 
 from __future__ import annotations
@@ -15,5 +15,5 @@ __all__ = ["to_host"]
 
 
 def to_host(array: Any) -> NDArray[Any]:
-    """Return `array` as one of NumPy's: itself where it is one, else a copy, for which the device is waited for."""
+    """Return `array` as a NumPy array: itself if it is one, else a copy, which waits for the device."""
     return array if isinstance(array, np.ndarray) else array.get()

@@ -1,6 +1,6 @@
-"""Every error that SHES raises on purpose, and the helper that names what does exist.
+"""Exceptions of SHES.
 
-A message says what is wrong, the value received, what is allowed (nearest name first) and what fixes it.
+A message says what is wrong, the value received, what is allowed (the nearest name first), and how to fix it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = [
 
 
 class ShesError(Exception):
-    """Base of every error raised on purpose. `exit_code` is what the command line returns for it."""
+    """Base of all exceptions of SHES. `exit_code` is the exit code of the command line."""
 
     exit_code = 2
 
@@ -34,10 +34,10 @@ class ConfigError(ShesError, ValueError):
 
 
 class UnknownNameError(ShesError, LookupError):
-    """A name (environment, preset, reward, ...) is not in its registry."""
+    """A name (of an environment, a preset, a reward, ...) is not known."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], fix: str = "") -> None:
-        """Name the `kind` of thing asked for, the `name` received, the `known` names and the `fix` (a flag)."""
+        """Create the message from the `kind` of name, the `name` received, the `known` names and the `fix` (a flag)."""
         names = nearest_first(name, known)
         close = difflib.get_close_matches(name, names, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
@@ -45,20 +45,20 @@ class UnknownNameError(ShesError, LookupError):
         self.arguments = (kind, name, tuple(names), fix)
 
     def __reduce__(self) -> tuple[type[UnknownNameError], tuple[str, str, tuple[str, ...], str]]:
-        """Pickle by the constructor's arguments: the error may travel from a worker process."""
+        """Pickle by the constructor's arguments, because the error may come from a worker process."""
         return (type(self), self.arguments)
 
 
 class MissingExtraError(ShesError, ImportError):
-    """Something needs an optional package that is not installed; the message names the extra that brings it."""
+    """An optional package is not installed. The message names the extra that installs it."""
 
 
 class ShapeError(ShesError, ValueError):
-    """An array does not have the shape that the call needs."""
+    """An array has a wrong shape."""
 
 
 class CheckpointError(ShesError):
-    """A checkpoint is missing, truncated, not a checkpoint, or belongs to another configuration."""
+    """A checkpoint is missing or damaged, or belongs to another configuration."""
 
 
 class RunFolderError(ShesError):
@@ -66,7 +66,7 @@ class RunFolderError(ShesError):
 
 
 class StorageError(ShesError, OSError):
-    """The disk is full, the folder is read-only, or a file could not be written; what was there is untouched."""
+    """A file cannot be written, for example because the disk is full. Existing files are unchanged."""
 
 
 class PolicyError(ShesError):
@@ -76,13 +76,13 @@ class PolicyError(ShesError):
 
 
 class WorkerError(ShesError, RuntimeError):
-    """A worker raised, or workers keep dying on the same work."""
+    """A worker raised an exception, or workers keep dying."""
 
     exit_code = 1
 
 
 def nearest_first(name: str, known: Iterable[str]) -> list[str]:
-    """Return the `known` names, those most like `name` first, the rest in alphabetical order."""
+    """Return the `known` names: those most similar to `name` first, then the others in alphabetical order."""
     ordered = sorted(known)
     close = difflib.get_close_matches(name, ordered, n=3)
     return close + [other for other in ordered if other not in close]

@@ -1,4 +1,4 @@
-"""A registry: entries of one kind by name, to which users may add their own."""
+"""A registry: entries of one kind by name, to which users can add their own."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class Registry(MutableMapping[str, T]):
     """Entries of one kind by name. `registry[name] = entry` is `registry.register(name, entry)`."""
 
     def __init__(self, kind: str, entries: Mapping[str, T], *, fix: str, check: Callable[[str, T], None]) -> None:
-        """Make a registry of `entries`.
+        """Create a registry with `entries`.
 
         Args:
-            kind: What an entry is called in messages, e.g. `goal encoding`.
-            entries: The first entries by name.
-            fix: What a user who gave an unknown name can do: the flag to set, how to register.
-            check: Called with the kind and an entry: raises ConfigError for what is no entry of this kind.
+            kind: Kind of the entries in messages, e.g. `goal encoding`.
+            entries: Initial entries by name.
+            fix: Advice for an unknown name: the flag to set, how to register.
+            check: Called with the kind and an entry. Raises ConfigError for an invalid entry.
         """
         self.kind = kind
         self._fix = fix
@@ -35,14 +35,14 @@ class Registry(MutableMapping[str, T]):
         self.update(entries)
 
     def register(self, name: str, entry: T) -> None:
-        """Add `entry` as `name`. A class that is defined again, under its full name, takes the place of the first one.
+        """Add `entry` as `name`. A class with the same full name as the existing entry replaces it.
 
         Raises:
-            ConfigError: The entry is not of this kind, or the name is malformed or taken.
+            ConfigError: The entry is invalid, or the name is malformed or already taken.
         """
         self._check(self.kind, entry)
         check_name_form(self.kind, name)
-        # By full name, not by identity: a notebook's cell that is run again, or a reload, makes the same class anew.
+        # Compared by full name, because running a notebook cell again, or a reload, redefines the same class.
         if name in self._entries and _full_name(self._entries[name]) != _full_name(entry):
             raise ConfigError(
                 f"{self.kind} {name!r} is {_full_name(self._entries[name])} already. Choose another name."
@@ -50,10 +50,10 @@ class Registry(MutableMapping[str, T]):
         self._entries[name] = entry
 
     def find(self, name: str, *, kind: str = "", fix: str = "") -> T:
-        """Return the entry called `name`; `kind` and `fix` stand in the message in place of the registry's own.
+        """Return the entry called `name`. `kind` and `fix` replace those of the registry in the message.
 
         Raises:
-            UnknownNameError: There is none. The message names the nearest, all others, and what to do.
+            UnknownNameError: There is no such entry. The message lists the known names, the nearest first.
         """
         if name not in self._entries:
             raise UnknownNameError(kind or self.kind, str(name), self._entries, fix or self._fix)
@@ -81,15 +81,15 @@ class Registry(MutableMapping[str, T]):
 def subclass_of(
     contract: type, num_arguments: int = 0, keywords: tuple[str, ...] = ()
 ) -> Callable[[str, object], None]:
-    """Return the check of a registry whose entries are complete subclasses of `contract`; see `check_class`."""
+    """Return the `check` for a registry of complete subclasses of `contract`; see `check_class`."""
     return lambda kind, entry: check_class(kind, entry, contract, num_arguments, keywords)
 
 
 def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, keywords: tuple[str, ...] = ()) -> None:
-    """Refuse what is not a complete subclass of `contract`, made from `num_arguments` arguments and `keywords`.
+    """Check that `cls` is a complete subclass of `contract`, made from `num_arguments` arguments and `keywords`.
 
     Raises:
-        ConfigError: It is no subclass, lacks a method or a class attribute, or needs other arguments.
+        ConfigError: It is not a subclass, lacks a method or a class attribute, or needs other arguments.
     """
     if not (isinstance(cls, type) and issubclass(cls, contract)):
         article = "an" if kind[0] in "aeiou" else "a"
@@ -97,7 +97,7 @@ def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, 
             f"{article} {kind} must be a subclass of {_full_name(contract)}, got {cls!r}. "
             f"Write class YourOwn({contract.__name__}), and give the class, not an object of it."
         )
-    # A contract states the class attributes that every subclass must set as annotations without a value.
+    # Annotations without a value in a contract are class attributes that every subclass must set.
     set_by_init = getattr(contract, "__dataclass_fields__", {})
     stated = [name for name in inspect.get_annotations(contract) if name not in set_by_init]
     attributes = [name for name in stated if not hasattr(cls, name)]
@@ -117,10 +117,10 @@ def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, 
 
 
 def check_name_form(kind: str, name: object) -> None:
-    """Refuse a malformed name.
+    """Check that `name` consists of lower-case words.
 
     Raises:
-        ConfigError: It is not made of lower-case words.
+        ConfigError: It does not.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ConfigError(

@@ -16,6 +16,7 @@ import ast
 import inspect
 import math
 import operator
+import re
 import textwrap
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
@@ -26,9 +27,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get
 import numpy as np
 
 from shes.errors import ConfigError, UnknownNameError
+from shes.registry import Registry
 
 __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shown"]
-__all__ += ["Unasked", "field_texts", "flag", "out_of_range", "setting_fields"]
+__all__ += ["Unasked", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ class Choices:
     names: Collection[str]
     fix: str = ""
     """How to add a name, for the error message."""
+    is_described: bool = False
+    """Whether the help describes each class of the registry by the first sentence of its docstring."""
 
 
 @dataclass(frozen=True)
@@ -134,8 +138,12 @@ class Setting:
 
     @property
     def text(self) -> str:
-        """The docstring under the field, on one line."""
-        return field_texts(self.owner).get(self.name, "")
+        """The docstring under the field, on one line, and what each of the choices is."""
+        described = (note.names for note in self.notes if isinstance(note, Choices) and note.is_described)
+        choices = "; ".join(
+            f"{name}: {_summary(cls)}" for names in described for name, cls in registered(names).items()
+        )
+        return " ".join(filter(None, (field_texts(self.owner).get(self.name, ""), choices and choices + ".")))
 
     @property
     def flag(self) -> str:
@@ -289,6 +297,16 @@ def setting_fields(cls: type) -> dict[str, Setting]:
     return found
 
 
+def registered(names: Collection[str]) -> Mapping[str, Any]:
+    """Return the registered classes by name, or nothing if `names` is not a registry."""
+    return names if isinstance(names, Registry) else {}
+
+
+def _summary(cls: type) -> str:
+    """Return the first sentence of a class's docstring, without its period."""
+    return re.split(r"\.(?:\s|$)", inspect.getdoc(cls) or "", maxsplit=1)[0]
+
+
 def _unwrapped(kind: Any) -> tuple[Any, tuple[Any, ...]]:
     """Return a type without its annotations, and the annotations."""
     if get_origin(kind) is Annotated:
@@ -301,7 +319,7 @@ def _unwrapped(kind: Any) -> tuple[Any, tuple[Any, ...]]:
 def field_texts(cls: type) -> dict[str, str]:
     """Return the docstrings under the fields of a dataclass and its base classes, each on one line."""
     texts: dict[str, str] = {}
-    for ancestor in reversed(cls.__mro__[:-1]):
+    for ancestor in (*getattr(cls, "_option_classes", ()), *reversed(cls.__mro__[:-1])):
         try:
             (tree,) = ast.parse(textwrap.dedent(inspect.getsource(ancestor))).body
         except (OSError, TypeError, SyntaxError):

@@ -1,4 +1,4 @@
-"""Writing files so that nothing is ever half written."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shes.errors import StorageError
 
 __all__ = ["storage_errors", "write_atomically"]
 
-_MENDS = {
+_FIXES = {
     errno.ENOSPC: "the disk is full: make room, then start again (a run that had begun: `shes resume`)",
     errno.EDQUOT: "the disk quota is used up: make room, then start again (a run that had begun: `shes resume`)",
     errno.EFBIG: "the file is larger than allowed here: raise the limit, then start again (a run: `shes resume`)",
@@ -28,7 +28,7 @@ _MENDS = {
 
 @contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
-    """Turn an operating system's error at `path` into one that says what to do.
+    """Convert an OSError in the block into a StorageError that says how to fix it.
 
     Raises:
         StorageError: The block raised OSError.
@@ -38,14 +38,14 @@ def storage_errors(path: Path) -> Iterator[None]:
     except StorageError:
         raise
     except OSError as error:
-        mend = _MENDS.get(error.errno or 0, f"{error.strerror or error}")
-        raise StorageError(f"cannot write {path}: {mend}. What was there before is untouched.") from error
+        fix = _FIXES.get(error.errno or 0, f"{error.strerror or error}")
+        raise StorageError(f"cannot write {path}: {fix}. What was there before is untouched.") from error
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Let `write` fill a new file, make it durable, and put it in the place of `path`; on failure `path` stays.
+    """Let `write` fill a new file, flush it to the disk, and move it to `path`. On failure `path` is unchanged.
 
-    What writers that were killed have left beside `path` is removed.
+    Unfinished files of killed writers are removed.
 
     Raises:
         StorageError: The file cannot be written.
@@ -64,7 +64,7 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
 
 def _remove_abandoned(path: Path) -> None:
-    """Remove the unfinished copies of `path` whose writers are gone."""
+    """Remove unfinished copies of `path` whose writers no longer run."""
     for part in path.parent.glob(f".{path.name}.*.part"):
         writer = part.name.removeprefix(f".{path.name}.").partition(".")[0]
         if writer.isdecimal() and not _is_alive(int(writer)):

@@ -1,9 +1,9 @@
-"""Array types shared by every room. Shapes are written in docstrings as `[axis, axis]`.
+"""Array types shared by all packages. Docstrings give shapes as `[axis, axis]`.
 
-Axes: n members of the population, G mirrored groups, M members of a group, L levels, D parameters of a policy; P lanes
-at work at once, R rows of a lane (its episodes), N = P * R episodes in lockstep; E episodes of a member, K episodes of
-a task or an evaluation; O observed values, V values of a view, A controls, J goals in a row, T turns and mirror images
-of a robot, S numbers of a whole physics state; H and W pixels.
+Axes: n members of the population, G mirrored groups, M members of a group, L levels, D parameters of a policy; P lanes,
+R rows (episodes) of a lane, N = P * R episodes in lockstep; E episodes of a member, K episodes of a task or an
+evaluation; O observed values, V values of a view, A controls, J successive goals, T elements of a robot's symmetry
+group, S numbers of a full physics state; H and W pixels.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import pytest
 from shes.errors import ConfigError
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
-from shes.es.perturbation import PERTURBATIONS, make_perturbation
+from shes.es.perturbation import PERTURBATIONS
 from shes.es.shaping import CentredRanks
 from shes.types import CONTROLLER, PRIMITIVE
 from tests.es.textbook import TextbookES
@@ -38,7 +38,7 @@ def table():
 @pytest.mark.parametrize("ties", ["average", "index"])
 @pytest.mark.parametrize(("mirrored", "members"), [("quad", 4), ("pair", 2), ("none", 1)])
 def test_generations_are_the_textbooks(table, mirrored, members, ties):
-    rule = UpdateRule(weight_decay=0.005, shaping=CentredRanks(ties=ties))
+    rule = UpdateRule(weight_decay=0.005, shaping=CentredRanks(rank_ties=ties))
     settings = replace(SETTINGS, population_size=12, mirrored=mirrored, updates=(rule, rule))
     for report in check_against_textbook(table, settings, ties=ties):
         assert report.population.work.noise_index.shape == (2, 12 // members)
@@ -49,7 +49,7 @@ def test_generations_are_the_textbooks(table, mirrored, members, ties):
 @pytest.mark.parametrize("name", sorted(PERTURBATIONS))
 def test_generations_are_the_textbooks_whichever_level_is_perturbed(table, name, learns, mirrored):
     settings = replace(
-        SETTINGS, population_size=12, mirrored=mirrored, perturbation=make_perturbation(name), learns=learns
+        SETTINGS, population_size=12, mirrored=mirrored, perturbation=PERTURBATIONS.find(name)(), learns=learns
     )
     check_against_textbook(table, settings, perturbation=name)
 

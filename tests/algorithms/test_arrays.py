@@ -1,4 +1,4 @@
-"""The state of an evolution strategy as arrays: everything to the bit, through the file of a checkpoint."""
+"""The state of an evolution strategy as arrays: bit-identical after a round trip through a checkpoint file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +10,8 @@ import shes
 from shes.algorithms.evolution.arrays import from_arrays, to_arrays
 from shes.errors import CheckpointError
 from shes.es.level import LevelState, RunningEpisodes, TrainState
-from shes.es.novelty import NOVELTY_RULES, NoveltyState, make_novelty_rule
-from shes.es.optimizers import OPTIMIZERS, OptimizerState, make_optimizer
+from shes.es.novelty import NOVELTY_RULES, NoveltyState
+from shes.es.optimizers import OPTIMIZERS, OptimizerState
 from shes.es.statistics import ObservationStatistics
 from shes.runs.checkpoint import Best, Checkpoint, load_checkpoint, restore, save_checkpoint
 from shes.training.build import build_algorithm, open_run
@@ -20,7 +20,7 @@ from tests.e2e import runs
 
 
 def level(rng, name, dim, size, optimizer="adam"):
-    slots = {slot: rng.standard_normal(dim, dtype=np.float32) for slot in make_optimizer(optimizer).slots}
+    slots = {slot: rng.standard_normal(dim, dtype=np.float32) for slot in OPTIMIZERS.find(optimizer)().slots}
     return LevelState(
         name=name,
         theta=rng.standard_normal(dim, dtype=np.float32),
@@ -89,7 +89,7 @@ def test_levels_and_optimizers_of_every_kind_read_back_to_the_bit(kept, names, o
     read, arrays = kept(whole)
     assert_same(read, whole)
     assert [level.name for level in read.levels] == list(names)
-    assert [tuple(level.optimizer.slots) for level in read.levels] == [make_optimizer(optimizer).slots] * len(names)
+    assert [tuple(level.optimizer.slots) for level in read.levels] == [OPTIMIZERS.find(optimizer)().slots] * len(names)
     assert {name.split("/")[0] for name in arrays if "/" in name} == set(names)
 
 
@@ -103,7 +103,7 @@ def test_the_search_for_novelty_reads_back_to_the_bit(kept, places):
 @pytest.mark.parametrize("rule", NOVELTY_RULES)
 def test_the_start_of_a_search_for_novelty_reads_back(kept, rule):
     """Its archive is empty, and its best return is minus infinity."""
-    whole = make(novelty=make_novelty_rule(rule).start())
+    whole = make(novelty=NOVELTY_RULES.find(rule)().start())
     assert_same(kept(whole)[0], whole)
 
 
@@ -125,7 +125,7 @@ def test_nothing_is_written_of_what_a_state_has_not(kept, name):
 
 
 def test_no_array_needs_pickle():
-    arrays = to_arrays(make(novelty=make_novelty_rule("nsra").start()))
+    arrays = to_arrays(make(novelty=NOVELTY_RULES.find("nsra")().start()))
     assert {name for name, array in arrays.items() if array.dtype == object} == set()
     assert {"seed", "generation", "env_steps", "levels", "controller/theta", "primitive/observation_total"} <= set(
         arrays
@@ -134,7 +134,7 @@ def test_no_array_needs_pickle():
 
 @pytest.mark.parametrize("name", ["levels", "primitive/theta", "controller/optimizer_steps", "novelty/weight"])
 def test_a_state_of_which_something_is_missing_is_refused(tmp_path, name):
-    arrays = to_arrays(make(novelty=make_novelty_rule("nsra").start()))
+    arrays = to_arrays(make(novelty=NOVELTY_RULES.find("nsra")().start()))
     del arrays[name]
     with pytest.raises(CheckpointError, match=rf"a\.npz is not a whole SHES checkpoint .KeyError: .*{name[-5:]}"):
         restore(Checkpoint(arrays=arrays, best=Best(), numbers={}), from_arrays, tmp_path / "a.npz")

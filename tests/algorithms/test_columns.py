@@ -184,7 +184,7 @@ def test_the_numbers_of_a_primitive_on_branches_are_those_of_its_pairs():
 def generation_by_hand(path, config, number):
     """Return the state before generation `number` of a run, its signs [G, M, L] and its noise [L, G]."""
     state = runs.state(path, number - 1)
-    work = generation_work(state, build_algorithm(config).settings, config.evolution.noise_table_size)
+    work = generation_work(state, build_algorithm(config).hyperparameters, config.evolution.noise_table_size)
     return state, work.signs, work.noise_index
 
 
@@ -248,7 +248,7 @@ def test_the_cosine_is_that_of_the_gradients_of_two_half_populations(every_gener
     for generation in (1, 3):
         state, signs, noise_index = generation_by_hand(every_generation, config, generation)
         with Listening(partial(RolloutWorker, learner.plan())) as backend:
-            next(evolve(state, learner.settings, noise, backend))
+            next(evolve(state, learner.hyperparameters, noise, backend))
         fitness = np.array([seen[member] for member in range(16)]).T
         groups, members, _ = signs.shape
         for i, level in enumerate(state.levels):

@@ -19,7 +19,7 @@ MEMBERS = 7
 
 
 def results_of(worker, plan, **changes):
-    """Return the returns of a generation by number, to the bit, and the results themselves."""
+    """Return the returns of a generation by number, and the results themselves."""
     found = _run(worker, _generation(plan, **changes), MEMBERS, MEMBERS)
     return {number: result.returns.tobytes() for number, result in found.items()}, found
 
@@ -41,7 +41,7 @@ def device(monkeypatch, expected):
             if num_lanes > found.fits:
                 raise RuntimeError("Failed to allocate 12 bytes on device 'cuda:0'")
             super().__init__(design, make_task, num_lanes, *others)
-            self.task.check_buffers = check
+            self.batch.check_buffers = check
 
     def check():
         found.checked += 1
@@ -89,7 +89,7 @@ def test_an_overflow_ends_the_generation(device):
     def check():
         raise ConfigError("Set --nconmax to 12.")
 
-    worker._rollouts["training"].task.check_buffers = check
+    worker._rollouts["training"].batch.check_buffers = check
     with pytest.raises(ConfigError, match="Set --nconmax to 12"):
         results_of(worker, plan)
 

@@ -160,7 +160,7 @@ def test_a_class_whose_module_workers_do_not_find_is_an_error_that_names_it(monk
         (tmp_path / "found_nowhere.py").write_text("")
     with (
         ProcessesBackend(module.Mine, 1) as backend,
-        pytest.raises(WorkerError, match=r"cannot import what its work is made of: .*found_nowhere.*on PYTHONPATH"),
+        pytest.raises(WorkerError, match=r"cannot import a module that its work needs: .*found_nowhere.*on PYTHONPATH"),
     ):
         list(backend.map([("add", 1)]))
 

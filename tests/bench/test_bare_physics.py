@@ -17,7 +17,7 @@ def _parts(env, settings):
     """Return the plan, the state, the settings and the noise table of a tiny run."""
     config = make_config(env, "smoke", {**TINY, **settings})
     learner = build_algorithm(config)
-    return config, learner.plan(), learner.start(config.run.seed), learner.settings, learner.table
+    return config, learner.plan(), learner.start(config.run.seed), learner.hyperparameters, learner.table
 
 
 @pytest.mark.parametrize(

@@ -1,31 +1,27 @@
-"""What every backend promises. A new backend is one line in `BACKENDS`."""
+"""The contract of every backend in `shes.backends.registry.BACKENDS`."""
 
 import psutil
 import pytest
 
 from shes.backends.backend import Backend
-from shes.backends.processes import ProcessesBackend
-from shes.backends.serial import SerialBackend
+from shes.backends.registry import BACKENDS
 from shes.errors import WorkerError
-from shes.runs.rooms import WorkerSettings
-from shes.settings import setting_fields
+from shes.settings import Execution, setting_fields
 from tests.backends.workers import ERRORS, Worker
 
-BACKENDS = {
-    "serial": SerialBackend,
-    "processes, 1 worker": lambda factory: ProcessesBackend(factory, 1),
-    "processes, 3 workers": lambda factory: ProcessesBackend(factory, 3),
-}
+CASES = [(name, num_workers) for name in BACKENDS for num_workers in (1, 3)]
 
 
-def test_every_backend_of_the_settings_is_here():
-    assert {name.split(",")[0] for name in BACKENDS} == set(setting_fields(WorkerSettings)["backend"].choices)
+@pytest.mark.parametrize("name", BACKENDS)
+def test_no_option_of_a_backend_changes_numbers(name):
+    assert all(option.has(Execution) for option in setting_fields(BACKENDS[name].Options).values())
 
 
-@pytest.fixture(scope="module", params=BACKENDS)
+@pytest.fixture(scope="module", params=CASES, ids=str)
 def shared(request):
-    """A backend that one test after another uses: to start one takes longer than most of them."""
-    with BACKENDS[request.param](Worker) as made:
+    """A backend that many tests use: starting one takes longer than most of them."""
+    name, num_workers = request.param
+    with BACKENDS[name](Worker, num_workers) as made:
         yield made
 
 
@@ -41,10 +37,11 @@ def others():
     return psutil.Process().children()
 
 
-@pytest.fixture(params=BACKENDS)
+@pytest.fixture(params=CASES, ids=str)
 def own_backend(request, others):
     """A backend that no other test uses."""
-    with BACKENDS[request.param](Worker) as made:
+    name, num_workers = request.param
+    with BACKENDS[name](Worker, num_workers) as made:
         made.broadcast(100)
         yield made
 

@@ -190,7 +190,7 @@ def test_the_view_of_the_primitive_may_be_registered(tmp_path):
         ("tests/Car-v0", {}, r"'tests/Car-v0' is an id of Gymnasium\. Write gymnasium:tests/Car-v0"),
         ("gymnasium:tests/Car-v0", {}, r"nobody has told where the robot of gymnasium:tests/Car-v0 is.*--algorithm es"),
         ("gymnasium:tests/Car-v0", {"algorithm": "es", "novelty": "ns"}, r"nobody has told where the robot of"),
-        ("car", {"hide_position": True}, r"sees no absolute position that could be .*Leave --hide-position"),
+        ("car", {"hide_position": True}, r"observes no absolute position.*Omit --hide-position"),
     ],
 )
 def test_what_does_not_go_is_one_line_and_leaves_no_folder(tmp_path, env, settings, message):

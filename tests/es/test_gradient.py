@@ -1,4 +1,4 @@
-"""The weighted sum of noise: equal to a plain sum, and to the bit the same however it is cut up."""
+"""The weighted sum of noise: equal to a plain sum, and bit-identical for any number of blocks and threads."""
 
 from concurrent.futures import ThreadPoolExecutor
 

@@ -19,8 +19,8 @@ from shes.es.level import (
     update_level,
 )
 from shes.es.noise import NoiseTable
-from shes.es.optimizers import OPTIMIZERS, SGD, Adam, make_optimizer
-from shes.es.perturbation import PERTURBATIONS, make_perturbation
+from shes.es.optimizers import OPTIMIZERS, SGD, Adam
+from shes.es.perturbation import PERTURBATIONS
 from shes.es.shaping import CentredRanks
 from shes.es.statistics import ObservationStatistics
 from tests.es.textbook import SIGNS, TextbookES
@@ -71,12 +71,12 @@ def _check_against_textbook(table, kind, *, learns, generations=4, **options):
     rng = np.random.default_rng(5)
     thetas = [rng.normal(size=dim).astype(np.float32) for dim in DIMS[:num_levels]]
     levels = [_level(theta) for theta in thetas]
-    rule = UpdateRule(weight_decay=weight_decay, shaping=CentredRanks(ties=ties))
+    rule = UpdateRule(weight_decay=weight_decay, shaping=CentredRanks(rank_ties=ties))
     book = TextbookES(thetas, sigma=0.1, rate=RATE, learns=learns, **{"mirrored": mirrored, **options})
     members = len(SIGNS[mirrored, 1 if perturbation != "many_to_many" else sum(learns)])
     history = [levels]
     for generation in range(generations):
-        signs = make_perturbation(perturbation).signs(generation, NUM_GROUPS * members, mirrored, learns)
+        signs = PERTURBATIONS.find(perturbation)().signs(generation, NUM_GROUPS * members, mirrored, learns)
         index = draw_noise_index(1, generation, NUM_GROUPS, DIMS[:num_levels], table.size)
         fitness = _fitness(rng, num_levels, NUM_GROUPS * members, kind)
         noise = [[table.slice(i, dim) for i in row] for row, dim in zip(index, DIMS, strict=False)]
@@ -185,14 +185,14 @@ def test_weight_decay_pulls_towards_zero():
 def test_equal_fitness_moves_nothing_only_with_average_ranks(table, ties):
     level = _level(np.ones(7, np.float32))
     signs = np.ones((8, 1), np.int8)
-    rule = UpdateRule(shaping=CentredRanks(ties=ties))
+    rule = UpdateRule(shaping=CentredRanks(rank_ties=ties))
     after = _update(level, np.zeros(8), signs, np.arange(8) * 20, table, rule).level
     assert np.array_equal(after.theta, level.theta) == (ties == "average")
 
 
 @pytest.mark.parametrize("name", sorted(OPTIMIZERS))
 def test_an_update_leaves_its_arguments_as_they_were(table, name):
-    optimizer = make_optimizer(name)
+    optimizer = OPTIMIZERS.find(name)()
     level = _level(np.ones(7, np.float32), optimizer)
     shaped, signs, index = np.array([0.5, -0.5, 0.25, -0.25]), np.repeat(PAIR, 2, axis=0), np.array([0, 9])
     for array in (shaped, signs, index, level.theta, *level.optimizer.slots.values()):
@@ -235,7 +235,9 @@ def _bits(level):
 @pytest.mark.parametrize("decouples", [False, True])
 @pytest.mark.parametrize("fitness", [[0, 0, 0, 0], [5, 5, 3, 3]], ids=["all tie", "every pair ties"])
 def test_a_level_that_holds_stays_as_it_is_where_no_direction_is_worth_anything(table, name, decouples, fitness):
-    rule = UpdateRule(weight_decay=0.1, decouples_decay=decouples, holds_when_tied=True, optimizer=make_optimizer(name))
+    rule = UpdateRule(
+        weight_decay=0.1, decouples_decay=decouples, holds_when_tied=True, optimizer=OPTIMIZERS.find(name)()
+    )
     before = _moving_level(table, rule)
     signs, index = np.tile(PAIR, (2, 1)), np.array([5, 90])
     update = _update(before, np.array(fitness, float), signs, index, table, rule)
@@ -273,7 +275,7 @@ def test_without_momentum_the_decay_alone_moves_a_level_that_does_not_hold(table
 
 @pytest.mark.parametrize("mirrored", ["quad", "pair", "none"])
 def test_holding_changes_nothing_where_there_is_something_to_learn(table, mirrored):
-    signs = make_perturbation("many_to_many").signs(0, NUM_GROUPS * len(SIGNS[mirrored, 1]), mirrored, (True,))
+    signs = PERTURBATIONS.find("many_to_many")().signs(0, NUM_GROUPS * len(SIGNS[mirrored, 1]), mirrored, (True,))
     fitness, index = np.zeros(signs.shape[0] * signs.shape[1]), np.arange(NUM_GROUPS) * 100
     fitness[0] = 1e-9  # one member is better
     ends = [

@@ -11,17 +11,7 @@ from hypothesis import strategies as st
 
 from shes.errors import ConfigError, UnknownNameError
 from shes.es import novelty as module
-from shes.es.novelty import (
-    NOVELTY_RULES,
-    NSRA,
-    AuthorsNSRA,
-    NoveltyState,
-    behaviour_distance,
-    blend,
-    extend,
-    make_novelty_rule,
-    novelty,
-)
+from shes.es.novelty import NOVELTY_RULES, NSRA, AuthorsNSRA, NoveltyState, behaviour_distance, blend, extend, novelty
 
 every_rule = pytest.mark.parametrize("name", NOVELTY_RULES)
 positions = st.tuples(st.floats(-50, 50), st.floats(-50, 50))
@@ -129,7 +119,7 @@ def test_no_neighbours_are_refused(neighbours):
 
 
 def test_the_archive_grows_by_where_the_mean_policy_ended():
-    start = make_novelty_rule("nsra").start()
+    start = NOVELTY_RULES.find("nsra")().start()
     once = extend(start, np.array([[1.0, 2.0], [3.0, 4.0]]))
     twice = extend(once, np.array([[5.0, 6.0]]))
     assert twice.archive.tolist() == [[1, 2], [3, 4], [5, 6]]
@@ -161,7 +151,7 @@ def _weights(rule, mean_returns, population_returns=None):
 
 @every_rule
 def test_a_rule_starts_with_nothing(name):
-    rule = make_novelty_rule(name)
+    rule = NOVELTY_RULES.find(name)()
     state = rule.start()
     assert (state.weight, state.best_return, state.stalled) == (rule.start_weight, -math.inf, 0)
     assert state.archive.shape == (0, 2)
@@ -171,7 +161,7 @@ def test_a_rule_starts_with_nothing(name):
 @every_rule
 @given(returns=st.lists(st.integers(-5, 5), max_size=200))
 def test_a_weight_stays_between_zero_and_one_and_the_best_is_the_best(name, returns):
-    weights, state = _weights(make_novelty_rule(name), returns)
+    weights, state = _weights(NOVELTY_RULES.find(name)(), returns)
     assert all(0 <= weight <= 1 for weight in weights)
     assert state.best_return == max(returns, default=-math.inf)
 
@@ -179,13 +169,13 @@ def test_a_weight_stays_between_zero_and_one_and_the_best_is_the_best(name, retu
 @every_rule
 def test_a_rule_changes_no_state(name):
     state = NoveltyState(archive=np.ones((2, 2)), weight=0.5, best_return=3.0, stalled=400)
-    make_novelty_rule(name).next(state, 9.0, 9.0)
+    NOVELTY_RULES.find(name)().next(state, 9.0, 9.0)
     assert (state.weight, state.best_return, state.stalled) == (0.5, 3, 400)
 
 
 @pytest.mark.parametrize(("name", "weight"), [("ns", 0), ("nsr", 0.5)])
 def test_a_fixed_weight_stays_and_the_stall_is_counted(name, weight):
-    weights, state = _weights(make_novelty_rule(name), [1, 5, 5, 2, 4])
+    weights, state = _weights(NOVELTY_RULES.find(name)(), [1, 5, 5, 2, 4])
     assert weights == [weight] * 5
     assert (state.best_return, state.stalled) == (5, 3)
 
@@ -260,4 +250,4 @@ def test_the_authors_rule_is_their_code(start, jumps):
 
 def test_an_unknown_rule_is_refused_with_the_nearest_name():
     with pytest.raises(UnknownNameError, match=r"novelty rule 'nsrra'.*'nsra'\?.*--novelty"):
-        make_novelty_rule("nsrra")
+        NOVELTY_RULES.find("nsrra")()

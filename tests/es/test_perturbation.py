@@ -7,14 +7,7 @@ from hypothesis import strategies as st
 
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS
-from shes.es.perturbation import (
-    PERTURBATIONS,
-    ManyToMany,
-    OneToMany,
-    OneToManyHalves,
-    check_perturbation,
-    make_perturbation,
-)
+from shes.es.perturbation import PERTURBATIONS, ManyToMany, OneToMany, OneToManyHalves
 from tests.es.textbook import group_signs
 
 BOTH, CONTROLLER_ALONE, PRIMITIVE_ALONE = (True, True), (True, False), (False, True)
@@ -22,7 +15,7 @@ LEARNS = [BOTH, CONTROLLER_ALONE, PRIMITIVE_ALONE, (True,)]
 
 
 def _signs(name, population=8, mirrored="quad", learns=BOTH, generation=0):
-    return make_perturbation(name).signs(generation, population, mirrored, learns)
+    return PERTURBATIONS.find(name)().signs(generation, population, mirrored, learns)
 
 
 def test_many_to_many_quad_is_every_combination_of_signs_in_every_group():
@@ -67,7 +60,7 @@ def test_with_a_frozen_level_every_way_perturbs_the_other_one_in_every_generatio
 def test_signs_are_those_of_the_textbook(name, mirrored, learns, generation, groups):
     groups *= sum(learns)  # halves need a share for each level
     members = len(group_signs(mirrored, name, learns, groups, generation)[0])
-    signs = make_perturbation(name).signs(generation, groups * members, mirrored, learns)
+    signs = PERTURBATIONS.find(name)().signs(generation, groups * members, mirrored, learns)
     assert [[tuple(member) for member in group] for group in signs.tolist()] == group_signs(
         mirrored, name, learns, groups, generation
     )
@@ -86,9 +79,9 @@ def test_signs_are_those_of_the_textbook(name, mirrored, learns, generation, gro
     learns=st.sampled_from(LEARNS),
 )
 def test_a_population_is_accepted_for_the_first_generation_or_never(name, population, mirrored, learns):
-    way = make_perturbation(name)
+    way = PERTURBATIONS.find(name)()
     try:
-        check_perturbation(name, population, mirrored, learns)
+        PERTURBATIONS.find(name)().signs(0, population, mirrored, learns)
     except ConfigError:
         for generation in (0, 1, 2):
             with pytest.raises(ConfigError):
@@ -118,26 +111,25 @@ def test_a_population_is_accepted_for_the_first_generation_or_never(name, popula
 )  # fmt: skip
 def test_a_population_that_does_not_fit_is_refused_with_one_that_does(name, population, mirrored, learns, message):
     with pytest.raises(ConfigError, match=message):
-        check_perturbation(name, population, mirrored, learns)
+        PERTURBATIONS.find(name)().signs(0, population, mirrored, learns)
     for generation in (0, 1):
         with pytest.raises(ConfigError, match=message):
-            make_perturbation(name).signs(generation, population, mirrored, learns)
+            PERTURBATIONS.find(name)().signs(generation, population, mirrored, learns)
 
 
 @pytest.mark.parametrize("name", PERTURBATIONS)
 def test_an_unknown_mirroring_is_refused_by_every_way(name):
     with pytest.raises(UnknownNameError, match=r"mirroring 'quadd'. Did you mean 'quad'\?"):
-        check_perturbation(name, 8, "quadd", BOTH)
+        PERTURBATIONS.find(name)().signs(0, 8, "quadd", BOTH)
 
 
 def test_an_unknown_perturbation_is_refused_with_the_nearest_name():
-    for call in (lambda: make_perturbation("one_to_mny"), lambda: check_perturbation("one_to_mny", 8, "quad", BOTH)):
-        with pytest.raises(UnknownNameError, match=r"'one_to_mny'. Did you mean 'one_to_many'\?.*Set --perturbation\."):
-            call()
+    with pytest.raises(UnknownNameError, match=r"'one_to_mny'. Did you mean 'one_to_many'\?.*Set --perturbation\."):
+        PERTURBATIONS.find("one_to_mny")
 
 
 def test_names_make_their_classes():
-    made = {name: type(make_perturbation(name)) for name in PERTURBATIONS}
+    made = {name: type(PERTURBATIONS.find(name)()) for name in PERTURBATIONS}
     assert made == {"many_to_many": ManyToMany, "one_to_many": OneToMany, "one_to_many_halves": OneToManyHalves}
 
 

@@ -93,7 +93,7 @@ def test_the_callers_array_stays_as_it_was():
 
 @pytest.mark.parametrize(("value", "word"), [(np.nan, "nan"), (np.inf, "inf"), (-np.inf, "-inf")])
 def test_a_fitness_that_is_not_finite_is_refused_by_its_member(value, word):
-    with pytest.raises(PolicyError, match=rf"fitness of member 2 is {word}; every fitness must be finite"):
+    with pytest.raises(PolicyError, match=rf"fitness of member 2 is {word}, but every fitness must be finite"):
         centred_ranks(np.array([0.0, 1.0, value, value]))
 
 

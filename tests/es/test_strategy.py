@@ -285,8 +285,12 @@ def test_several_levels_start_where_they_are_told():
         ({"population_size": 4.5}, ConfigError, "population_size must be a positive whole number, got 4.5"),
         ({"population_size": 0}, ConfigError, "population_size must be a positive whole number, got 0"),
         ({"seed": -1}, ConfigError, "seed must be a whole number of at least 0, got -1"),
-        ({"momentum": 1, "optimizer": "sgd"}, ConfigError, "momentum must be at least 0 and below 1, got 1"),
-        ({"top_fraction": 1, "fitness_shaping": "top_fraction"}, ConfigError, "top_fraction must be above 0 .*got 1"),
+        ({"momentum": 1, "optimizer": "sgd"}, ConfigError, "momentum must be at least 0 and less than 1, got 1"),
+        (
+            {"top_fraction": 1, "fitness_shaping": "top_fraction"},
+            ConfigError,
+            "top_fraction must be more than 0 .*got 1",
+        ),
         ({"population_size": 41}, ConfigError, r"multiple of 2 .*got 41\. Set --population-size 40 or 42"),
         ({"dim": (2, 2), "population_size": 42}, ConfigError, "multiple of 4 .*got 42"),
         (

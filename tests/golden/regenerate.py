@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from shes.algorithms.evolution.algorithm import Settings, evolve
+from shes.algorithms.evolution.algorithm import Hyperparameters, evolve
 from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task
@@ -76,7 +76,7 @@ def golden_run(folder, change=0.0):
         evaluation_horizon=40,
         chunk_size=0,
     )
-    settings = Settings(
+    settings = Hyperparameters(
         population_size=16,
         episodes_per_policy=_constant("episodes_per_policy", 2),
         sigma=_constant("sigma", 0.07),

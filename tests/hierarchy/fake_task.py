@@ -83,7 +83,7 @@ class FakeTask:
         seen[self.observes_nan] = np.nan
         return seen
 
-    def reset(self, ids, seeds):
+    def reset(self, ids, seeds, states=()):
         assert len(ids) == len(seeds)
         self.age[ids] = 0
         for i, seed in zip(ids, seeds, strict=True):

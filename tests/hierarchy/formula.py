@@ -1,16 +1,17 @@
-"""Generations without physics: members are paid by a formula. And what the numbers of a run are, to the bit."""
+"""Generations without physics, in which rewards are a formula, and the comparison of the numbers of runs."""
 
 import itertools
 
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.algorithm import Settings, evolve
+from shes.algorithms.evolution.algorithm import Hyperparameters, evolve
 from shes.backends.backend import Backend
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.schedules import Constant, make_schedule
 from shes.es.statistics import ObservationStatistics
-from shes.hierarchy.episodes import EpisodeResults, LevelMoments
+from shes.hierarchy.episodes import EpisodeResults
+from shes.hierarchy.moments import Moments
 from tests.es.textbook import TextbookES
 from tests.hierarchy.made_up import outcomes
 
@@ -26,7 +27,7 @@ def changing(quantity, start, end, generations, kind="linear"):
     return make_schedule(quantity, kind, start, end, generations)
 
 
-SETTINGS = Settings(
+SETTINGS = Hyperparameters(
     population_size=8,
     episodes_per_policy=constant("episodes_per_policy", EPISODES),
     sigma=constant("sigma", 0.1),
@@ -81,9 +82,7 @@ class FormulaBackend(Backend):
             k, episodes = len(task.slots), generation.episodes_per_policy
             members, slots = np.divmod(task.slots, episodes)
             moments = tuple(
-                LevelMoments(
-                    count=np.full(k, 7), total=np.full((k, size), 14.0), total_squares=np.full((k, size), 63.0)
-                )
+                Moments(count=np.full(k, 7), total=np.full((k, size), 14.0), total_squares=np.full((k, size), 63.0))
                 for size in DIMS
             )
             # Each episode pays a little more or less, so that fitness is a mean over episodes.
@@ -200,7 +199,7 @@ def population_bits(population):
 
 
 def same_level(one, other):
-    """Tell whether parameters and optimizer of two levels are the same to the bit."""
+    """Return whether parameters and optimizer of two levels are bit-identical."""
     return (
         one.theta.tobytes() == other.theta.tobytes()
         and one.optimizer.steps == other.optimizer.steps

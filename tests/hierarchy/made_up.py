@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, LevelMoments, empty_outcomes
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, empty_outcomes
+from shes.hierarchy.moments import Moments
 
 SIZES = (2, 4)
 """Values that each level observes."""
@@ -44,7 +45,7 @@ def make_result(task, seed=0, log=()):
         return np.array([rng.normal(size=shape) for rng in rows])
 
     moments = tuple(
-        LevelMoments(
+        Moments(
             count=np.array([int(rng.integers(1, 9)) for rng in rows]), total=draw(size), total_squares=draw(size) ** 2
         )
         for size in SIZES

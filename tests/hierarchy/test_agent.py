@@ -352,7 +352,7 @@ def test_the_primitive_is_recorded_at_every_step_and_the_controller_when_it_deci
 
 
 def test_counts_of_moments_are_64_bit():
-    moments = Moments(2, 1)
+    moments = Moments.zeros(2, 1)
     moments.count[:] = 2**40
     moments.add(np.array([1]), np.array([[1.0]]))
     assert moments.count.tolist() == [2**40, 2**40 + 1]

@@ -74,7 +74,7 @@ def run(name, simulator, num_lanes, xp=np, episodes=3):
     """Return the results of a generation, by number, and the waits for the device of every step."""
     learner = make(name, episodes_per_policy=episodes)
     design, table, plan = learner.design, learner.table, learner.plan()
-    work = generation_work(learner.start(1), learner.settings, table.size)
+    work = generation_work(learner.start(1), learner.hyperparameters, table.size)
     tasks, generation = work.tasks, work.generation
     rollout = Rollout(
         design,
@@ -173,7 +173,7 @@ def test_a_generation_on_a_device_updates_as_on_the_cpu():
     for simulator, xp in ((CpuSimulator, np), (DeviceSimulator, strict_xp)):
         learner = make("gather")
         design, table, plan = learner.design, learner.table, learner.plan()
-        settings, state = learner.settings, learner.start(1)
+        settings, state = learner.hyperparameters, learner.start(1)
         backend = SerialBackend(partial(Worker, design, plan, table.on(xp), simulator))
         states.append(next(evolve(state, settings, table.on(xp), backend)).state)
     for mine, theirs in zip(states[1].levels, states[0].levels, strict=True):
@@ -223,7 +223,7 @@ def test_branches_on_a_device_begin_and_end_as_on_the_cpu(name):
     for simulator, xp in ((CpuSimulator, np), (DeviceSimulator, strict_xp)):
         state = learner.start(config.run.seed)
         backend = SerialBackend(partial(BranchingWorker, plan, table.on(xp), simulator))
-        reports = evolve(state, learner.settings, table.on(xp), backend)
+        reports = evolve(state, learner.hyperparameters, table.on(xp), backend)
         runs.append([next(reports) for _ in range(2)])
     for mine, theirs in zip(*runs, strict=True):
         pairs, others = (report.branches or report.population for report in (mine, theirs))

@@ -8,8 +8,8 @@ import pytest
 
 from shes.errors import PolicyError
 from shes.es.level import UpdateRule
-from shes.es.novelty import NOVELTY_RULES, NSR, NSRA, AuthorsNSRA, NoveltyState, make_novelty_rule
-from shes.es.perturbation import make_perturbation
+from shes.es.novelty import NOVELTY_RULES, NSR, NSRA, AuthorsNSRA, NoveltyState
+from shes.es.perturbation import PERTURBATIONS
 from shes.es.shaping import CentredRanks, PairRanks, TopFraction, ZScore
 from shes.hierarchy.fitness import advance_novelty, shaped_fitness
 from shes.hierarchy.results import PopulationResults
@@ -35,7 +35,7 @@ def _results(members=8, episodes=2, seed=0, levels=2):
 
 
 def _signs(perturbation="many_to_many", population=8, learns=(True, True), generation=0):
-    return make_perturbation(perturbation).signs(generation, population, "quad", learns)
+    return PERTURBATIONS.find(perturbation)().signs(generation, population, "quad", learns)
 
 
 def _search(weight=0.3, places=7):
@@ -61,7 +61,7 @@ def test_without_novelty_a_level_is_worth_its_own_ranks():
 
 def test_every_level_has_its_own_shaping():
     results = _results()
-    rules = (UpdateRule(shaping=ZScore()), UpdateRule(shaping=TopFraction(fraction=0.25)))
+    rules = (UpdateRule(shaping=ZScore()), UpdateRule(shaping=TopFraction(top_fraction=0.25)))
     first, second = shaped_fitness(results, _signs(), rules, None, 10)
     fitness = results.returns.mean(axis=2)
     assert first == pytest.approx((fitness[0] - fitness[0].mean()) / fitness[0].std())
@@ -175,7 +175,7 @@ def test_shaping_leaves_results_and_search_as_they_were():
     before = [a.tobytes() for a in (results.returns, results.final_position, search.archive)]
     for array in (results.returns, results.final_position, search.archive):
         array.flags.writeable = False
-    shaped_fitness(results, _signs(), (UpdateRule(shaping=CentredRanks(ties="index")), UpdateRule()), search, 3)
+    shaped_fitness(results, _signs(), (UpdateRule(shaping=CentredRanks(rank_ties="index")), UpdateRule()), search, 3)
     assert [a.tobytes() for a in (results.returns, results.final_position, search.archive)] == before
 
 
@@ -199,7 +199,7 @@ def test_the_archive_gets_the_ends_of_the_mean_policys_episodes_and_keeps_the_ot
 
 @pytest.mark.parametrize("name", sorted(NOVELTY_RULES))
 def test_the_rule_hears_the_environments_return_of_the_mean_policy_and_of_the_population_apart(name):
-    rule, results, search = make_novelty_rule(name), _results(9), _search()
+    rule, results, search = NOVELTY_RULES.find(name)(), _results(9), _search()
     ahead = advance_novelty(search, rule, results, 8)
     expected = rule.next(
         search, results.environment_returns[8].mean(), np.mean([results.environment_returns[m] for m in range(8)])

@@ -14,7 +14,7 @@ from shes.es.level import RunningEpisodes, UpdateRule, draw_noise_index
 from shes.es.novelty import NSR
 from shes.es.shaping import PairRanks
 from shes.hierarchy.episodes import EpisodeTask, Snapshot, spread
-from shes.hierarchy.intervals import IntervalEstimate, branch_work, next_running, noted_steps
+from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapshot_steps, next_running
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.results import PopulationResults
 from shes.training.build import build_algorithm
@@ -85,7 +85,7 @@ def test_a_task_is_a_mirrored_pair_with_one_noise_one_seed_and_one_start(left):
         assert task.noise_index == (work.noise_index[0, group],)
         assert task.seeds[0] == task.seeds[1]
         assert task.records_statistics
-        assert task.noted_steps == ()
+        assert task.snapshot_steps == ()
     assert len({task.noise_index for task in work.tasks}) == len({task.seeds for task in work.tasks}) == PAIRS
     generation = work.generation
     assert (generation.members_per_lane, generation.episodes_per_policy, generation.rows_per_lane) == (2, 1, 2)
@@ -206,25 +206,25 @@ def test_nothing_goes_on_where_all_have_ended():
 
 @pytest.mark.parametrize(("horizon", "decisions"), [(23, 5), (25, 5), (26, 6), (3, 1)])
 def test_whole_episodes_leave_snapshots_at_any_of_their_decisions(horizon, decisions):
-    steps = noted_steps(_alone(), 400, horizon, STEPS)
+    steps = draw_snapshot_steps(_alone(), 400, horizon, STEPS)
     assert len(steps) == 400
     assert set(steps) == {STEPS * number for number in range(decisions)}
-    assert steps == noted_steps(_alone(), 400, horizon, STEPS)
+    assert steps == draw_snapshot_steps(_alone(), 400, horizon, STEPS)
     if decisions > 1:
-        assert steps != noted_steps(_alone(generation=1), 400, horizon, STEPS)
-        assert steps != noted_steps(_alone(seed=4), 400, horizon, STEPS)
+        assert steps != draw_snapshot_steps(_alone(generation=1), 400, horizon, STEPS)
+        assert steps != draw_snapshot_steps(_alone(seed=4), 400, horizon, STEPS)
 
 
 def test_episodes_that_go_out_one_by_one_leave_their_own_snapshots():
     tasks = [
         EpisodeTask(
-            member=2 * g, noise_index=(0,), signs=((1,), (-1,)), slots=(0, 1), seeds=(g, g), noted_steps=(10 * g, 5)
+            member=2 * g, noise_index=(0,), signs=((1,), (-1,)), slots=(0, 1), seeds=(g, g), snapshot_steps=(10 * g, 5)
         )
         for g in range(4)
     ]
     mean = EpisodeTask(member=8, noise_index=(0,), signs=((0,),), slots=(0, 1), seeds=(7, 8))
     parts = spread([*tasks, mean], 3)
-    assert [(part.member, part.slots, part.noted_steps) for part in parts] == [
+    assert [(part.member, part.slots, part.snapshot_steps) for part in parts] == [
         (0, (0, 1), (0, 5)),
         (2, (0, 1), (10, 5)),
         (4, (0, 1), (20, 5)),
@@ -303,7 +303,7 @@ class Case:
     def __init__(self, env, settings):
         config = make_config(env, "smoke", settings)
         learner = build_algorithm(config)
-        self.design, self.settings = learner.design, learner.settings
+        self.design, self.settings = learner.design, learner.hyperparameters
         self.table, self.state, self.plan = learner.table, learner.start(config.run.seed), learner.plan()
         self.backend = SerialBackend(partial(RolloutWorker, self.plan))
 
@@ -354,7 +354,7 @@ def whole(beside):
 def test_a_snapshot_is_the_state_at_its_decision_with_the_goals_that_the_controller_set_then(beside, whole):
     played, snapshots, seen = beside.check(whole), whole.results.snapshots, []
     for task in whole.work.tasks:
-        for slot, wanted in zip(task.slots, task.noted_steps, strict=True):
+        for slot, wanted in zip(task.slots, task.snapshot_steps, strict=True):
             run = played[task.member]
             lived = run.steps[slot] > wanted
             assert ((task.member + slot, 0) in snapshots) == lived
@@ -408,8 +408,8 @@ def test_a_branch_is_what_a_plain_loop_makes_of_its_start(beside, whole):
 def test_in_whole_episodes_beside_branches_the_controller_alone_is_perturbed(beside, whole):
     assert {task.signs for task in whole.work.tasks} == {((1, 0), (-1, 0))}
     assert whole.learns == (True, False)
-    assert {len(task.noted_steps) for task in whole.work.tasks} == {2}
-    assert whole.work.generation.goals_noted == 2
+    assert {len(task.snapshot_steps) for task in whole.work.tasks} == {2}
+    assert whole.work.generation.snapshot_goals == 2
 
 
 def test_without_a_perturbation_both_sides_end_in_the_same_bits(beside, alone, whole):

@@ -8,7 +8,7 @@ import pytest
 from shes.errors import UnknownNameError
 from shes.es.level import LevelState, TrainState, draw_noise_index
 from shes.es.optimizers import Adam
-from shes.es.perturbation import make_perturbation
+from shes.es.perturbation import PERTURBATIONS
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.population import COMMON_RANDOM_NUMBERS, mean_policy_task, members_per_lane, population_tasks
@@ -31,7 +31,7 @@ def _state(seed=3, generation=2):
 
 
 def _tasks(population=8, episodes=2, perturbation="many_to_many", mirrored="quad", generation=2, seed=3, **options):
-    signs = make_perturbation(perturbation).signs(generation, population, mirrored, (True, True))
+    signs = PERTURBATIONS.find(perturbation)().signs(generation, population, mirrored, (True, True))
     index = draw_noise_index(seed, generation, len(signs), DIMS, TABLE_SIZE)
     return _members(population_tasks(_state(seed, generation), signs, index, episodes, **options), episodes)
 
@@ -114,7 +114,7 @@ def test_who_shares_episodes_changes_neither_noise_nor_statistics():
 
 @pytest.mark.parametrize("perturbation", ["many_to_many", "one_to_many", "one_to_many_halves"])
 def test_tasks_say_who_perturbs_how(perturbation):
-    signs = make_perturbation(perturbation).signs(1, 8, "quad", (True, True))
+    signs = PERTURBATIONS.find(perturbation)().signs(1, 8, "quad", (True, True))
     index = draw_noise_index(3, 1, len(signs), DIMS, TABLE_SIZE)
     tasks = population_tasks(_state(generation=1), signs, index, 3)
     assert [task.member for task in tasks] == list(range(8))
@@ -127,7 +127,7 @@ def test_tasks_say_who_perturbs_how(perturbation):
 
 @pytest.mark.parametrize(("episodes", "shared"), [(1, 4), (2, 4), (3, 1), (5, 1)])
 def test_members_with_few_episodes_share_a_task_with_their_group(episodes, shared):
-    signs = make_perturbation("many_to_many").signs(1, 16, "quad", (True, True))
+    signs = PERTURBATIONS.find("many_to_many")().signs(1, 16, "quad", (True, True))
     index = draw_noise_index(3, 1, len(signs), DIMS, TABLE_SIZE)
     tasks = population_tasks(_state(generation=1), signs, index, episodes)
     assert members_per_lane(4, episodes) == shared

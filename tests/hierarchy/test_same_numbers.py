@@ -15,9 +15,9 @@ from shes.envs.registry import find_environment, make_task
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.novelty import NOVELTY_RULES, NS, NSR, NSRA, AuthorsNSRA
-from shes.es.optimizers import OPTIMIZERS, make_optimizer
-from shes.es.perturbation import PERTURBATIONS, OneToMany, make_perturbation
-from shes.es.shaping import FITNESS_SHAPINGS, PairRanks, TopFraction, make_fitness_shaping
+from shes.es.optimizers import OPTIMIZERS
+from shes.es.perturbation import PERTURBATIONS, OneToMany
+from shes.es.shaping import FITNESS_SHAPINGS, PairRanks, TopFraction
 from shes.hierarchy.flat import FlatDesign
 from shes.hierarchy.goals import AngleEncoding, MetreAngleEncoding
 from shes.hierarchy.hierarchical import HierarchicalDesign
@@ -27,6 +27,7 @@ from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import MetresReward, ProgressReward
 from shes.hierarchy.views import ColumnsView, EgocentricView
+from shes.options import make
 from shes.policies.mlp import MLP
 from tests.hierarchy import designs
 from tests.hierarchy.formula import EPISODES, SETTINGS, changing, constant, run_bits, start_state
@@ -54,9 +55,9 @@ FAKE = replace(SETTINGS, episodes_per_policy=constant("episodes_per_policy", 2))
 SINGLE = replace(SETTINGS, updates=SETTINGS.updates[:1], learns=(True,))
 """Settings for one level."""
 RULES = {
-    **{name: UpdateRule(shaping=make_fitness_shaping(name, fraction=0.3)) for name in FITNESS_SHAPINGS},
-    "best five by index": UpdateRule(shaping=TopFraction(fraction=0.6, ties="index")),
-    **{name: UpdateRule(optimizer=make_optimizer(name), weight_decay=0.01) for name in OPTIMIZERS},
+    **{name: UpdateRule(shaping=make(FITNESS_SHAPINGS, name, {"top_fraction": 0.3})) for name in FITNESS_SHAPINGS},
+    "best five by index": UpdateRule(shaping=TopFraction(top_fraction=0.6, rank_ties="index")),
+    **{name: UpdateRule(optimizer=OPTIMIZERS.find(name)(), weight_decay=0.01) for name in OPTIMIZERS},
 }
 NOVELTY = {
     "ns": NS(),
@@ -69,7 +70,7 @@ OPTIONS = {
     **{name: {"updates": (rule, rule)} for name, rule in RULES.items()},
     "pair_rank": {"updates": (RULES["pair_rank"],) * 2, "mirrored": "pair"},
     "decoupled decay": {"updates": (UpdateRule(weight_decay=0.01, decouples_decay=True),) * 2},
-    **{name: {"perturbation": make_perturbation(name)} for name in PERTURBATIONS if name != "many_to_many"},
+    **{name: {"perturbation": PERTURBATIONS.find(name)()} for name in PERTURBATIONS if name != "many_to_many"},
     **{f"{name} mirroring": {"mirrored": name} for name in ("pair", "none")},
     **{f"{name} common numbers": {"common_random_numbers": name} for name in COMMON_RANDOM_NUMBERS if name != "group"},
     **{f"novelty {name}": {"novelty": rule, "novelty_neighbours": 3} for name, rule in NOVELTY.items()},

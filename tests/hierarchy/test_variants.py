@@ -9,9 +9,9 @@ import pytest
 
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
-from shes.es.novelty import NOVELTY_RULES, NS, NSR, NSRA, make_novelty_rule
-from shes.es.optimizers import SGD, make_optimizer
-from shes.es.perturbation import PERTURBATIONS, OneToMany, OneToManyHalves, make_perturbation
+from shes.es.novelty import NOVELTY_RULES, NS, NSR, NSRA
+from shes.es.optimizers import OPTIMIZERS, SGD
+from shes.es.perturbation import PERTURBATIONS, OneToMany, OneToManyHalves
 from shes.es.shaping import ZScore
 from shes.types import CONTROLLER, PRIMITIVE
 from tests.es.textbook import TextbookES, centred_ranks
@@ -94,7 +94,7 @@ def test_the_episodes_of_a_schedule_are_whole_and_one_at_least(table):
 @pytest.mark.parametrize("frozen", [CONTROLLER, PRIMITIVE])
 def test_a_frozen_level_stays_as_it_is_in_every_respect(table, frozen, name):
     learns = tuple(level != frozen for level in (0, 1))
-    settings = replace(SETTINGS, learns=learns, perturbation=make_perturbation(name))
+    settings = replace(SETTINGS, learns=learns, perturbation=PERTURBATIONS.find(name)())
     state = formula_state()
     first = state.levels[frozen]
     first = replace(first, statistics=first.statistics.merge(4, np.ones(DIMS[frozen]), 9 * np.ones(DIMS[frozen])))
@@ -143,7 +143,7 @@ def test_in_halves_both_levels_learn_in_every_generation(table):
 
 
 def test_every_level_has_its_own_rule(table):
-    rules = (UpdateRule(optimizer=make_optimizer("clipup")), UpdateRule(weight_decay=0.1, shaping=ZScore()))
+    rules = (UpdateRule(optimizer=OPTIMIZERS.find("clipup")()), UpdateRule(weight_decay=0.1, shaping=ZScore()))
     settings = replace(SETTINGS, updates=rules)
     state = formula_state(settings)
     _, (report,) = formula_run(table, 1, settings, state=state)
@@ -170,7 +170,7 @@ def test_every_level_has_its_own_rule(table):
 @pytest.mark.parametrize(("rule", "weight"), [(NS(), 0.0), (NSR(), 0.5), (NSRA(), 1.0)])
 @pytest.mark.parametrize("perturbation", ["many_to_many", "one_to_many_halves"])
 def test_the_controllers_fitness_is_a_blend_of_return_and_novelty(table, perturbation, rule, weight):
-    settings = replace(SETTINGS, novelty=rule, novelty_neighbours=2, perturbation=make_perturbation(perturbation))
+    settings = replace(SETTINGS, novelty=rule, novelty_neighbours=2, perturbation=PERTURBATIONS.find(perturbation)())
     backend, reports = formula_run(table, 4, settings)
     book = TextbookES(
         [level.theta for level in backend.generations[0].levels], mirrored="quad", sigma=0.1, rate=0.02,
@@ -198,7 +198,7 @@ def test_the_controllers_fitness_is_a_blend_of_return_and_novelty(table, perturb
 
 @pytest.mark.parametrize("name", sorted(NOVELTY_RULES))
 def test_the_archive_grows_by_the_mean_policys_ends(table, name):
-    settings = replace(SETTINGS, novelty=make_novelty_rule(name))
+    settings = replace(SETTINGS, novelty=NOVELTY_RULES.find(name)())
     backend, reports = formula_run(table, 3, settings)
     for number, (generation, report) in enumerate(zip(backend.generations, reports, strict=True), start=1):
         archive = report.state.novelty.archive

@@ -1,4 +1,4 @@
-"""The MLP: equal to explicit matrices, and to the bit the same wherever a policy stands in the stack."""
+"""The MLP: equal to explicit matrices, and bit-identical wherever a policy stands in the stack."""
 
 import itertools
 import math

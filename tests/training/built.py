@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from shes.algorithms.evolution.populations import Settings
+from shes.algorithms.evolution.populations import Hyperparameters
 from shes.algorithms.worker import WorkerPlan
 from shes.es.level import TrainState
 from shes.es.noise import NoiseTable
@@ -22,7 +22,7 @@ class Built:
 
     config: TrainConfig
     design: AgentDesign
-    settings: Settings
+    settings: Hyperparameters
     plan: WorkerPlan
     state: TrainState
     table: NoiseTable
@@ -31,7 +31,7 @@ class Built:
     def of(cls, env, **settings):
         config = make_config(env, "smoke", settings)
         made = build_algorithm(config)
-        return cls(config, made.design, made.settings, made.plan(), made.start(config.run.seed), made.table)
+        return cls(config, made.design, made.hyperparameters, made.plan(), made.start(config.run.seed), made.table)
 
     @property
     def intervals(self) -> Any:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.learners import EvolutionStrategy
+from shes.algorithms.evolution.learners import EvolutionAlgorithm
 from shes.errors import CheckpointError, ConfigError, PolicyError, RunFolderError, UnknownNameError
 from shes.es.streams import Purpose
 from shes.runs.folder import RunFolder
@@ -183,7 +183,7 @@ def test_a_policy_that_returns_nan_is_an_error(run_copy, monkeypatch):
         controller, primitive = original(learner, state)
         return controller, replace(primitive, theta=np.full_like(primitive.theta, np.nan))
 
-    original = EvolutionStrategy.parameters
-    monkeypatch.setattr(EvolutionStrategy, "parameters", parameters)
+    original = EvolutionAlgorithm.parameters
+    monkeypatch.setattr(EvolutionAlgorithm, "parameters", parameters)
     with pytest.raises(PolicyError, match=r"returned NaN or infinity at step 0 \(parameters of its primitive"):
         evaluate(run_copy, episodes=2)

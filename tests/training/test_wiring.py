@@ -108,9 +108,9 @@ ROWS: dict[str, Row] = {
         "z_score", lambda b: [type(r.shaping).__name__ for r in b.rules], ["ZScore"] * 2, ["CentredRanks"] * 2
     ),
     "hold_tied": Row(False, rules("holds_when_tied"), [False] * 3, [True] * 3, **BY_INTERVALS),
-    "rank_ties": Row("index", lambda b: [r.shaping.ties for r in b.rules], ["index"] * 2, ["average"] * 2),
+    "rank_ties": Row("index", lambda b: [r.shaping.rank_ties for r in b.rules], ["index"] * 2, ["average"] * 2),
     "top_fraction": Row(
-        0.5, lambda b: [r.shaping.fraction for r in b.rules], [0.5] * 2, [0.2] * 2,
+        0.5, lambda b: [r.shaping.top_fraction for r in b.rules], [0.5] * 2, [0.2] * 2,
         beside={"fitness_shaping": "top_fraction"},
     ),
     "optimizer": Row("sgd", lambda b: [type(r.optimizer).__name__ for r in b.rules], ["SGD"] * 2, ["Adam"] * 2),

@@ -1,1 +1,1 @@
-"""Algorithms: what a learner is, and those that there are."""
+"""Learning algorithms: their contract, their registry, and the worker that runs their episodes."""

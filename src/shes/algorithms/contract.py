@@ -1,7 +1,7 @@
 """The contract between a run and a learning algorithm.
 
-Training, evaluation, checkpoints, tables, videos and studies know a learner by this contract alone. A new one is one
-class, known by `register_algorithm`; `examples/random_search.py` is one of 80 lines.
+Training, evaluation, checkpoints, tables, videos and studies use an algorithm only through this contract. A new one is
+one class, made known by `register_algorithm`; `examples/random_search.py` is an example of 80 lines.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ __all__ = ["Algorithm", "AnyState", "Report"]
 
 
 class AnyState(Protocol):
-    """Attributes that the state of every algorithm has."""
+    """Attributes of every algorithm's state."""
 
     @property
     def seed(self) -> int:
-        """Seed of every draw."""
+        """Seed of all random numbers."""
         ...
 
     @property
     def generation(self) -> int:
-        """Generations made so far."""
+        """Number of generations so far."""
         ...
 
     @property
     def env_steps(self) -> int:
-        """Environment steps of training so far."""
+        """Number of environment steps of training so far."""
         ...
 
 
@@ -49,37 +49,37 @@ StateT = TypeVar("StateT", bound=AnyState)
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Generic[StateT]):
-    """One generation of a learner."""
+    """Result of one generation."""
 
     state: StateT
-    """The state after it."""
+    """State after the generation."""
     columns: Mapping[str, Any]
-    """Its row of `progress.csv`, by column, after `generation`, `env_steps`, `wall_time_s` and `env_steps_per_s`.
+    """Its row of `progress.csv`, after `generation`, `env_steps`, `wall_time_s` and `env_steps_per_s`.
 
-    The same columns in every generation. Those that end in `_s` are times, which no two runs share. The progress line
-    shows `X_return_mean` beside `X_return_max`.
+    Every generation has the same columns. Columns that end in `_s` are times and may differ between runs of equal
+    numbers. The progress line shows `X_return_mean` and `X_return_max`.
     """
     log: Sequence[str] = ()
-    """Lines for the log, such as warnings of the simulator."""
+    """Log messages, for example warnings of the simulator."""
 
 
 class Algorithm(ABC, Generic[StateT]):
-    """A learner. Made once for every run, evaluation or agent, from the problem."""
+    """A learning algorithm for one problem. A run, an evaluation and an agent each make their own."""
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
-    """Names of the levels of its agents; the level that acts every step comes last.
+    """Names of the levels of its agents. The level that acts every step comes last.
 
-    The names mean something: `controller` sets goals, `primitive` reaches them, `policy` knows none.
+    A `controller` sets goals, a `primitive` reaches them, and a `policy` has no goals.
     """
 
     rooms: ClassVar[Mapping[str, type[Settings]]] = {}
-    """Its settings: rooms, dataclasses by name. Each setting becomes a flag of `shes train`, a line of its help, an
-    argument of `shes.train` and an entry of `config.json`; `problem.settings.ROOM.NAME` is its value."""
+    """Its settings: dataclasses by the name of their room. Each setting becomes a flag of `shes train` with help, an
+    argument of `shes.train` and an entry of `config.json`. `problem.settings.ROOM.NAME` is its value."""
 
     def __init__(self, problem: Problem, design: AgentDesign) -> None:
-        """Take `problem`, and the `design` of this learner's agents. A subclass is made from the problem alone.
+        """Store `problem` and the `design` of the agents. A subclass is made from the problem alone.
 
-        What this learner cannot do with the problem is refused here: a run has no folder yet.
+        A subclass raises ConfigError here if it cannot learn in this problem, before the run folder is created.
         """
         self.problem = problem
         self.design = design
@@ -87,44 +87,46 @@ class Algorithm(ABC, Generic[StateT]):
 
     @cached_property
     def table(self) -> NoiseTable:
-        """The shared table of normals, from which workers draw perturbations by their place.
-
-        Made when it is first asked for: an agent that only acts needs none.
-        """
+        """The shared noise table. Opened on first use, because an agent that only acts needs none."""
         return self.problem.noise_table(self.design)
 
     @abstractmethod
     def start(self, seed: int) -> StateT:
-        """Return the state before the first generation. Every draw comes from (seed, purpose, generation)."""
+        """Return the state before the first generation. Random numbers derive from (seed, purpose, generation)."""
 
     @abstractmethod
     def run(self, state: StateT, backend: Backend) -> Generator[Report[StateT], None, None]:
-        """Yield a report after every generation, for ever, from `state` on, with work done by `backend`.
+        """Yield a report after every generation from `state` on, indefinitely. `backend` runs the episodes.
 
-        What it yields depends on `state` alone: a run that was killed goes on from the last state that was saved.
+        Reports depend on `state` alone, so that a killed run continues from the last saved state.
         """
 
     @abstractmethod
     def to_arrays(self, state: StateT) -> dict[str, np.ndarray]:
-        """Return `state` as arrays by name, without Python objects, `seed`, `generation` and `env_steps` among them."""
+        """Return `state` as named arrays without Python objects, including `seed`, `generation` and `env_steps`."""
 
     @abstractmethod
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> StateT:
-        """Return the state that `to_arrays` took apart; a missing name is a KeyError, a wrong value a ValueError."""
+        """Return the state that `to_arrays` converted.
+
+        Raises:
+            KeyError: An array is missing.
+            ValueError: An array has a wrong value.
+        """
 
     @abstractmethod
     def parameters(self, state: StateT) -> tuple[LevelParameters, ...]:
-        """Return what an agent of `state` acts with, level by level: parameters and normalisation."""
+        """Return the parameters and the normalisation of each level of an agent in `state`."""
 
     def without_training(self, state: StateT) -> StateT:
-        """Return `state` without what only going on with the training needs: as a shipped agent keeps it."""
+        """Return `state` without the data that only further training needs, as stored in a shipped agent."""
         return state
 
     @property
     def episodes_in_lockstep(self) -> int:
-        """Episodes of a policy that share a matmul, in evaluation as in training: part of how it rounds."""
+        """Number of episodes of a policy that share a matmul, in training and evaluation. It affects rounding."""
         return 1
 
     def plan(self) -> WorkerPlan:
-        """Return what every worker needs to know once."""
+        """Return the data that every worker receives once, at its start."""
         return self.problem.plan(self.design)

@@ -1,4 +1,4 @@
-"""The learners by name. Adding one is one line here, or `register_algorithm`."""
+"""The registry of learning algorithms. Adding one takes a line here, or a call of `register_algorithm`."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ ALGORITHMS: Registry[type[Algorithm[Any]]] = Registry(
     fix="Set --algorithm; register your own first: shes.register_algorithm, or --import MODULE.",
     check=subclass_of(Algorithm, num_arguments=1),
 )
-"""What `--algorithm` may be."""
+"""Algorithms by name: the choices of `--algorithm`."""
 
 _PRIMITIVE_ALONE: dict[type[Algorithm[Any]], type[Algorithm[Any]]] = {SHES: PrimitiveES}
-"""What learns instead where the environment itself sets the goals, as Flagrun does."""
+"""Substitutes in environments that set the goals themselves, such as Flagrun."""
 
 
 def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
-    """Make `algorithm` known as `--algorithm name`, in this process.
+    """Register `algorithm` as `--algorithm name` in this process.
 
     ```python
     shes.register_algorithm("random-search", RandomSearch)
     shes.train("point-gather", algorithm="random-search")
     ```
 
-    A run's folder keeps the name alone: register again before `resume`, `evaluate` or `load` in another process, on the
-    command line by `--import MODULE`.
+    A run folder stores only the name. In another process, register the algorithm again before `resume`, `evaluate` or
+    `load`; on the command line, use `--import MODULE`.
 
     Args:
         name: Lower-case words joined by `-` or `_`.
         algorithm: A complete subclass of `Algorithm`, made from one argument, the `Problem`.
 
     Raises:
-        ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
+        ConfigError: The class is not a complete subclass, or the name is malformed or already taken.
     """
     ALGORITHMS.register(name, algorithm)
 
 
 def find_algorithm(name: str, *, sets_goals: bool = False) -> type[Algorithm[Any]]:
-    """Return the learner of this name, for an environment that sets goals itself or does not.
+    """Return the algorithm called `name`. `sets_goals` says whether the environment itself sets goals.
 
     Raises:
         UnknownNameError: `name` is not in `ALGORITHMS`.
@@ -54,5 +54,5 @@ def find_algorithm(name: str, *, sets_goals: bool = False) -> type[Algorithm[Any
 
 
 def learners() -> tuple[type[Algorithm[Any]], ...]:
-    """Return every learner, those too that stand in where the environment sets goals."""
+    """Return every algorithm, including the substitutes in environments that set goals."""
     return (*ALGORITHMS.values(), *_PRIMITIVE_ALONE.values())

@@ -1,4 +1,4 @@
-"""Work for a backend, done."""
+"""Run episode tasks on a backend."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ __all__ = ["roll_out_tasks"]
 
 
 def roll_out_tasks(tasks: Sequence[EpisodeTask], generation: Generation, backend: Backend) -> PopulationResults:
-    """Return what came of `tasks`, all of this `generation`, done by the workers of `backend`."""
+    """Return the results of `tasks`, which share `generation`, computed by the workers of `backend`."""
     backend.broadcast(generation)
     results = PopulationResults.of_tasks(tasks, generation)
-    cut = spread(list(tasks), backend.num_workers)
-    for task, result in zip(cut, backend.map(cut), strict=True):
+    spread_tasks = spread(list(tasks), backend.num_workers)
+    for task, result in zip(spread_tasks, backend.map(spread_tasks), strict=True):
         results.add(task, result)
     return results

@@ -1,4 +1,4 @@
-"""What a worker process does: hold the environments, receive a generation, run the episodes it is handed."""
+"""The worker: creates the environments, receives a generation, and runs the episodes of its tasks."""
 
 from __future__ import annotations
 
@@ -27,73 +27,79 @@ from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice, is_out_of_memory
 from shes.sim.warp_memory import bytes_per_sim
 
-__all__ = ["RolloutWorker", "WorkerPlan", "lanes_in_memory", "lanes_that_fit", "simulator_factory"]
+__all__ = ["EpisodeSetup", "RolloutWorker", "WorkerPlan", "lanes_in_memory", "lanes_that_fit", "simulator_factory"]
 
 _SIMULATOR_LOG = logging.getLogger("shes.mujoco")
-_MAX_LOG_LINES = 20  # of the simulator, kept with one task's results
-_CACHE_BYTES = 24 * 2**20  # weights of all lanes beyond this leave the shared cache between two steps
-_MIN_ROWS, _MAX_ROWS = 32, 256  # episodes in lockstep: enough to share Python's work, few enough for the caches
-_SHARE_OF_MEMORY = 0.75  # of a card's: what tasks and policies compute with needs some, too
+_MAX_LOG_LINES = 20  # of the simulator, kept with the results of one task
+_CACHE_BYTES = 24 * 2**20  # more weights than this would leave the shared cache between two steps
+_MIN_ROWS, _MAX_ROWS = 32, 256  # episodes in lockstep: enough to share Python's overhead, few enough for the caches
+_SHARE_OF_MEMORY = 0.75  # of a GPU's memory; tasks and policies need some as well
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorkerPlan:
-    """Everything that a worker needs to know once; sent to it when it starts."""
+class EpisodeSetup:
+    """The environment of a run, and how its episodes are computed."""
 
     env: EnvironmentMaker
-    """What makes the episodes, not its name: a class of a user's script is in no registry of a worker process."""
+    """Makes the episodes. Sent instead of a name, because a worker's registry lacks the classes of a user's script."""
     training: TaskOptions
     """Options of the environment in training."""
     evaluation: TaskOptions
     """Options of the environment in evaluation."""
+    horizon: int
+    """Maximum number of control steps in an episode of training."""
+    evaluation_horizon: int
+    """Maximum number of control steps in an episode of evaluation."""
+    chunk_size: int = 0
+    """Number of policies that a worker runs in lockstep; 0 chooses. On the CPU it does not affect the numbers."""
+    device: str = "cpu"
+    """Device that computes the physics: `cpu`, `warp-cpu` or `cuda`."""
+    nconmax: int | None = None
+    """Maximum number of contacts per simulation on a device; None chooses."""
+    njmax: int | None = None
+    """Maximum number of constraint rows per simulation on a device; None chooses."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerPlan(EpisodeSetup):
+    """Data that a worker receives once, at its start."""
+
     design: AgentDesign
-    """What the agent is made of."""
+    """Design of the agents."""
+    branch_design: AgentDesign | None = None
+    """Design of the agents in branches, if the primitive is evaluated by intervals."""
     noise_table: Path
     """File of the noise table on this machine."""
-    horizon: int
-    """Steps after which an episode of training is over."""
-    evaluation_horizon: int
-    """Steps after which an episode of evaluation is over."""
-    chunk_size: int
-    """Members of the population in lockstep; 0 chooses. Never changes a number."""
-    device: str = "cpu"
-    """What computes the physics: `cpu`, `warp-cpu` or `cuda`."""
-    nconmax: int | None = None
-    """Contacts that a device makes room for, per simulation; none chooses."""
-    njmax: int | None = None
-    """Constraint rows that a device makes room for, per simulation; none chooses."""
-    branch_design: AgentDesign | None = None
-    """What acts in branches, where the primitive is judged by intervals."""
 
     @property
     def simulator(self) -> SimulatorFactory:
-        """What makes the physics."""
+        """Function that creates a simulator."""
         return simulator_factory(self.device, self.nconmax, self.njmax)
 
 
 def lanes_that_fit(parameters: int, rows: int) -> int:
-    """Return how many lanes, of `parameters` numbers and `rows` episodes each, a worker best runs in lockstep.
+    """Return how many lanes, of `parameters` parameters and `rows` episodes each, a CPU worker runs in lockstep.
 
-    More rows share the cost of a Python step; but weights beyond the core's share of the cache are slower to use.
+    More rows share the overhead of a step in Python, but weights that do not fit the cache are slower.
     """
     cached = _CACHE_BYTES // (4 * parameters)
     return max(1, -(-_MIN_ROWS // rows), min(cached, _MAX_ROWS // rows))
 
 
 def simulator_factory(device: str, nconmax: int | None, njmax: int | None) -> SimulatorFactory:
-    """Return what makes physics on `device`; `nconmax` and `njmax` concern those with fixed buffers."""
+    """Return the function that creates a simulator on `device`. The CPU ignores `nconmax` and `njmax`."""
     return CpuSimulator if device == "cpu" else partial(WarpSimulator, device=device, nconmax=nconmax, njmax=njmax)
 
 
 def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, episodes: int, horizon: int) -> int:
-    """Return how many lanes a card with `free_bytes` has room for.
+    """Return how many lanes fit into the memory of a GPU.
 
     Args:
-        free_bytes: Memory that nobody uses.
-        sim_bytes: What one simulation takes.
-        design: The agent; a lane's parameters are there twice, as they are and as matrices.
-        episodes: Episodes of a lane.
-        horizon: Steps of an episode; their exploration noise is there twice while the next one replaces it.
+        free_bytes: Free memory.
+        sim_bytes: Memory of one simulation.
+        design: The agents' design. A lane's parameters are stored twice, flat and as contiguous matrices.
+        episodes: Number of episodes in a lane.
+        horizon: Steps of an episode. Exploration noise is stored twice while it is replaced.
     """
     decisions = -(-horizon // design.controller_interval)
     noise = 4 * (horizon * design.policies[-1].sizes[-1] + decisions * design.decision_size)
@@ -102,7 +108,7 @@ def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, epis
 
 
 class _LogCollector(logging.Handler):
-    """Keeps what the simulator logs, for the results of the task at hand; what it repeats in a generation, once."""
+    """Collects the simulator's warnings for the results of the current task, each once per generation."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -117,7 +123,7 @@ class _LogCollector(logging.Handler):
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """Keep what the simulator logs meanwhile, and keep it from other handlers: it is reported with the results."""
+        """Collect the simulator's messages instead of passing them to other handlers."""
         self._told.clear()
         propagated, _SIMULATOR_LOG.propagate = _SIMULATOR_LOG.propagate, False
         _SIMULATOR_LOG.addHandler(self)
@@ -129,32 +135,38 @@ class _LogCollector(logging.Handler):
 
 
 class RolloutWorker:
-    """Evaluates tasks: the `Worker` of every backend."""
+    """Runs the episodes of tasks. It is the `Worker` of every backend."""
 
     def __init__(self, plan: WorkerPlan) -> None:
-        """Open the noise table; environments are built when first used."""
+        """Open the noise table. Environments are created on first use."""
         self.plan = plan
         self.table = NoiseTable.open_file(plan.noise_table)
         self._rollouts: dict[str, Rollout] = {}  # by kind of generation
-        self._room: dict[tuple[str, int], int] = {}  # lanes that a device's memory has room for, by kind of generation
+        self._room: dict[tuple[str, int], int] = {}  # lanes that fit into a device's memory, by kind of generation
         self._lanes = 1
         self._generation: Generation | None = None
         self._collector = _LogCollector()
 
     def receive(self, state: Generation) -> None:
-        """Take the mean policies that the next tasks perturb."""
+        """Store the generation that the next tasks belong to."""
         self._generation = state
 
     def run(self, work: Iterator[NumberedTask], share: int) -> Iterator[tuple[int, EpisodeResults]]:
-        """Run `work`, of which about `share` tasks are this worker's; yield numbered results as they come.
+        """Run `work`, of which about `share` tasks are for this worker, and yield numbered results.
 
-        Where a device's memory runs out, what has no result yet is done again with half as many policies at a time.
+        If a device runs out of memory, tasks without a result are repeated with half as many policies at a time.
 
         Raises:
-            ConfigError: A device's buffers were too small for the contacts, or its memory for a single policy.
+            ConfigError: A device has too few contact buffers, or too little memory for a single policy.
         """
         pending: dict[int, EpisodeTask] = {}
-        new = _noted(work, pending)
+
+        def take() -> Iterator[NumberedTask]:
+            for number, task in work:
+                pending[number] = task
+                yield number, task
+
+        new = take()
         with self._collector.listening():
             while True:
                 try:
@@ -169,23 +181,23 @@ class RolloutWorker:
     def _run(
         self, work: Iterator[NumberedTask], pending: dict[int, EpisodeTask], share: int
     ) -> Iterator[tuple[int, EpisodeResults]]:
-        """Run `work` and take off `pending` what has a result."""
+        """Run `work`, and remove the tasks that have a result from `pending`."""
         assert self._generation is not None, "receive() comes first"
         rollout = self._rollout(self._generation, share)
-        for number, results in rollout.run(work, self._generation, self.table.on(rollout.task.xp)):
+        for number, results in rollout.run(work, self._generation, self.table.on(rollout.batch.xp)):
             del pending[number]
             lines, self._collector.lines = tuple(self._collector.lines), []
             yield number, replace(results, log=lines) if lines else results
-        rollout.task.check_buffers()
+        rollout.batch.check_buffers()
 
     def _rollout(self, generation: Generation, share: int) -> Rollout:
-        """Return the rollout for this generation with lanes for `share` tasks, building it where needed."""
+        """Return the rollout for this generation with lanes for `share` tasks. Create it if necessary."""
         plan, shape = self.plan, (generation.rows_per_lane, generation.members_per_lane)
         rollout = self._rollouts.get(generation.kind)
         if rollout is not None and (rollout.rows_per_lane, rollout.members_per_lane) != shape:
             rollout = self._drop(generation)
         waves = max(1, -(-share // self._chunk(generation, share)))
-        self._lanes = max(1, -(-share // waves))  # even waves: no last one with a few lanes alone
+        self._lanes = max(1, -(-share // waves))  # even waves: the last one is not much smaller
         if rollout is not None and rollout.num_lanes != self._lanes:
             rollout = self._drop(generation)
         if rollout is None:
@@ -199,24 +211,24 @@ class RolloutWorker:
         return rollout
 
     def _drop(self, generation: Generation) -> None:
-        """Close the rollout for generations of this kind, if there is one."""
+        """Close the rollout for generations of this kind, if any."""
         rollout = self._rollouts.pop(generation.kind, None)
         if rollout is not None:
-            rollout.task.close()
+            rollout.batch.close()
 
     def _chunk(self, generation: Generation, share: int) -> int:
-        """Return how many lanes to run in lockstep at most: all on a device, if its memory has room for them."""
+        """Return the maximum number of lanes in lockstep: on a device all of them, if they fit into its memory."""
         plan, kind = self.plan, (generation.kind, generation.rows_per_lane)
-        asked = -(-plan.chunk_size // generation.members_per_lane)  # policies are asked for
+        asked = -(-plan.chunk_size // generation.members_per_lane)  # the setting counts policies
         if plan.device == "cpu":
             return asked or lanes_that_fit(sum(self._design(generation).dims), generation.rows_per_lane)
         if kind not in self._room and not plan.chunk_size:
-            self._lanes = 1  # what is measured is too little memory for one, if it does not fit
+            self._lanes = 1  # if even the measurement fails, a single lane does not fit
             self._room[kind] = self._measure_room(generation)
         return max(1, min(asked or share, self._room.get(kind, share)))
 
     def _measure_room(self, generation: Generation) -> int:
-        """Return how many lanes the device's memory has room for."""
+        """Return how many lanes fit into the device's memory."""
         free = WarpDevice(self.plan.device).free_bytes()
         if free is None:
             return sys.maxsize
@@ -225,7 +237,7 @@ class RolloutWorker:
 
     @cached_property
     def _sim_bytes(self) -> float:
-        """What a simulation takes of the device's memory; in evaluation it is nearly the same world."""
+        """Device memory of one simulation. Evaluation uses nearly the same world."""
         plan, models = self.plan, list[mujoco.MjModel]()
 
         def note(model: mujoco.MjModel, num_sims: int) -> Simulator:
@@ -236,10 +248,10 @@ class RolloutWorker:
         return bytes_per_sim(models[0], plan.device, FRAME_SKIP, plan.nconmax, plan.njmax)
 
     def _halve(self, error: BaseException) -> None:
-        """Make room for half as many lanes as have just been too many.
+        """Halve the number of lanes.
 
         Raises:
-            ConfigError: It was one.
+            ConfigError: It is one already.
         """
         assert self._generation is not None
         generation, device, lanes = self._generation, self.plan.device, self._lanes
@@ -267,10 +279,3 @@ class RolloutWorker:
         if generation.branch_steps:
             return generation.branch_steps
         return self.plan.evaluation_horizon if generation.is_evaluation else self.plan.horizon
-
-
-def _noted(work: Iterator[NumberedTask], pending: dict[int, EpisodeTask]) -> Iterator[NumberedTask]:
-    """Yield `work`, noting in `pending` what has been taken."""
-    for number, task in work:
-        pending[number] = task
-        yield number, task

@@ -1,1 +1,1 @@
-"""Backends: an ordered map and a broadcast over workers, here or in other processes."""
+"""Backends: an ordered map and a broadcast over workers, in this process or in others."""

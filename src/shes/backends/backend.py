@@ -1,57 +1,65 @@
-"""The Backend contract: an ordered map over workers, and a broadcast. It knows nothing of what the work is."""
+"""The Backend contract: an ordered map and a broadcast over workers. A backend does not know what the work is."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol, TypeAlias
+
+from shes.settings import Settings
 
 __all__ = ["Backend", "Worker", "WorkerFactory"]
 
 
 class Worker(Protocol):
-    """What a backend starts copies of, one per process."""
+    """Object that a backend creates in each of its processes."""
 
     def receive(self, state: Any) -> None:
-        """Take the state that the following tasks refer to."""
+        """Store the state that the following tasks refer to."""
 
     def run(self, work: Iterator[tuple[int, Any]], share: int) -> Iterator[tuple[int, Any]]:
-        """Take numbered tasks from `work` as it has room, and yield numbered results in any order.
+        """Take numbered tasks from `work` and yield numbered results in any order.
 
-        `share` is the number of tasks that an even distribution gives to a worker: taking many more at once would leave
-        others idle.
+        `share` is the number of tasks per worker in an even distribution. A worker that takes many more at once leaves
+        other workers idle.
         """
         ...
 
 
-WorkerFactory = Callable[[], Worker]
+WorkerFactory: TypeAlias = Callable[[], Worker]
+"""Function that creates a worker."""
 
 
 class Backend(ABC):
-    """Spreads tasks over workers. A context manager: leaving it ends the workers."""
+    """Distributes tasks over workers. As a context manager, it closes the workers on exit.
 
-    num_workers: int
+    A subclass is made from a `WorkerFactory`, the number of workers, and its `Options` as keyword arguments.
+    """
+
+    Options: ClassVar[type[Settings]] = Settings
+    """Settings of this backend. Mark each field with `Execution`: a backend never changes the numbers of a run."""
+    num_workers: int = 1
     """Number of workers."""
 
     @abstractmethod
     def broadcast(self, state: Any) -> None:
-        """Give `state` to every worker before the tasks of the next `map`."""
+        """Send `state` to every worker, for the tasks of the following `map` calls."""
 
     @abstractmethod
     def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
         """Yield the result of every task, in order.
 
         Raises:
-            ShesError: As a worker raised it.
-            WorkerError: A worker raised something else, or workers keep dying.
+            ShesError: A worker raised this error.
+            WorkerError: A worker raised another error, or workers keep dying.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """End the workers, at once if they are at work."""
+        """Stop the workers immediately, even if they are busy."""
 
     def take_events(self) -> list[str]:
-        """Return, once, what happened to the workers since the last call (lost, replaced)."""
+        """Return messages about lost and replaced workers since the last call."""
         return []
 
     def __enter__(self) -> Backend:

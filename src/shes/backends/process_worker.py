@@ -1,7 +1,7 @@
 """A worker process of the processes backend: `python -m shes.backends.process_worker FD LIFELINE PARENT`.
 
-It dies with its parent: by the kernel's signal where there is one, and by a thread that waits for the end of the
-lifeline pipe, which only the parent holds open.
+The process dies with its parent. Linux sends it a signal; elsewhere a thread waits for the end of the lifeline pipe,
+whose other end only the parent holds open.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def _die_with_parent(lifeline: int, parent: int) -> None:
-    """End this process as soon as process `parent` is gone."""
+    """End this process when process `parent` ends."""
 
     def wait_for_end() -> None:
         os.read(lifeline, 1)  # returns only at end of file: nobody writes
@@ -39,7 +39,7 @@ def _die_with_parent(lifeline: int, parent: int) -> None:
 
 
 def _incoming(connection: Connection) -> Iterator[tuple[int, Any]]:
-    """Ask the parent for one task at a time until it says that there is none."""
+    """Request tasks from the parent, one at a time, until none are left."""
     while True:
         connection.send(("want",))
         kind, *content = connection.recv()
@@ -50,22 +50,22 @@ def _incoming(connection: Connection) -> Iterator[tuple[int, Any]]:
 
 
 def _unpickle_factory(pickled: bytes) -> Callable[[], Any]:
-    """Return what makes the worker.
+    """Return the function that creates the worker.
 
     Raises:
-        WorkerError: A module that it comes from is not there.
+        WorkerError: A module that it needs cannot be imported.
     """
     try:
         return pickle.loads(pickled)
     except (ImportError, AttributeError) as error:
         raise WorkerError(
-            f"a worker process cannot import what its work is made of: {error}. Put the folder of that module on "
-            "PYTHONPATH, or install it; or set --backend serial."
+            f"a worker process cannot import a module that its work needs: {error}. Put the folder of that module on "
+            "PYTHONPATH, install the module, or set --backend serial."
         ) from error
 
 
 def _serve(connection: Connection) -> None:
-    """Do what the parent says until it says close."""
+    """Follow the parent's messages until it closes the worker."""
     worker = _unpickle_factory(connection.recv_bytes())()
     connection.send(("ready",))
     while True:
@@ -81,7 +81,7 @@ def _serve(connection: Connection) -> None:
 
 
 def main() -> None:
-    """Serve the connection named on the command line."""
+    """Serve the connection given on the command line."""
     descriptor, lifeline, parent = (int(argument) for argument in sys.argv[1:4])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the parent decides
     _die_with_parent(lifeline, parent)
@@ -92,7 +92,7 @@ def main() -> None:
             return  # the parent has closed the connection
         except ShesError as error:
             connection.send(("refused", error))
-        except BaseException:  # noqa: BLE001 - whatever it is, the parent must hear of it
+        except BaseException:  # noqa: BLE001 - the parent must be told of any error
             connection.send(("failed", traceback.format_exc()))
 
 

@@ -1,7 +1,7 @@
-"""The processes backend: workers on this machine; a lost worker is replaced and its work done again.
+"""The processes backend: worker processes on this machine. A lost worker is replaced and its work repeated.
 
-Own processes rather than a `ProcessPoolExecutor`, which breaks as a whole when one worker is killed and outlives a
-killed parent. Workers are started as a module, so a caller's script needs no `__main__` guard.
+`ProcessPoolExecutor` is not used, because it breaks as a whole when one worker is killed, and outlives a killed parent.
+Workers are started as a module, so a caller's script needs no `__main__` guard.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from shes.errors import ConfigError, WorkerError
 __all__ = ["ProcessesBackend"]
 
 MAX_LOSSES = 3
-"""A task whose workers died this many times, or this many workers dying in a row before any work, ends the run."""
+"""The run ends when this many workers died on one task, or as many per worker in a row without a result."""
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
 
 
 class _Process:
-    """A worker process and what it has been given."""
+    """A worker process and the tasks it is working on."""
 
     def __init__(self, factory: bytes, import_path: str) -> None:
         ours, theirs = socket.socketpair()
         read_end, self._lifeline = os.pipe()
-        # -P: a file in the working directory must not stand in for a module of Python's own.
+        # -P: a file in the working directory must not replace a module of the standard library.
         module = [sys.executable, "-P", "-m", "shes.backends.process_worker"]
         arguments = [str(theirs.fileno()), str(read_end), str(os.getpid())]
         # The worker inherits the mask: a Ctrl-C in a terminal reaches it even before it can ignore it.
@@ -60,24 +60,35 @@ class _Process:
             theirs.close()
             os.close(read_end)
         self.connection = Connection(ours.detach())
-        self.tasks: dict[int, None] = {}  # numbers at work, in the order they were given
+        self.tasks: dict[int, None] = {}  # numbers of the tasks at work, in the order they were given
         self.is_running = False
-        with suppress(OSError):  # that it is gone already shows when it is read from
+        with suppress(OSError):  # the next read notices that the process is gone
             self.connection.send_bytes(factory)
 
     def end(self) -> None:
-        """End the process, at once."""
+        """End the process immediately."""
         self.popen.kill()
         self.connection.close()
         os.close(self._lifeline)
         self.popen.wait()
 
 
+class _Run:
+    """State of one `map` call."""
+
+    def __init__(self, tasks: Sequence[Any], share: int) -> None:
+        self.tasks = tasks
+        self.share = share
+        self.queue: deque[int] = deque(range(len(tasks)))
+        self.results: dict[int, Any] = {}
+        self.losses: Counter[int] = Counter()
+
+
 class ProcessesBackend(Backend):
-    """`num_workers` processes on this machine, one thread each."""
+    """Worker processes on this machine, each with one thread."""
 
     def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
-        """Start the processes; each makes its worker by `factory`, which is pickled by cloudpickle."""
+        """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles."""
         self.num_workers = num_workers
         self._factory = _pickle_factory(factory)
         self._import_path = os.pathsep.join(_import_path())
@@ -88,11 +99,11 @@ class ProcessesBackend(Backend):
         self._start_missing()
 
     def broadcast(self, state: Any) -> None:
-        """Give `state` to every worker; workers that replace lost ones get it too."""
-        self._state = pickle.dumps(state, protocol=pickle.HIGHEST_PROTOCOL)
+        """Send `state` to every worker, and later to the replacements of lost ones."""
+        self._state = _pickle(state)
         self._start_missing()
         for process in list(self._processes):
-            self._send(process, ("state", self._state))
+            self._send(process, "state", self._state)
 
     def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
         """Yield the result of every task, in order."""
@@ -102,49 +113,50 @@ class ProcessesBackend(Backend):
             self._start_missing()
             for process in self._processes:
                 self._start_run(process, run)
-            due = 0
-            while due < len(tasks):
+            next_number = 0
+            while next_number < len(tasks):
                 self._serve(run)
-                while due in run.results:
-                    yield run.results.pop(due)
-                    due += 1
+                while next_number in run.results:
+                    yield run.results.pop(next_number)
+                    next_number += 1
             while any(process.is_running for process in self._processes):
                 self._serve(run)
             is_finished = True
         finally:
-            if not is_finished:  # a worker raised, or the caller stopped listening: what they still do is of no use
-                self._end_all()
+            if not is_finished:  # a worker raised, or the caller stopped iterating: nobody needs the remaining results
+                self.close()
 
     def take_events(self) -> list[str]:
-        """Return, once, which workers were lost and replaced since the last call."""
+        """Return messages about workers that were lost and replaced since the last call."""
         events, self._events = self._events, []
         return events
 
     def close(self) -> None:
-        """End every worker."""
-        self._end_all()
+        """End every worker process."""
+        processes, self._processes = self._processes, []
+        for process in processes:
+            process.popen.kill()
+        for process in processes:
+            process.end()
 
     def pids(self) -> list[int]:
-        """Return the process numbers of the workers."""
+        """Return the process ids of the workers."""
         return [process.popen.pid for process in self._processes]
 
     def _start_missing(self) -> None:
         try:
             while len(self._processes) < self.num_workers:
-                self._processes.append(self._start_process())
+                self._processes.append(_Process(self._factory, self._import_path))
         except OSError as error:
-            self._end_all()
+            self.close()
             raise WorkerError(
-                f"only some of {self.num_workers} worker processes could be started: {error.strerror or error}. "
+                f"not all of the {self.num_workers} worker processes could be started: {error.strerror or error}. "
                 "Lower --workers, or raise the limit on processes and open files (ulimit)."
             ) from error
 
-    def _start_process(self) -> _Process:
-        return _Process(self._factory, self._import_path)
-
     def _start_run(self, process: _Process, run: _Run) -> None:
         process.is_running = True
-        self._send(process, ("run", run.share))
+        self._send(process, "run", run.share)
 
     def _serve(self, run: _Run) -> None:
         """Wait for messages and answer them."""
@@ -164,9 +176,9 @@ class ProcessesBackend(Backend):
             if run.queue:
                 number = run.queue.popleft()
                 process.tasks[number] = None
-                self._send(process, ("task", number, run.payload(number)))
+                self._send(process, "task", number, _pickle(run.tasks[number]))
             else:
-                self._send(process, ("end",))
+                self._send(process, "end")
         elif kind == "result":
             number, result = content
             process.tasks.pop(number)
@@ -181,7 +193,7 @@ class ProcessesBackend(Backend):
             raise WorkerError(f"a worker failed while at work on {at_work or 'nothing yet'}:\n{content[0]}")
 
     def _replace(self, process: _Process, run: _Run) -> None:
-        """Start a worker in place of one that died, and put its tasks back, in front."""
+        """Replace a worker that died, and put its tasks back at the front of the queue."""
         self._processes.remove(process)
         process.end()
         lost = list(process.tasks)
@@ -196,48 +208,30 @@ class ProcessesBackend(Backend):
                 f"workers keep dying ({_cause(code)}) {f'on the same task, {worst} times' if worst else 'at once'}. "
                 f"{_advice(code)} Everything up to the last checkpoint is kept."
             )
-        replacement = self._start_process()
+        replacement = _Process(self._factory, self._import_path)
         self._processes.append(replacement)
         if self._state is not None:
-            self._send(replacement, ("state", self._state))
+            self._send(replacement, "state", self._state)
         for idle in self._processes:
             if not idle.is_running:
                 self._start_run(idle, run)
 
     @staticmethod
-    def _send(process: _Process, message: tuple[Any, ...]) -> None:
-        """Send a message; that a worker is gone shows when it is next read from."""
+    def _send(process: _Process, *message: Any) -> None:
+        """Send a message. If the worker is gone, the next read notices it."""
         with suppress(OSError):
             process.connection.send(message)
 
-    def _end_all(self) -> None:
-        processes, self._processes = self._processes, []
-        for process in processes:
-            process.popen.kill()
-        for process in processes:
-            process.end()
 
-
-class _Run:
-    """One map under way."""
-
-    def __init__(self, tasks: Sequence[Any], share: int) -> None:
-        self.tasks = tasks
-        self.share = share
-        self.queue: deque[int] = deque(range(len(tasks)))
-        self.results: dict[int, Any] = {}
-        self.losses: Counter[int] = Counter()
-
-    def payload(self, number: int) -> bytes:
-        """Return a task as its worker unpickles it."""
-        return pickle.dumps(self.tasks[number], protocol=pickle.HIGHEST_PROTOCOL)
+def _pickle(value: Any) -> bytes:
+    return pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
 
 
 def _pickle_factory(factory: WorkerFactory) -> bytes:
-    """Return `factory` as every worker unpickles it; a class of the caller's own script travels whole.
+    """Return `factory` pickled. Classes defined in the caller's script are pickled by value.
 
     Raises:
-        ConfigError: Something that it refers to cannot be pickled.
+        ConfigError: An object that it refers to cannot be pickled.
     """
     try:
         return cloudpickle.dumps(factory)
@@ -249,13 +243,13 @@ def _pickle_factory(factory: WorkerFactory) -> bytes:
 
 
 def _import_path() -> list[str]:
-    """Return this process's import path, for workers to find the modules of a caller's classes where it found them.
+    """Return the import path of this process, on which workers find the modules of the caller's classes.
 
-    They import them, rather than get them by value, because then they find what those modules import, too.
+    Workers import these modules rather than receive them by value, so that the modules' own imports work as well.
     """
     path = [entry for entry in sys.path if entry]
-    # An empty entry is the working directory: of a notebook, of `python -c`. Workers search it last of all, so that no
-    # file there stands in for a module of Python's own; and as it is now, because it may change in the meantime.
+    # An empty entry is the working directory: of a notebook, of `python -c`. Workers search it last, so that no file
+    # there replaces a module of the standard library. It is resolved now, because it may change later.
     if len(path) < len(sys.path):
         with suppress(FileNotFoundError):
             path.append(str(Path.cwd()))
@@ -263,7 +257,7 @@ def _import_path() -> list[str]:
 
 
 def _cause(code: int) -> str:
-    """Say how a process with this exit code ended."""
+    """Return in words how a process with this exit code ended."""
     if code >= 0:
         return f"exit code {code}"
     try:
@@ -274,7 +268,7 @@ def _cause(code: int) -> str:
 
 
 def _advice(code: int) -> str:
-    """Say what to do about a process that ended with this exit code."""
+    """Return advice to the user about a process that ended with this exit code."""
     if code == -signal.SIGKILL:
         return "Usually memory ran out: lower --workers or --chunk-size."
     return "It may have printed the reason above; --backend serial does the same work in this process."

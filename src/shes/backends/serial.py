@@ -1,4 +1,4 @@
-"""The serial backend: the work is done in this process."""
+"""The serial backend: runs the work in this process."""
 
 from __future__ import annotations
 
@@ -15,30 +15,31 @@ __all__ = ["SerialBackend"]
 
 
 class SerialBackend(Backend):
-    """One worker, here. Its linear algebra is held to one thread, because threads change bits."""
+    """One worker in this process. BLAS is limited to one thread, because more threads would change rounding."""
 
-    def __init__(self, factory: WorkerFactory) -> None:
-        """Make the worker."""
+    def __init__(self, factory: WorkerFactory, num_workers: int = 1) -> None:
+        """Create the worker. `num_workers` is ignored."""
+        del num_workers
         self.num_workers = 1
         self._worker: Worker = factory()
 
     def broadcast(self, state: Any) -> None:
-        """Give `state` to the worker."""
+        """Send `state` to the worker."""
         self._worker.receive(state)
 
     def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
         """Yield the result of every task, in order."""
-        waiting: dict[int, Any] = {}
-        due = 0
+        results: dict[int, Any] = {}
+        next_number = 0
         with threadpool_limits(1):
-            for number, result in self._results(tasks):
-                waiting[number] = result
-                while due in waiting:
-                    yield waiting.pop(due)
-                    due += 1
+            for number, result in self._run(tasks):
+                results[number] = result
+                while next_number in results:
+                    yield results.pop(next_number)
+                    next_number += 1
 
-    def _results(self, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        """Yield numbered results as the worker makes them."""
+    def _run(self, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        """Yield numbered results as the worker finishes them."""
         try:
             yield from self._worker.run(iter(enumerate(tasks)), max(1, len(tasks)))
         except ShesError:
@@ -47,4 +48,4 @@ class SerialBackend(Backend):
             raise WorkerError(f"the worker failed:\n{traceback.format_exc()}") from error
 
     def close(self) -> None:
-        """Do nothing: there is no process to end."""
+        """Do nothing: there is no process to stop."""

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from shes.algorithms.evolution.populations import Settings, generation_work
+from shes.algorithms.evolution.populations import Hyperparameters, generation_work
 from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.backend import Backend
 from shes.backends.serial import SerialBackend
@@ -70,7 +70,7 @@ class BarePhysics:
         return steps / elapsed
 
 
-def record_generation(plan: WorkerPlan, state: TrainState, settings: Settings, table_size: int) -> BarePhysics:
+def record_generation(plan: WorkerPlan, state: TrainState, settings: Hyperparameters, table_size: int) -> BarePhysics:
     """Return the physics of the first tasks of the generation after `state`, played on the CPU.
 
     The share of branches is that of the whole episodes, from whose snapshots they start.

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from shes.algorithms.evolution.algorithm import GenerationReport, evolve
-from shes.algorithms.evolution.learners import EvolutionStrategy
-from shes.algorithms.evolution.populations import Settings
+from shes.algorithms.evolution.learners import EvolutionAlgorithm
+from shes.algorithms.evolution.populations import Hyperparameters
 from shes.backends.serial import SerialBackend
 from shes.bench.bare_physics import record_generation
 from shes.bench.random_results import RandomResults
@@ -58,7 +58,7 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
             "environments, e.g. ant-gather."
         )
     algorithm = _evolution_strategy(config)
-    plan, settings, state = algorithm.plan(), algorithm.settings, algorithm.start(config.run.seed)
+    plan, settings, state = algorithm.plan(), algorithm.hyperparameters, algorithm.start(config.run.seed)
     table = algorithm.table.on(algorithm.problem.xp)
     physics = record_generation(plan, state, settings, table.size)
     bare: list[float] = []
@@ -108,14 +108,14 @@ def _on_one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def _evolution_strategy(config: TrainConfig) -> EvolutionStrategy:
+def _evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
     """Return the algorithm of `config`.
 
     Raises:
         ConfigError: It is not an evolution strategy.
     """
     algorithm = build_algorithm(config)
-    if not isinstance(algorithm, EvolutionStrategy):
+    if not isinstance(algorithm, EvolutionAlgorithm):
         raise ConfigError(
             f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm shes or es."
         )
@@ -144,7 +144,7 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
         )
     algorithm = _evolution_strategy(config)
     table, state = algorithm.table, algorithm.start(config.run.seed)
-    settings = replace(algorithm.settings, perturbation=ManyToMany())  # so that all levels learn in a generation
+    settings = replace(algorithm.hyperparameters, perturbation=ManyToMany())  # so that all levels learn in a generation
     backend = SerialBackend(partial(RandomResults, _state_size(config, settings)))
     times: dict[str, list[float]] = defaultdict(list)
     with TemporaryDirectory() as folder, ThreadPoolExecutor(min(config.workers.count, 8)) as pool:
@@ -166,7 +166,7 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
     }
 
 
-def _state_size(config: TrainConfig, settings: Settings) -> int:
+def _state_size(config: TrainConfig, settings: Hyperparameters) -> int:
     """Return the size of a physics state, S; 0 if episodes leave no snapshots."""
     if settings.intervals is None:
         return 0

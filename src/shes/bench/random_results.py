@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, LevelMoments, Snapshot, empty_outcomes
+from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, Snapshot, empty_outcomes
+from shes.hierarchy.moments import Moments
 
 __all__ = ["RandomResults"]
 
@@ -46,15 +47,15 @@ class RandomResults:
 
     def _snapshots(self, task: EpisodeTask, generation: Generation) -> list[Snapshot | None]:
         """Return the snapshots that `task` asks for."""
-        left = Snapshot(state=self._state, steps=0, goals=np.zeros((generation.goals_noted, 2)))
-        return [left if task.noted_steps or slot == task.kept_slot else None for slot in task.slots]
+        left = Snapshot(state=self._state, steps=0, goals=np.zeros((generation.snapshot_goals, 2)))
+        return [left if task.snapshot_steps or slot == task.kept_slot else None for slot in task.slots]
 
 
-def _moments(generation: Generation, episodes: int) -> tuple[LevelMoments, ...]:
+def _moments(generation: Generation, episodes: int) -> tuple[Moments, ...]:
     """Return the moments of one observation per episode at each level, with mean 0 and variance 1."""
     sizes = [len(level.mean) for level in generation.levels]
     return tuple(
-        LevelMoments(
+        Moments(
             count=np.ones(episodes, np.int64), total=np.zeros((episodes, size)), total_squares=np.ones((episodes, size))
         )
         for size in sizes

@@ -1,4 +1,4 @@
-"""Evolution strategies: numbers in, numbers out. Usable alone through `EvolutionStrategy`."""
+"""Evolution strategies on plain vectors. `EvolutionStrategy` can be used on its own."""
 
 from shes.es.strategy import EvolutionStrategy
 

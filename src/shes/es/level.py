@@ -1,6 +1,6 @@
-"""One level of policies: its state, and the update that every level gets.
+"""The state of one level and its update, which is the same for every level.
 
-Source: SHES paper, Algorithm 1 lines 4 and 5; algorithm specification section 4.
+Source: SHES paper, Algorithm 1 lines 4 and 5. `docs/algorithm.md` has the equations.
 """
 
 from __future__ import annotations
@@ -38,49 +38,55 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class LevelState:
-    """Everything that a level carries from one generation to the next."""
+    """State of one level between generations."""
 
     name: str
-    """What the level is called: `controller`, `primitive`, or `policy` where there is one level alone."""
+    """Name of the level: `controller`, `primitive`, or `policy` if it is the only level."""
     theta: F32Array
     """Parameters of the mean policy [D]."""
     optimizer: OptimizerState
     """State of the optimizer."""
     statistics: ObservationStatistics
-    """Moments of what the level observes."""
+    """Moments of the level's observations."""
+
+    @classmethod
+    def start(cls, name: str, theta: F32Array, optimizer: Optimizer, observation_size: int) -> LevelState:
+        """Return the state before the first update."""
+        statistics = ObservationStatistics.empty(observation_size)
+        return cls(name=name, theta=theta, optimizer=optimizer.start(len(theta)), statistics=statistics)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunningEpisodes:
-    """Episodes from which pairs of primitives branch off, generation after generation."""
+    """Episodes that continue from generation to generation, from which pairs of primitives branch off."""
 
     states: F64Array
-    """Whole physics states [G, S], the solver's warm start included."""
+    """Full physics states [G, S], including the solver's warm start."""
     steps: IntArray
-    """Control steps that each has made [G]; -1 for one that is to begin anew, whose state means nothing."""
+    """Control steps of each episode so far [G]; -1 if it starts anew, in which case its state is ignored."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainState:
-    """Everything that a run carries from one generation to the next."""
+    """State of a run between generations."""
 
     seed: int
-    """Seed of every draw."""
+    """Seed of all random numbers."""
     generation: int
-    """Updates made so far."""
+    """Number of updates so far."""
     env_steps: int
-    """Environment steps of training so far."""
+    """Number of environment steps of training so far."""
     levels: tuple[LevelState, ...]
     """The levels, controller first."""
     novelty: NoveltyState | None = None
-    """Archive and weight of the search for novelty, if there is one."""
+    """State of the novelty search, if enabled."""
     running: RunningEpisodes | None = None
-    """Episodes that go on from generation to generation, if there are any."""
+    """Episodes that continue in the next generation, if any."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelParameters:
-    """What a level needs to act: parameters [D] and normalisation [O]."""
+    """Parameters [D] and input normalisation [O] of one level: all that acting needs."""
 
     theta: F32Array
     mean: F64Array
@@ -88,40 +94,41 @@ class LevelParameters:
 
     @classmethod
     def of(cls, theta: F32Array, statistics: ObservationStatistics) -> LevelParameters:
-        """Freeze `theta` with the normalisation that `statistics` give."""
+        """Return `theta` with the normalisation given by `statistics`."""
         return cls(theta=theta, mean=statistics.mean, inverse_std=1 / statistics.std)
 
     @classmethod
     def of_all(cls, levels: Sequence[LevelState]) -> tuple[LevelParameters, ...]:
-        """Freeze every one of `levels`."""
+        """Return the parameters of each of `levels`."""
         return tuple(cls.of(level.theta, level.statistics) for level in levels)
 
 
 @dataclass(frozen=True, kw_only=True)
 class UpdateRule:
-    """How fitness becomes a step."""
+    """How the fitness of a population becomes a step of one level."""
 
     weight_decay: float = 0.0
-    """Coefficient of the parameters subtracted from the gradient estimate."""
+    """Coefficient of the weight decay (lambda), zero or positive."""
     decouples_decay: bool = False
-    """Whether the decay goes round the optimizer: the step then has `-learning_rate * weight_decay * theta` beside it.
+    """Whether `-learning_rate * weight_decay * theta` is added to the step instead of `-weight_decay * theta` to the
+    gradient.
 
     Source: Loshchilov and Hutter 2019 (AdamW), Algorithm 2.
     """
     holds_when_tied: bool = False
-    """Whether a level whose members are all worth the same stays as it is, its optimizer's state too."""
+    """Whether a level stays unchanged, its optimizer state included, if all its members have the same fitness."""
     fall_price: float = 0.0
-    """Subtracted from a member's shaped fitness for a fall that ends its episode."""
+    """Subtracted from a member's shaped fitness for a fall, zero or positive."""
     shaping: FitnessShaping = CentredRanks()
-    """What a fitness counts."""
+    """Fitness shaping."""
     optimizer: Optimizer = Adam()
-    """How the gradient estimate becomes a step."""
+    """Optimizer."""
 
     def __post_init__(self) -> None:
-        """Check every value.
+        """Check the coefficients.
 
         Raises:
-            ConfigError: `weight_decay` is out of range.
+            ConfigError: `weight_decay` or `fall_price` is negative or not finite.
         """
         for name in ("weight_decay", "fall_price"):
             if not 0 <= getattr(self, name) < float("inf"):
@@ -130,24 +137,24 @@ class UpdateRule:
 
 @dataclass(frozen=True, kw_only=True)
 class LevelUpdate:
-    """A level after its update, and what is to be known of the update; NaN where the level was not perturbed."""
+    """A level after its update, with diagnostics. Diagnostics are NaN if no member perturbed the level."""
 
     level: LevelState
     """The level after the update."""
     gradient_norm: float = np.nan
     """Length of the gradient estimate, without weight decay."""
     halves_cosine: float = np.nan
-    """Cosine between the estimates from the first and the second half of the groups: near 0 is noise, near 1 signal."""
+    """Cosine between the estimates from the two halves of the groups: near 0 is noise, near 1 is signal."""
     update_ratio: float = np.nan
-    """Length of the step over that of the parameters before it."""
+    """Length of the step, divided by the length of the parameters before it."""
 
 
 def draw_noise_index(
-    seed: int, generation: int, num_groups: int, dims: tuple[int, ...], table_size: int, first_level: int = 0
+    seed: int, generation: int, num_groups: int, dims: Sequence[int], table_size: int, first_level: int = 0
 ) -> IntArray:
-    """Return the start [L, G] of each group's slice of the noise table, one row per level of `dims` parameters.
+    """Return the start [L, G] of each group's slice of the noise table, for levels of `dims` parameters.
 
-    `first_level` is the number of the first of these levels: each level has a stream of its own.
+    Each level has its own random stream. `first_level` is the index of the first of these levels.
     """
     rows = [
         stream(seed, Purpose.NOISE_INDEX, generation, level).integers(0, table_size - dim + 1, num_groups)
@@ -157,7 +164,7 @@ def draw_noise_index(
 
 
 def perturb(theta: F32Array, noise: F32Array, scale: float, out: F32Array) -> None:
-    """Write `theta + scale * noise` [D] into `out` [D]; `scale` is the member's sign times sigma."""
+    """Write `theta + scale * noise` [D] into `out` [D]. `scale` is the member's sign times sigma."""
     if scale == 0:
         out[:] = theta
         return
@@ -166,11 +173,11 @@ def perturb(theta: F32Array, noise: F32Array, scale: float, out: F32Array) -> No
 
 
 def select_fitness(fitness: F64Array, signs: NDArray[np.int8]) -> F64Array:
-    """Return the fitness [n'] of the members that perturb a level, given all [n] and the level's signs [G, M]."""
+    """Return the fitness [n'] of the members that perturb a level, given all fitness [n] and the signs [G, M]."""
     return fitness.reshape(signs.shape)[signs.any(axis=1)].ravel()
 
 
-def update_level(  # noqa: PLR0917 - a formula's terms
+def update_level(  # noqa: PLR0917 - the terms of a formula
     level: LevelState,
     shaped: F64Array,
     signs: NDArray[np.int8],
@@ -184,18 +191,18 @@ def update_level(  # noqa: PLR0917 - a formula's terms
 
     The gradient estimate is `(1 / n') * sum(weight * noise) - weight_decay * theta`, unless `rule` decouples the decay.
 
-    Deviation: no factor 1/sigma (the paper's Algorithm 1 has it, its code does not): Adam's step does not depend on the
-    scale of the gradient, only the weight decay beside it does.
+    Deviation: the factor 1/sigma of the paper's Algorithm 1 is omitted, as in the authors' code. It would only change
+    the relative strength of the weight decay, because Adam is invariant to the scale of the gradient.
 
     Args:
-        level: The level before.
-        shaped: Shaped fitness [n'], group after group, of the groups in which `signs` are not 0.
-        signs: Signs [G, M] that the members of each group give to this level's noise.
+        level: The level before the update.
+        shaped: Shaped fitness [n'], group after group, of the groups with nonzero `signs`.
+        signs: Signs [G, M] of each group's members at this level.
         noise_index: Start of each group's slice of the table [G].
         table: The noise table.
         rule: Weight decay and optimizer.
-        learning_rate: The optimizer's rate (alpha).
-        pool: Threads for the weighted sum; its result does not depend on them.
+        learning_rate: Learning rate (alpha).
+        pool: Threads for the weighted sum. They do not change its result.
     """
     active = signs.any(axis=1)
     if not active.any():
@@ -224,17 +231,17 @@ def update_level(  # noqa: PLR0917 - a formula's terms
 
 
 def _length(vector: F32Array) -> float:
-    """Return the Euclidean length of `vector` [D], without BLAS: the same bits for any number of threads."""
+    """Return the Euclidean length of `vector` [D], without BLAS: bit-identical for any number of threads."""
     wide = vector.astype(np.float64)
     return float(np.sqrt((wide * wide).sum()))
 
 
 def _cosine(a: F32Array, b: F32Array) -> float:
-    """Return the cosine between `a` and `b` [D]; NaN where one is zero."""
+    """Return the cosine between `a` and `b` [D], or NaN if one of them is zero."""
     product = float((a.astype(np.float64) * b).sum())
     return _ratio(product, _length(a) * _length(b))
 
 
 def _ratio(part: float, whole: float) -> float:
-    """Return `part / whole`; NaN where `whole` is 0."""
+    """Return `part / whole`, or NaN if `whole` is 0."""
     return part / whole if whole else np.nan

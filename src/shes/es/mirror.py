@@ -1,7 +1,7 @@
-"""Mirrored sampling: which signs the members of a group give to the group's noise vectors.
+"""Mirrored sampling: the signs that the members of a group give to the group's noise vectors.
 
-Source: SHES paper II-F. A group draws one noise vector per level; its members differ only in signs, so one matrix says
-everything, to the rollout (which perturbation) and to the update (which sign a rank gets).
+Source: SHES paper II-F. A group draws one noise vector per level, and its members differ only in their signs. The same
+sign matrix determines the perturbations in the rollout and the signs of the ranks in the update.
 """
 
 from __future__ import annotations
@@ -16,25 +16,23 @@ from shes.errors import ConfigError, UnknownNameError
 __all__ = ["MIRRORINGS", "check_population", "sign_matrix"]
 
 MIRRORINGS = ("quad", "pair", "none")
-"""`quad`: every combination of signs; `pair`: all plus, all minus; `none`: no mirroring."""
+"""`quad`: every combination of signs; `pair`: all plus and all minus; `none`: no mirroring."""
 
 
 def sign_matrix(mirrored: str, num_levels: int) -> NDArray[np.int8]:
     """Return the signs [M, L], each +1 or -1, of the members of one mirrored group.
 
-    With two levels `quad` is (+,+), (+,-), (-,+), (-,-). With one level `quad` and `pair` are both +, -: S-ES.
+    With two levels `quad` is (+,+), (+,-), (-,+), (-,-). With one level `quad` and `pair` are both +, -, as in S-ES.
 
     Raises:
         UnknownNameError: `mirrored` is not one of `MIRRORINGS`.
     """
+    if mirrored not in MIRRORINGS:
+        raise UnknownNameError("mirroring", mirrored, MIRRORINGS, "Set --mirrored.")
     if mirrored == "quad":
         rows = list(product((1, -1), repeat=num_levels))
-    elif mirrored == "pair":
-        rows = [(1,) * num_levels, (-1,) * num_levels]
-    elif mirrored == "none":
-        rows = [(1,) * num_levels]
     else:
-        raise UnknownNameError("mirroring", mirrored, MIRRORINGS, "Set --mirrored.")
+        rows = [(sign,) * num_levels for sign in ((1, -1) if mirrored == "pair" else (1,))]
     return np.array(rows, dtype=np.int8)
 
 
@@ -42,7 +40,7 @@ def check_population(population_size: int, mirrored: str, num_levels: int) -> in
     """Return the number of mirrored groups G in a population of `population_size` members.
 
     Raises:
-        ConfigError: The population is not a positive multiple of the group's size.
+        ConfigError: The population is not a positive multiple of the group size.
     """
     members = len(sign_matrix(mirrored, num_levels))
     if population_size <= 0 or population_size % members:

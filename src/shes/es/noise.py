@@ -1,7 +1,7 @@
-"""The noise table: one file of standard normals, memory-mapped and shared by every process of a machine.
+"""The noise table: a file of standard normals, memory-mapped and shared by all processes of a machine.
 
-A perturbation travels as one integer, the start of a slice; its vector never leaves the machine (Salimans et al. 2017,
-section 2.1; SHES paper II-A). The file is built once from its seed, atomically, and cached between runs.
+A perturbation is sent as one integer, the start of a slice of the table (Salimans et al. 2017, section 2.1; SHES paper
+II-A). The file is generated once from its seed, written atomically, and cached between runs.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from shes.types import F32Array
 __all__ = ["NOISE_SEED", "NoiseTable", "default_cache_dir"]
 
 NOISE_SEED = 123
-"""Seed of the table (algorithm specification section 4; the authors' code)."""
-_FORMAT = 1  # raise when the way the numbers are drawn changes: another file, never a silent change of results
-_BLOCK = 1 << 20  # normals drawn at a time; each block has its own stream, so any block can be checked alone
+"""Seed of the table, as in the authors' code."""
+_FORMAT = 1  # part of the file name; increase it if the numbers ever change
+_BLOCK = 1 << 20  # normals drawn at a time; each block has its own random stream
 _CHECKED = 4096  # normals compared when a cached file is opened
 
 
@@ -42,13 +42,13 @@ def _block(seed: int, number: int, length: int) -> F32Array:
 
 
 class NoiseTable:
-    """Read-only view of `size` float32 standard normals in a memory-mapped file."""
+    """Read-only float32 standard normals in a memory-mapped file."""
 
-    def __init__(self, values: F32Array, path: Path | None = None) -> None:
-        """Wrap `values` [size]; use `NoiseTable.open` for the shared file."""
+    def __init__(self, values: F32Array, path: Path | None = None, xp: ModuleType = np) -> None:
+        """Wrap `values` [size], an array of `xp`. `NoiseTable.open` opens the shared file."""
         self.values = values
         self.path = path
-        self.xp: ModuleType = np
+        self.xp = xp
         """Array module of the values."""
 
     @property
@@ -57,23 +57,21 @@ class NoiseTable:
         return int(self.values.shape[0])
 
     def on(self, xp: ModuleType) -> NoiseTable:
-        """Return this table with its values in an array of `xp`: itself for NumPy, else the one copy on the device."""
+        """Return this table as an array of `xp`: itself for NumPy, else the only copy on the device."""
         if xp is np:
             return self
         place = (xp.__name__, self.path or id(self))
         copy = _COPIES.get(place)
         if copy is None:
-            copy = NoiseTable(xp.asarray(self.values), self.path)
-            copy.xp = xp
-            _COPIES[place] = copy
+            copy = _COPIES[place] = NoiseTable(xp.asarray(self.values), self.path, xp)
         return copy
 
     def slice(self, index: int, dim: int) -> F32Array:
-        """Return the noise vector [dim] that starts at `index`: a view, not a copy."""
+        """Return the noise vector [dim] that starts at `index`, as a view."""
         return self.values[index : index + dim]
 
     def check_dim(self, dim: int) -> None:
-        """Refuse a table too short for vectors of `dim` parameters.
+        """Check that the table is long enough for vectors of `dim` parameters.
 
         Raises:
             ConfigError: The table holds fewer than `2 * dim` normals.
@@ -86,9 +84,7 @@ class NoiseTable:
 
     @classmethod
     def open(cls, size: int, seed: int = NOISE_SEED, directory: Path | None = None) -> NoiseTable:
-        """Open the cached table of `size` normals from `seed`, building its file first where it is missing.
-
-        The file is written beside its place and renamed into it, so no process ever sees half a table.
+        """Open the cached table of `size` normals from `seed`. If its file is missing or damaged, generate it first.
 
         Raises:
             ConfigError: `size` is not positive.
@@ -116,7 +112,7 @@ class NoiseTable:
 
     @staticmethod
     def _is_intact(path: Path, size: int, seed: int) -> bool:
-        """Tell whether `path` has the right length, beginning and end."""
+        """Return whether the file has the right length, beginning and end."""
         try:
             if path.stat().st_size != 4 * size:
                 return False
@@ -130,7 +126,7 @@ class NoiseTable:
 
     @staticmethod
     def _build(path: Path, size: int, seed: int) -> None:
-        """Write the table beside `path`, then rename it into place."""
+        """Generate the table and move it into place, so that no process ever sees an unfinished file."""
 
         def write(file: IO[bytes]) -> None:
             for number in range(-(-size // _BLOCK)):
@@ -148,4 +144,4 @@ class NoiseTable:
 
 
 _COPIES: WeakValueDictionary[tuple[str, Path | int], NoiseTable] = WeakValueDictionary()
-"""Tables on devices, by module and file: a gigabyte that rollout and update share."""
+"""Tables on devices, by module and file. A table may have a gigabyte, so rollout and update share the copy."""

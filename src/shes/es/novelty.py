@@ -1,13 +1,10 @@
-"""Novelty search for one level: a member is also worth how far it ends from where the policy ended before.
+"""Novelty search for one level: members are also rewarded for ending far from earlier final positions.
 
-The archive holds where the mean policy ended, generation after generation. Novelty is the distance to the nearest of
-these places, and a rule says how much it weighs against the return.
+The archive holds the final positions of the mean policies of all generations. The novelty of a member is the distance
+to the nearest of them, and a weight rule combines it with the return. Positions are in metres.
 
 Source: Conti et al. 2018, section 3 (NS-ES, NSR-ES, NSRA-ES); the SHES authors' ScalableES.jl, `src/novelty`.
-
-Deviation: one policy, where Conti et al. keep several and choose among them by their novelty.
-
-Positions are in metres.
+Deviation: a single mean policy. Conti et al. keep several and choose among them by their novelty.
 """
 
 from __future__ import annotations
@@ -33,48 +30,45 @@ __all__ = [
     "behaviour_distance",
     "blend",
     "extend",
-    "make_novelty_rule",
     "novelty",
 ]
 
-_DISTANCES = 1 << 20  # distances in memory at a time: with temporaries 40 MB; one row of the archive's length at least
+_DISTANCES = 1 << 20  # distances in memory at a time, at least one row of the archive's length: 40 MB with temporaries
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoveltyState:
-    """What novelty search carries from one generation to the next."""
+    """State of the novelty search between generations."""
 
     archive: F64Array
     """Final positions [archive, 2] of the mean policies so far."""
     weight: float
-    """Share of the return in the fitness; `1 - weight` is novelty's."""
+    """Weight of the return in the fitness. Novelty has the weight `1 - weight`."""
     best_return: float
-    """Highest return so far, as the rule measures it; `-inf` at the start."""
+    """Highest return so far, as the weight rule measures it; `-inf` at the start."""
     stalled: int
     """Generations since `best_return`, or since the weight was last lowered."""
 
 
 def behaviour_distance(positions: F64Array, archive: F64Array) -> F64Array:
-    """Return how far each of `positions` [positions, 2] is from each of `archive` [archive, 2], as a matrix."""
+    """Return the distances between `positions` [positions, 2] and `archive` [archive, 2] as a matrix."""
     east, north = positions[:, :1] - archive[:, 0], positions[:, 1:] - archive[:, 1]
     return np.sqrt(east * east + north * north)
 
 
 def novelty(behaviours: F64Array, archive: F64Array, neighbours: int) -> F64Array:
-    """Return the novelty [n] of members: the mean distance of their ends to the nearest places of the archive.
+    """Return the novelty [n] of members: the mean distance of their final positions to the nearest in the archive.
 
-    Every episode counts by itself; a member's novelty is the mean over its episodes. The bits do not depend on the
-    order of the archive, nor on how the work is cut up.
+    The novelty of a member is the mean over its episodes. The result is bit-identical for any order of the archive.
 
     Source: Conti et al. 2018, section 3.1: `N(theta, A) = 1 / k * sum |b - b_j|` over the k nearest.
-
-    Deviation: both codes first average a policy's episodes into one behaviour, which may lie where no episode went;
-    and the authors' behaviour is the path, a position every 20 steps, here it is its end (Conti et al.: Humanoid).
+    Deviation: each episode is measured by itself. Conti et al. and the SHES authors first average the behaviour over a
+    policy's episodes, and the latter's behaviour is the path, sampled every 20 steps, instead of the final position.
 
     Args:
         behaviours: Final positions [n, E, 2] of the members' episodes.
-        archive: Positions [archive, 2]; empty, and nothing is novel: zeros.
-        neighbours: Nearest places that count (k); all of them where the archive has fewer.
+        archive: Positions [archive, 2]. The novelty is zero if the archive is empty.
+        neighbours: Number of nearest neighbours (k). All positions count if the archive has fewer.
 
     Raises:
         ConfigError: `neighbours` is not positive.
@@ -104,7 +98,7 @@ def _nearest(positions: F64Array, archive: F64Array, neighbours: int) -> F64Arra
 
 
 def _mean_of_columns(values: F64Array) -> F64Array:
-    """Return the mean [rows] of the columns of `values` [rows, columns], added in order for the same bits."""
+    """Return the mean [rows] over the columns of `values` [rows, columns], which are summed in order."""
     total = np.zeros(len(values))
     for column in values.T:
         total += column
@@ -117,21 +111,21 @@ def extend(state: NoveltyState, final_positions: F64Array) -> NoveltyState:
 
 
 def blend(shaped_return: F64Array, shaped_novelty: F64Array, weight: float) -> F64Array:
-    """Return the fitness [n]: `weight` of the shaped return [n] and `1 - weight` of the shaped novelty [n].
+    """Return `weight * shaped_return + (1 - weight) * shaped_novelty` [n].
 
-    Source: Conti et al. 2018, section 3.2 (NSRA-ES); with weight 0 NS-ES, with 0.5 NSR-ES.
+    Source: Conti et al. 2018, section 3.2 (NSRA-ES). It is NS-ES with weight 0 and NSR-ES with weight 0.5.
     """
     return weight * shaped_return + (1 - weight) * shaped_novelty
 
 
 class WeightRule(ABC):
-    """How much the return weighs against novelty, from generation to generation."""
+    """Determines the weight of the return in each generation."""
 
     start_weight: ClassVar[float]
     """Weight of the return in the first generation."""
 
     def start(self) -> NoveltyState:
-        """Return the state before the first generation: an empty archive."""
+        """Return the state before the first generation, with an empty archive."""
         return NoveltyState(archive=np.zeros((0, 2)), weight=self.start_weight, best_return=-np.inf, stalled=0)
 
     @abstractmethod
@@ -151,38 +145,36 @@ class NS(WeightRule):
     start_weight: ClassVar[float] = 0.0
 
     def next(self, state: NoveltyState, mean_return: float, population_return: float) -> tuple[float, float, int]:
-        """Return the same weight; `best_return` and `stalled` are there to be looked at."""
-        del population_return
+        """Return the same weight. `best_return` and `stalled` are only recorded."""
         is_best = mean_return > state.best_return
         return self.start_weight, max(mean_return, state.best_return), 0 if is_best else state.stalled + 1
 
 
 class NSR(NS):
-    """Novelty and return by halves. Source: Conti et al. 2018, section 3.2 (NSR-ES)."""
+    """Novelty and return with equal weights. Source: Conti et al. 2018, section 3.2 (NSR-ES)."""
 
     start_weight: ClassVar[float] = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class NSRA(WeightRule):
-    """The return alone until it stalls; then, step by step, novelty, until the return grows again.
+    """Adaptive weight: starts with the return alone, and shifts towards novelty while the return stalls.
 
-    A new best return of the mean policy raises the weight by `delta`; `patience` generations without one lower it.
+    A new best return of the mean policy raises the weight by `delta`. `patience` generations without one lower it.
 
     Source: Conti et al. 2018, section 3.2 (NSRA-ES) and its algorithm in the supplement; the values are those of
-    estorch, which implements the paper.
+    estorch, an implementation of that paper.
     """
 
     start_weight: ClassVar[float] = 1.0
 
     delta: float = 0.05
-    """Change of the weight at a time."""
+    """Change of the weight."""
     patience: int = 50
-    """Generations without a new best after which the weight falls (t_w)."""
+    """Generations without a new best after which the weight is lowered (t_w)."""
 
     def next(self, state: NoveltyState, mean_return: float, population_return: float) -> tuple[float, float, int]:
         """Return the next `(weight, best_return, stalled)` by the mean policy's return."""
-        del population_return
         if mean_return > state.best_return:
             return min(state.weight + self.delta, 1.0), mean_return, 0
         stalled = state.stalled + 1
@@ -193,31 +185,29 @@ class NSRA(WeightRule):
 
 @dataclass(frozen=True, kw_only=True)
 class AuthorsNSRA(WeightRule):
-    """The SHES authors' rule: a new best mean return of the population sets the weight to 1 at once.
+    """The SHES authors' rule: a new best mean return of the population resets the weight to 1.
 
-    The more novelty weighs, the longer a stall is borne: more than `patience + (1 - weight) * extra` generations.
+    The weight is lowered after more than `patience + (1 - weight) * extra` generations without a new best.
 
-    Deviation: the weight already counts in the generation that earned it (their code: from the next one on), as that of
-    the other rules does, which the mean policy's own episodes decide.
-
-    Source: ScalableES.jl, `src/novelty/Novelty.jl`, `weight_schedule`, in its order; its runs have a `min_weight` of
-    0.8 (`ScalableNsEs.jl`).
+    Source: ScalableES.jl, `src/novelty/Novelty.jl`, `weight_schedule`. Its runs have a `min_weight` of 0.8
+    (`ScalableNsEs.jl`).
+    Deviation: the new weight already applies to the generation that caused the change, as with the other rules. In the
+    authors' code it applies from the next one on.
     """
 
     start_weight: ClassVar[float] = 1.0
 
     delta: float = 0.05
-    """Fall of the weight at a time."""
+    """Decrease of the weight."""
     patience: int = 10
-    """Generations without a new best that are borne when only the return counts."""
+    """Generations without a new best before a decrease, at weight 1."""
     extra: int = 20
-    """Generations borne beyond that when only novelty counts."""
+    """Additional generations before a decrease, at weight 0."""
     min_weight: float = 0.0
-    """Lowest weight."""
+    """Minimum weight."""
 
     def next(self, state: NoveltyState, mean_return: float, population_return: float) -> tuple[float, float, int]:
         """Return the next `(weight, best_return, stalled)` by the population's mean return."""
-        del mean_return
         weight, best_return, stalled = state.weight, state.best_return, state.stalled + 1
         if population_return > best_return:
             weight, best_return, stalled = 1.0, population_return, 0
@@ -228,21 +218,8 @@ class AuthorsNSRA(WeightRule):
 
 NOVELTY_RULES: Registry[type[WeightRule]] = Registry(
     "novelty rule",
-    {
-        "ns": NS,
-        "nsr": NSR,
-        "nsra": NSRA,
-        "nsra_reset": AuthorsNSRA,
-    },
+    {"ns": NS, "nsr": NSR, "nsra": NSRA, "nsra_reset": AuthorsNSRA},
     fix="Set --novelty.",
     check=subclass_of(WeightRule),
 )
-
-
-def make_novelty_rule(name: str) -> WeightRule:
-    """Return the weight rule of this name.
-
-    Raises:
-        UnknownNameError: `name` is not in `NOVELTY_RULES`.
-    """
-    return NOVELTY_RULES.find(name)()
+"""Weight rules by name: the choices of `--novelty`, besides `none`."""

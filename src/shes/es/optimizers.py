@@ -1,38 +1,40 @@
-"""Optimizers: how a gradient estimate moves the parameters. Their state is data, their step a pure function.
+"""Optimizers: how a gradient estimate becomes a step. The state is data, and the step is a pure function.
 
-All of them ascend: the gradient estimate [D] points uphill, and a step [D] is added to the parameters.
+Optimizers ascend: the gradient estimate [D] points uphill, and the step [D] is added to the parameters. To add one,
+write a class and a line in `OPTIMIZERS`. A class that is also a `Settings` dataclass has its fields as flags of
+`shes train`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Annotated, ClassVar
 
 import numpy as np
 
-from shes.errors import ConfigError
 from shes.registry import Registry, subclass_of
+from shes.settings import Ge, Gt, Lt, Settings, Unasked
 from shes.types import F32Array, F64Array
 
-__all__ = ["OPTIMIZERS", "SGD", "Adam", "ClipUp", "Optimizer", "OptimizerState", "make_optimizer"]
+__all__ = ["OPTIMIZERS", "SGD", "Adam", "ClipUp", "Optimizer", "OptimizerState"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class OptimizerState:
-    """What an optimizer carries from one update to the next."""
+    """State of an optimizer between updates."""
 
     steps: int
-    """Updates made so far."""
+    """Number of updates so far."""
     slots: dict[str, F32Array]
-    """The optimizer's running vectors [D] by name: one for each of its `slots`. Never changed in place."""
+    """Running vectors [D] by name, one for each of the optimizer's `slots`. Never changed in place."""
 
 
 class Optimizer(ABC):
-    """From a gradient estimate to a step."""
+    """Turns a gradient estimate into a step."""
 
     slots: ClassVar[tuple[str, ...]]
-    """Names of the running vectors in its state."""
+    """Names of the running vectors in the state."""
 
     def start(self, dim: int) -> OptimizerState:
         """Return the state before the first update of `dim` parameters."""
@@ -40,24 +42,18 @@ class Optimizer(ABC):
 
     @abstractmethod
     def step(self, gradient: F32Array, state: OptimizerState, learning_rate: float) -> tuple[F32Array, OptimizerState]:
-        """Return the step [D] to add to the parameters, and the next state; the arguments stay as they are.
+        """Return the step [D] to add to the parameters, and the next state. The arguments are not changed.
 
         Args:
             gradient: Gradient estimate [D], uphill.
-            state: State after the update before.
+            state: State after the previous update.
             learning_rate: Scale of the step.
         """
-
-    @classmethod
-    def of(cls, *, momentum: float) -> Self:
-        """Return this optimizer with those of the options that concern it."""
-        del momentum
-        return cls()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Adam(Optimizer):
-    """Adam. Source: Kingma and Ba 2014, end of section 2 (bias correction folded into the rate)."""
+    """Adaptive moment estimation. Source: Kingma and Ba 2014, end of section 2 (bias correction in the rate)."""
 
     slots: ClassVar[tuple[str, ...]] = ("first", "second")
     """Running means of the gradient and of the squared gradient."""
@@ -77,8 +73,10 @@ class Adam(Optimizer):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SGD(Optimizer):
-    """Heavy ball, `v = m v + (1 - m) g`, step `rate * v`: as large as a step without momentum, but smoother.
+class SGD(Optimizer, Settings):
+    """Gradient ascent with momentum.
+
+    The velocity is `v = m v + (1 - m) g` and the step `rate * v`.
 
     Source: Polyak 1964, in the form of Salimans et al.'s code (evolution-strategies-starter, `optimizers.py`).
     """
@@ -86,12 +84,8 @@ class SGD(Optimizer):
     slots: ClassVar[tuple[str, ...]] = ("velocity",)
     """Running mean of the gradient."""
 
-    momentum: float = 0.9
-    """Share of the velocity that is kept (m), in [0, 1)."""
-
-    def __post_init__(self) -> None:
-        """Refuse a momentum outside [0, 1) (ConfigError)."""
-        _check_momentum(self.momentum)
+    momentum: Annotated[float, Ge(0), Lt(1)] = 0.9
+    """Momentum (m): share of the velocity that is kept."""
 
     def step(self, gradient: F32Array, state: OptimizerState, learning_rate: float) -> tuple[F32Array, OptimizerState]:
         """Return the step [D] and the next state."""
@@ -99,42 +93,25 @@ class SGD(Optimizer):
         step = np.float32(learning_rate) * velocity
         return step.astype(np.float32, copy=False), _state(state.steps + 1, velocity=velocity)
 
-    @classmethod
-    def of(cls, *, momentum: float) -> Self:
-        """Return SGD with `momentum`."""
-        return cls(momentum=momentum)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ClipUp(Optimizer):
-    """Momentum on the gradient's direction, with a speed limit: `v = m v + rate g / |g|`, `|v|` clipped, step `v`.
+class ClipUp(Optimizer, Settings):
+    """Normalised gradient with momentum and a maximum speed.
 
-    The learning rate is a distance in the parameter space; how long the gradient is does not matter. A gradient of
-    zero has no direction: only `m v` is left of the velocity.
+    The velocity is `v = m v + rate g / |g|`, clipped to the maximum speed, and the step `v`. The learning rate is a
+    distance in parameter space, and the length of the gradient has no effect. A zero gradient adds nothing to the
+    velocity. Norms are computed without BLAS, bit-identical for any number of threads.
 
-    Norms are summed in float64, elementwise and without BLAS: their bits do not depend on threads.
-
-    Source: Toklu, Liskowski and Srivastava 2020 (ClipUp), the algorithm and its rule of thumb for the maximum speed:
-    twice the step size.
+    Source: Toklu, Liskowski and Srivastava 2020 (ClipUp): the algorithm, and the rule of thumb for the maximum speed.
     """
 
     slots: ClassVar[tuple[str, ...]] = ("velocity",)
-    """The last step."""
+    """The previous step."""
 
-    momentum: float = 0.9
-    """Share of the velocity that is kept (m), in [0, 1)."""
-    max_speed_ratio: float = 2.0
-    """Longest step, in learning rates."""
-
-    def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            ConfigError: `momentum` is outside [0, 1), or `max_speed_ratio` not positive.
-        """
-        _check_momentum(self.momentum)
-        if not 0 < self.max_speed_ratio < float("inf"):
-            raise ConfigError(f"max_speed_ratio must be a positive number, got {self.max_speed_ratio}; 2 is usual.")
+    momentum: Annotated[float, Ge(0), Lt(1)] = 0.9
+    """Momentum (m): share of the velocity that is kept."""
+    max_speed_ratio: Annotated[float, Gt(0), Unasked()] = 2.0
+    """Maximum length of a step, in learning rates."""
 
     def step(self, gradient: F32Array, state: OptimizerState, learning_rate: float) -> tuple[F32Array, OptimizerState]:
         """Return the step [D] and the next state."""
@@ -147,42 +124,19 @@ class ClipUp(Optimizer):
         if speed > max_speed:
             velocity *= max_speed / speed
         step = velocity.astype(np.float32)
-        return step, _state(state.steps + 1, velocity=step.copy())  # who changes the step changes no state
-
-    @classmethod
-    def of(cls, *, momentum: float) -> Self:
-        """Return ClipUp with `momentum`."""
-        return cls(momentum=momentum)
+        return step, _state(state.steps + 1, velocity=step.copy())  # a caller may change the step in place
 
 
 OPTIMIZERS: Registry[type[Optimizer]] = Registry(
     "optimizer",
-    {
-        "adam": Adam,
-        "sgd": SGD,
-        "clipup": ClipUp,
-    },
+    {"adam": Adam, "sgd": SGD, "clipup": ClipUp},
     fix="Set --optimizer.",
     check=subclass_of(Optimizer),
 )
-
-
-def make_optimizer(name: str, *, momentum: float = 0.9) -> Optimizer:
-    """Return the optimizer of this name.
-
-    Args:
-        name: One of `OPTIMIZERS`.
-        momentum: Share of the velocity that `sgd` and `clipup` keep, in [0, 1); `adam` has its own.
-
-    Raises:
-        UnknownNameError: `name` is not in `OPTIMIZERS`.
-        ConfigError: `momentum` is outside [0, 1).
-    """
-    return OPTIMIZERS.find(name).of(momentum=momentum)
+"""Optimizers by name: the choices of `--optimizer`."""
 
 
 def _state(steps: int, **slots: F32Array) -> OptimizerState:
-    """Return the state of these `slots` [D]."""
     return OptimizerState(steps=steps, slots=slots)
 
 
@@ -195,9 +149,3 @@ def _mix(old: F32Array, new: F32Array, share: float) -> F32Array:
 def _norm(vector: F64Array) -> float:
     """Return the Euclidean norm of `vector` [D]."""
     return float(np.sqrt(np.sum(np.square(vector))))
-
-
-def _check_momentum(momentum: float) -> None:
-    """Refuse a momentum outside [0, 1)."""
-    if not 0 <= momentum < 1:
-        raise ConfigError(f"momentum must be at least 0 and below 1, got {momentum}. Set --momentum.")

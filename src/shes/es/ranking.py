@@ -1,6 +1,6 @@
-"""Centred ranks: the shaping of fitness that the paper uses; `shaping` has the others.
+"""Centred ranks, the paper's fitness shaping. Other shapings are in `shaping`.
 
-Source: Salimans et al. 2017 (centred ranks); SHES paper II-A ("ranked and shaped as in S-ES").
+Source: Salimans et al. 2017, section 2.1; SHES paper II-A ("ranked and shaped as in S-ES").
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from shes.types import F64Array
 __all__ = ["TIES", "centred_ranks", "check_finite"]
 
 TIES = ("average", "index")
-"""How equal fitnesses are ranked: by their average rank, or by their place in the population."""
+"""How equal fitness is ranked: by the average rank, or by position in the population."""
 
 
 def check_finite(fitness: F64Array) -> None:
-    """Refuse a fitness [n] that is not a number or infinite.
+    """Check that every fitness [n] is finite.
 
     Raises:
-        PolicyError: A fitness is not finite; the message names the first such member.
+        PolicyError: A fitness is NaN or infinite. The message names the first such member.
     """
     if not np.isfinite(fitness).all():
         member = int(np.flatnonzero(~np.isfinite(fitness))[0])
         raise PolicyError(
-            f"the fitness of member {member} is {fitness[member]}; every fitness must be finite. "
-            "Look at the reward that it comes from."
+            f"the fitness of member {member} is {fitness[member]}, but every fitness must be finite. "
+            "Check the reward that it comes from."
         )
 
 
 def centred_ranks(fitness: F64Array, ties: str = "average") -> F64Array:
-    """Return ranks [n] of `fitness` [n] scaled to [-0.5, 0.5]; they sum to zero.
+    """Return the ranks [n] of `fitness` [n] scaled to [-0.5, 0.5]. They sum to zero.
 
-    Deviation: equal fitnesses share their average rank by default, so that no level drifts by storage order (the
-    authors' code, like `ties="index"`, breaks ties by place). On a sparse reward most fitnesses are equal.
+    Deviation: equal fitness values share their average rank by default, so that the order of storage causes no drift
+    when most fitness values are equal, as with sparse rewards. The authors' code breaks ties by index.
 
     Raises:
         PolicyError: A fitness is not finite.
@@ -42,7 +42,7 @@ def centred_ranks(fitness: F64Array, ties: str = "average") -> F64Array:
     """
     check_finite(fitness)
     if ties not in TIES:
-        raise UnknownNameError("way to rank ties", ties, TIES, "Set --rank-ties.")
+        raise UnknownNameError("rank ties", ties, TIES, "Set --rank-ties.")
     count = len(fitness)
     if count == 1:
         return np.zeros(1)

@@ -1,6 +1,6 @@
-"""Schedules: a number that changes from generation to generation, from `start` to `end`, and stays there.
+"""Schedules: quantities that change over the generations, from `start` to `end`, and then stay constant.
 
-A generation is the number of updates made so far: 0 for the first.
+A generation is the number of updates so far: 0 for the first.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ __all__ = ["SCHEDULES", "Constant", "Cosine", "Exponential", "Linear", "Schedule
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule(ABC):
-    """What a quantity is worth in each generation."""
+    """Value of a quantity in each generation."""
 
     quantity: str
-    """What changes, for messages: `learning_rate`, `sigma` or `episodes`."""
+    """Name of the quantity in messages: `learning_rate`, `sigma` or `episodes`."""
     start: float
     """Value in generation 0."""
     end: float
-    """Value from `generations` on."""
+    """Value from generation `generations` on."""
     generations: int
-    """Generations from `start` to `end`."""
+    """Number of generations from `start` to `end`."""
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -52,10 +52,10 @@ class Schedule(ABC):
 
     @abstractmethod
     def between(self, progress: float) -> float:
-        """Return the value after the share `progress` of the way, inside (0, 1)."""
+        """Return the value at the fraction `progress` of the schedule, inside (0, 1)."""
 
     def _check_number(self, place: str, number: float, *, zero: bool) -> None:
-        """Refuse a `number` at `place` that is negative or not finite, or zero where `zero` is not allowed."""
+        """Raise ConfigError if `number` is negative or not finite, or if it is zero and `zero` is false."""
         if not math.isfinite(number) or number < 0 or (number == 0 and not zero):
             allowed = "zero or positive" if zero else "positive"
             fix = f"Set --{self.quantity.replace('_', '-')}-schedule to another one, or change its {place}."
@@ -67,29 +67,27 @@ class Schedule(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Constant(Schedule):
-    """Always `start`; `end` and `generations` do not count."""
+    """Always `start`. `end` and `generations` have no effect."""
 
     end: float = 0.0
     generations: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse a `start` that is not positive (ConfigError)."""
+        """Check `start`."""
         self._check_number("start", self.start, zero=False)
 
     def value(self, generation: int) -> float:
         """Return `start`."""
-        del generation
         return self.start
 
     def between(self, progress: float) -> float:
         """Return `start`."""
-        del progress
         return self.start
 
 
 @dataclass(frozen=True, kw_only=True)
 class Linear(Schedule):
-    """The same difference every generation. Source: Mnih et al. 2015, Methods (annealed exploration)."""
+    """Constant difference per generation. Source: Mnih et al. 2015, Methods (annealed exploration)."""
 
     def between(self, progress: float) -> float:
         """Return the value on the straight line."""
@@ -98,14 +96,10 @@ class Linear(Schedule):
 
 @dataclass(frozen=True, kw_only=True)
 class Exponential(Schedule):
-    """The same factor every generation: geometric. Source: Ha 2017 (estool), `sigma_decay`, `learning_rate_decay`."""
+    """Constant factor per generation. Source: Ha 2017 (estool), `sigma_decay`, `learning_rate_decay`."""
 
     def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            ConfigError: As every schedule, or `end` is zero, which no factor reaches.
-        """
+        """Check every value. The end must not be zero."""
         super().__post_init__()
         self._check_number("end", self.end, zero=False)
 
@@ -116,7 +110,7 @@ class Exponential(Schedule):
 
 @dataclass(frozen=True, kw_only=True)
 class Cosine(Schedule):
-    """Half a cosine: slow at both ends. Source: Loshchilov and Hutter 2017 (SGDR), equation 5, without restarts."""
+    """Half a cosine wave, slow at both ends. Source: Loshchilov and Hutter 2017 (SGDR), equation 5, no restarts."""
 
     def between(self, progress: float) -> float:
         """Return the value on the half wave."""
@@ -125,26 +119,15 @@ class Cosine(Schedule):
 
 SCHEDULES: Registry[type[Schedule]] = Registry(
     "schedule",
-    {
-        "constant": Constant,
-        "linear": Linear,
-        "exponential": Exponential,
-        "cosine": Cosine,
-    },
+    {"constant": Constant, "linear": Linear, "exponential": Exponential, "cosine": Cosine},
     fix="Set --learning-rate-schedule.",
     check=subclass_of(Schedule, keywords=("quantity", "start", "end", "generations")),
 )
+"""Schedules by name: the choices of `--learning-rate-schedule`, `--sigma-schedule` and `--episodes-schedule`."""
 
 
 def make_schedule(quantity: str, kind: str, start: float, end: float, generations: int) -> Schedule:
-    """Return the schedule of this kind.
-
-    Args:
-        quantity: What changes; messages name it and its flag, `--QUANTITY-schedule`.
-        kind: One of `SCHEDULES`.
-        start: Value in generation 0.
-        end: Value from `generations` on; `constant` ignores it.
-        generations: Generations from `start` to `end`; `constant` ignores it.
+    """Return the schedule registered as `kind`. For the other arguments see `Schedule`.
 
     Raises:
         UnknownNameError: `kind` is not in `SCHEDULES`.

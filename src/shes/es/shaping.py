@@ -1,6 +1,8 @@
-"""Fitness shaping: what a member's fitness counts in the update. Each way is one small class behind a name.
+"""Fitness shaping: how the fitness of a population becomes the weights of its members in the update.
 
-Whatever the way, the shaped fitness [n] of a population sums to zero: a constant added to every fitness moves nothing.
+The shaped fitness [n] of a population sums to zero, so a constant added to every fitness has no effect. To add a
+shaping, write a class and a line in `FITNESS_SHAPINGS`. A class that is also a `Settings` dataclass has its fields as
+flags of `shes train`.
 """
 
 from __future__ import annotations
@@ -8,28 +10,21 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated
 
 import numpy as np
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.es.ranking import TIES, centred_ranks, check_finite
 from shes.registry import Registry, subclass_of
+from shes.settings import Choices, Gt, Lt, Settings
 from shes.types import F64Array
 
-__all__ = [
-    "FITNESS_SHAPINGS",
-    "CentredRanks",
-    "FitnessShaping",
-    "PairRanks",
-    "TopFraction",
-    "ZScore",
-    "make_fitness_shaping",
-]
+__all__ = ["FITNESS_SHAPINGS", "CentredRanks", "FitnessShaping", "PairRanks", "TopFraction", "ZScore"]
 
 
 class FitnessShaping(ABC):
-    """From the fitness of a population to what each member counts."""
+    """Turns the fitness of a population into the members' weights."""
 
     @abstractmethod
     def __call__(self, fitness: F64Array) -> F64Array:
@@ -39,42 +34,27 @@ class FitnessShaping(ABC):
             PolicyError: A fitness is not finite.
         """
 
-    @classmethod
-    def of(cls, *, ties: str, fraction: float) -> Self:
-        """Return this shaping with those of the options that concern it."""
-        del ties, fraction
-        return cls()
-
 
 @dataclass(frozen=True, kw_only=True)
-class CentredRanks(FitnessShaping):
+class CentredRanks(FitnessShaping, Settings):
     """Ranks from -0.5 (worst) to 0.5 (best). Source: Salimans et al. 2017, section 2.1; SHES paper II-A."""
 
-    ties: str = "average"
-    """How equal fitnesses rank: one of `TIES`."""
-
-    def __post_init__(self) -> None:
-        """Refuse unknown `ties` (UnknownNameError)."""
-        _check_ties(self.ties)
+    rank_ties: Annotated[str, Choices(TIES)] = "average"
+    """How equal fitness values are ranked: by their average rank, or by their index in the population."""
 
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return the centred ranks [n]."""
-        return centred_ranks(fitness, self.ties)
-
-    @classmethod
-    def of(cls, *, ties: str, fraction: float) -> Self:
-        """Return centred ranks with `ties`."""
-        del fraction
-        return cls(ties=ties)
+        return centred_ranks(fitness, self.rank_ties)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ZScore(FitnessShaping):
-    """`(f - mean) / std`: keeps distances between fitnesses, so one outlier may carry the whole update.
+    """Standard scores, `(f - mean) / std`. A single outlier may dominate the update.
 
-    A standard deviation within the rounding of the mean is no difference: then nobody counts.
+    The result is zero if the standard deviation is within the rounding error of the mean.
 
-    Source: Mania, Guy and Recht 2018 (ARS), section 3.1, which divide by the std; the mean is taken off besides.
+    Source: Mania, Guy and Recht 2018 (ARS), section 3.1.
+    Deviation: ARS divides by the standard deviation, but does not subtract the mean.
     """
 
     def __call__(self, fitness: F64Array) -> F64Array:
@@ -85,7 +65,7 @@ class ZScore(FitnessShaping):
             return np.zeros(len(fitness))
         scaled = fitness / largest  # in [-1, 1]: no square overflows
         deviation = scaled - scaled.mean()
-        deviation -= deviation.mean()  # what rounding left of the mean, large beside a small std
+        deviation -= deviation.mean()  # the rounding error of the mean may be large relative to a small std
         std = np.sqrt(np.square(deviation).mean())
         if std <= len(fitness) * np.finfo(np.float64).eps:
             return np.zeros(len(fitness))
@@ -94,20 +74,26 @@ class ZScore(FitnessShaping):
 
 @dataclass(frozen=True, kw_only=True)
 class PairRanks(FitnessShaping):
-    """Ranks of the differences within mirrored pairs: `sign(d) rank(|d|) / G` is what a pair of G counts, in (0, 1].
+    """Signed ranks of the differences within mirrored pairs.
 
-    Members 2 g and 2 g + 1 are a pair. A pair without a difference counts nothing, equal sizes share their average
-    rank. What two members have in common, their start and their goals, does not enter.
+    Members 2 g and 2 g + 1 are a pair with the difference d. A pair of G has the weight `sign(d) rank(|d|) / G`; equal
+    differences share their average rank, and a difference of zero has the weight zero. The effects of the start and the
+    goals, which both members share, cancel.
 
-    Source: learning specification, section 2; Wilcoxon 1945 (signed ranks).
+    Source: Wilcoxon 1945 (signed ranks); `docs/learning.md`.
     """
 
     def __call__(self, fitness: F64Array) -> F64Array:
-        """Return plus and minus half of what its pair counts for each member [n]."""
+        """Return plus and minus half of the pair's weight for the members of each pair [n].
+
+        Raises:
+            ConfigError: The number of members is odd.
+        """
         check_finite(fitness)
         if len(fitness) % 2:
             raise ConfigError(
-                f"pair_rank ranks mirrored pairs, but {len(fitness)} fitnesses are no pairs. Set --mirrored pair."
+                f"pair_rank needs mirrored pairs, but got an odd number of members, {len(fitness)}. "
+                "Set --mirrored pair."
             )
         difference = fitness[0::2] - fitness[1::2]
         size, place = np.unique(np.abs(difference), return_inverse=True)
@@ -119,85 +105,41 @@ class PairRanks(FitnessShaping):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TopFraction(FitnessShaping):
-    """Truncation selection with equal weights: the best `ceil(fraction * n)` count 1, the rest 0, minus the mean.
+class TopFraction(FitnessShaping, Settings):
+    """Truncation selection: 1 for the best `ceil(top_fraction * n)` members, 0 for the rest, minus the mean.
 
-    Source: Rechenberg 1973, Schwefel 1977: the (mu/mu, lambda)-ES; Beyer and Schwefel 2002 (truncation
-    selection, intermediate recombination).
-
-    Deviation: the mean of the weights is subtracted, so that they sum to zero as those of the other shapings do.
+    Source: Beyer and Schwefel 2002, the (mu/mu, lambda)-ES with intermediate recombination.
+    Deviation: the mean weight is subtracted, so that the weights sum to zero as those of the other shapings.
     """
 
-    fraction: float = 0.2
-    """Share of the population that is selected, in (0, 1). Where that is everybody, nobody counts."""
-    ties: str = "average"
-    """Members that tie across the border share the places left equally (`average`), or the later ones in the
-    population get them (`index`, the order that ranks by index have)."""
-
-    def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            ConfigError: `fraction` is not inside (0, 1).
-            UnknownNameError: `ties` is not one of `TIES`.
-        """
-        if not 0 < self.fraction < 1:
-            raise ConfigError(f"top_fraction must be above 0 and below 1, got {self.fraction}. Set --top-fraction.")
-        _check_ties(self.ties)
+    rank_ties: Annotated[str, Choices(TIES)] = "average"
+    """How equal fitness values are ranked: by their average rank, or by their index in the population."""
+    top_fraction: Annotated[float, Gt(0), Lt(1)] = 0.2
+    """Fraction of the population that is selected by top_fraction."""
 
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return the weights [n] of truncation selection, minus their mean."""
         check_finite(fitness)
         size = len(fitness)
         count = self.num_selected(size)
-        if self.ties == "index":
+        if self.rank_ties == "index":
             weights = np.zeros(size)
             weights[np.argsort(fitness, kind="stable")[size - count :]] = 1.0
         else:
-            border = np.partition(fitness, size - count)[size - count]
-            above, tied = fitness > border, fitness == border
+            threshold = np.partition(fitness, size - count)[size - count]
+            above, tied = fitness > threshold, fitness == threshold
             weights = above + tied * ((count - above.sum()) / tied.sum())
         return weights - count / size
 
-    @classmethod
-    def of(cls, *, ties: str, fraction: float) -> Self:
-        """Return truncation selection of `fraction` with `ties`."""
-        return cls(fraction=fraction, ties=ties)
-
     def num_selected(self, size: int) -> int:
         """Return how many of `size` members are selected, at least one."""
-        return max(1, math.ceil(round(self.fraction * size, 9)))  # round: 0.07 * 100 is 7.000000000000001
+        return max(1, math.ceil(round(self.top_fraction * size, 9)))  # round: 0.07 * 100 is 7.000000000000001
 
 
 FITNESS_SHAPINGS: Registry[type[FitnessShaping]] = Registry(
     "fitness shaping",
-    {
-        "centred_rank": CentredRanks,
-        "pair_rank": PairRanks,
-        "z_score": ZScore,
-        "top_fraction": TopFraction,
-    },
+    {"centred_rank": CentredRanks, "pair_rank": PairRanks, "z_score": ZScore, "top_fraction": TopFraction},
     fix="Set --fitness-shaping.",
     check=subclass_of(FitnessShaping),
 )
-
-
-def make_fitness_shaping(name: str, *, ties: str = "average", fraction: float = 0.2) -> FitnessShaping:
-    """Return the fitness shaping of this name.
-
-    Args:
-        name: One of `FITNESS_SHAPINGS`.
-        ties: How equal fitnesses rank, for those that rank.
-        fraction: Share that `top_fraction` selects.
-
-    Raises:
-        UnknownNameError: `name` is not in `FITNESS_SHAPINGS`, or `ties` not in `TIES`.
-        ConfigError: `fraction` is not inside (0, 1).
-    """
-    return FITNESS_SHAPINGS.find(name).of(ties=ties, fraction=fraction)
-
-
-def _check_ties(ties: str) -> None:
-    """Refuse an unknown way to rank ties."""
-    if ties not in TIES:
-        raise UnknownNameError("way to rank ties", ties, TIES, "Set --rank-ties.")
+"""Fitness shapings by name: the choices of `--fitness-shaping`."""

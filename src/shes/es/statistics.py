@@ -1,6 +1,6 @@
-"""Running mean and variance of what a policy observes, for its input normalisation.
+"""Running mean and variance of a policy's observations, for input normalisation.
 
-Source: Salimans et al. 2017 (virtual batch normalisation's stand-in for MuJoCo); algorithm specification section 1.
+Source: Salimans et al. 2017, whose code normalises MuJoCo observations in this way, not by virtual batch normalisation.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from shes.types import F32Array, F64Array
 __all__ = ["CLIP", "MIN_VARIANCE", "ObservationStatistics", "normalise"]
 
 MIN_VARIANCE = 0.01
-"""Floor of the variance: no input is magnified more than tenfold."""
+"""Lower limit of the variance: normalisation magnifies no input more than tenfold."""
 CLIP = 5.0
 """Normalised observations are clipped to this many standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationStatistics:
-    """Moments of the observations of one level: float64 sums, 64-bit count."""
+    """Moments of the observations of one level, as float64 sums."""
 
     count: int
-    """Observations summed so far."""
+    """Number of observations."""
     total: F64Array
     """Sum of the observations [O]."""
     total_squares: F64Array
@@ -32,7 +32,7 @@ class ObservationStatistics:
 
     @classmethod
     def empty(cls, size: int) -> ObservationStatistics:
-        """Return statistics of nothing: mean 0, standard deviation 1."""
+        """Return statistics of no observations: mean 0, standard deviation 1."""
         return cls(count=0, total=np.zeros(size), total_squares=np.zeros(size))
 
     @property
@@ -58,6 +58,6 @@ def normalise(observation: F64Array, mean: F64Array, inverse_std: F64Array) -> F
     """Return `clip((observation - mean) * inverse_std, -5, 5)` [..., O] as float32."""
     scaled = observation - mean
     scaled *= inverse_std
-    np.maximum(scaled, -CLIP, out=scaled)  # two ufuncs are quicker than np.clip
+    np.maximum(scaled, -CLIP, out=scaled)  # two ufuncs are faster than np.clip
     np.minimum(scaled, CLIP, out=scaled)
     return scaled.astype(np.float32)

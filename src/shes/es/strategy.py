@@ -1,4 +1,4 @@
-"""The ES core for plain vectors: ask for candidates, tell their fitness. Maximises.
+"""The evolution strategy for plain vectors: ask for candidates, tell their fitness. Maximises.
 
 With one level this is S-ES (Salimans et al. 2017); with several, the update of SHES (paper, Algorithm 1).
 """
@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from operator import index
-from typing import SupportsIndex
+from typing import Any, SupportsIndex
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from shes.errors import ConfigError, ShapeError
 from shes.es.level import (
@@ -24,17 +24,17 @@ from shes.es.level import (
     update_level,
 )
 from shes.es.noise import NoiseTable
-from shes.es.optimizers import make_optimizer
-from shes.es.perturbation import Signs, check_perturbation, make_perturbation
-from shes.es.shaping import make_fitness_shaping
-from shes.es.statistics import ObservationStatistics
+from shes.es.optimizers import OPTIMIZERS
+from shes.es.perturbation import PERTURBATIONS, Signs
+from shes.es.shaping import FITNESS_SHAPINGS
+from shes.options import make, options_of
 from shes.types import F32Array, F64Array, IntArray
 
 __all__ = ["EvolutionStrategy"]
 
 
 class EvolutionStrategy:
-    """Evolution strategy with mirrored noise, by ask and tell; with centred ranks and Adam unless told otherwise.
+    """Evolution strategy with mirrored noise and an ask-and-tell interface.
 
     ```python
     es = EvolutionStrategy(10, population_size=40, sigma=0.1, learning_rate=0.05)
@@ -43,6 +43,28 @@ class EvolutionStrategy:
         es.tell([-np.sum(x**2) for x in candidates])
     es.mean                                          # [10]
     ```
+
+    Args:
+        dim: Number of parameters, or one number per level.
+        population_size: Candidates per generation, mirrored ones included.
+        sigma: Standard deviation of the perturbations.
+        learning_rate: Learning rate of the optimizer.
+        weight_decay: Coefficient of the parameters subtracted from the gradient estimate.
+        mirrored: `quad`, `pair` or `none`. With one level, `quad` and `pair` are the same.
+        perturbation: One of `PERTURBATIONS`.
+        fitness_shaping: One of `FITNESS_SHAPINGS`.
+        optimizer: One of `OPTIMIZERS`.
+        initial: Initial vector [dim], or a sequence of them with several levels; zeros if None.
+        seed: Seed of all random numbers.
+        noise_table_size: Normals in the shared table, at least twice the largest `dim`.
+        state: `state` of an earlier strategy with the same arguments.
+        options: Options of the optimizer and of the fitness shaping: `momentum`, `rank_ties`, `top_fraction`.
+
+    Raises:
+        ConfigError: A value is out of range or an option is unknown, or the population size is not a multiple of
+            the group size.
+        UnknownNameError: A name is not known.
+        ShapeError: `initial` or `state` does not fit `dim`.
     """
 
     def __init__(
@@ -56,81 +78,54 @@ class EvolutionStrategy:
         mirrored: str = "quad",
         perturbation: str = "many_to_many",
         fitness_shaping: str = "centred_rank",
-        rank_ties: str = "average",
-        top_fraction: float = 0.2,
         optimizer: str = "adam",
-        momentum: float = 0.9,
         initial: ArrayLike | Sequence[ArrayLike] | None = None,
         seed: int = 0,
         noise_table_size: int = 1_000_000,
         state: TrainState | None = None,
+        **options: Any,
     ) -> None:
-        """Start at `initial`, or go on from `state`.
-
-        Args:
-            dim: Number of parameters, or one number per level.
-            population_size: Candidates per generation, mirrored ones included.
-            sigma: Standard deviation of the perturbations.
-            learning_rate: The optimizer's rate.
-            weight_decay: Coefficient of the parameters subtracted from the gradient estimate.
-            mirrored: `quad`, `pair` or `none`; with one level, `quad` and `pair` are the same.
-            perturbation: `many_to_many` (all levels at once), `one_to_many` (in turns) or `one_to_many_halves`.
-            fitness_shaping: `centred_rank`, `z_score` or `top_fraction`.
-            rank_ties: `average` or `index`.
-            top_fraction: Share of the candidates that count, for `top_fraction`.
-            optimizer: `adam`, `sgd` or `clipup`.
-            momentum: Of `sgd` and `clipup`.
-            initial: Start vector [dim] (a sequence of them with several levels); zeros if none.
-            seed: Seed of every draw.
-            noise_table_size: Normals in the shared table, at least twice the largest `dim`.
-            state: `state` of an earlier strategy with the same arguments.
-
-        Raises:
-            ConfigError: A value is out of range, or the population is not a multiple of the mirrored group.
-            UnknownNameError: A name is not known.
-            ShapeError: `initial` or `state` does not fit `dim`.
-        """
         dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
         self._single = not isinstance(dim, Sequence)
         if not dims or not all(_is_whole(size, 1) for size in dims):
             raise ConfigError(f"dim must be a positive whole number, or one per level, got {dim!r}.")
-        self.dims: tuple[int, ...] = tuple(int(size) for size in dims)
-        if not 0 < sigma < float("inf"):
-            raise ConfigError(f"sigma must be a positive number, got {sigma}.")
+        for name, number in {"sigma": sigma, "learning_rate": learning_rate}.items():
+            if not 0 < number < float("inf"):
+                raise ConfigError(f"{name} must be a positive number, got {number}.")
         if not _is_whole(population_size, 1):
             raise ConfigError(f"population_size must be a positive whole number, got {population_size!r}.")
         if not _is_whole(seed, 0):
             raise ConfigError(f"seed must be a whole number of at least 0, got {seed!r}.")
-        check_perturbation(perturbation, population_size, mirrored, [True] * len(self.dims))
-        self.perturbation = make_perturbation(perturbation)
-        self.population_size = population_size
-        self.mirrored = mirrored
-        self.sigma = sigma
-        if not 0 < learning_rate < float("inf"):
-            raise ConfigError(f"learning_rate must be a positive number, got {learning_rate}.")
-        self.learning_rate = learning_rate
+        _check_options(options)
+        self.dims: tuple[int, ...] = tuple(int(size) for size in dims)
+        self.population_size, self.mirrored = population_size, mirrored
+        self.sigma, self.learning_rate = sigma, learning_rate
+        self.perturbation = PERTURBATIONS.find(perturbation)()
         self.rule = UpdateRule(
             weight_decay=weight_decay,
-            shaping=make_fitness_shaping(fitness_shaping, ties=rank_ties, fraction=top_fraction),
-            optimizer=make_optimizer(optimizer, momentum=momentum),
+            shaping=make(FITNESS_SHAPINGS, fitness_shaping, options),
+            optimizer=make(OPTIMIZERS, optimizer, options),
         )
+        self._signs(0)  # checks the population size
         self.table = NoiseTable.open(noise_table_size)
-        for level_dim in self.dims:
-            self.table.check_dim(level_dim)
+        self.table.check_dim(max(self.dims))
         self.state = self._start(initial, seed) if state is None else state
         if tuple(len(level.theta) for level in self.state.levels) != self.dims:
             raise ShapeError(f"state has levels of {[len(x.theta) for x in self.state.levels]}, dim is {self.dims}.")
 
     @property
     def mean(self) -> F32Array | tuple[F32Array, ...]:
-        """The current solution [dim], or one per level: a copy."""
+        """Copy of the current solution [dim], or one per level."""
         thetas = tuple(level.theta.copy() for level in self.state.levels)
         return thetas[0] if self._single else thetas
 
     def ask(self) -> F32Array | tuple[F32Array, ...]:
-        """Return this generation's candidates [n, dim], or one such array per level; asking twice gives the same."""
+        """Return the candidates of this generation [n, dim], or one such array per level.
+
+        The result is the same until the next `tell`.
+        """
         candidates = tuple(np.empty((self.population_size, dim), np.float32) for dim in self.dims)
-        signs = self._signs()
+        signs = self._signs(self.state.generation)
         noise_index = self._noise_index(len(signs))
         for level, (state, out) in enumerate(zip(self.state.levels, candidates, strict=True)):
             for i, sign in enumerate(signs[:, :, level].ravel().tolist()):
@@ -139,7 +134,7 @@ class EvolutionStrategy:
         return candidates[0] if self._single else candidates
 
     def tell(self, fitness: ArrayLike) -> None:
-        """Update from the fitness [n] of the candidates (higher is better), or [L, n] with one row per level.
+        """Update the levels from the fitness [n] of the candidates (higher is better), or [L, n] with several levels.
 
         Raises:
             ShapeError: `fitness` has another shape.
@@ -149,25 +144,21 @@ class EvolutionStrategy:
         expected = (self.population_size,) if self._single else (len(self.dims), self.population_size)
         if values.shape != expected:
             raise ShapeError(f"fitness must have shape {expected}, got {values.shape}.")
-        rows = values[None] if self._single else values
-        signs = self._signs()
+        values = values.reshape(len(self.dims), -1)
+        signs = self._signs(self.state.generation)
         noise_index = self._noise_index(len(signs))
-        levels = tuple(self._update(i, rows[i], signs[:, :, i], noise_index[i]) for i in range(len(self.dims)))
-        self.state = replace(self.state, generation=self.state.generation + 1, levels=levels)
+        levels = list(self.state.levels)
+        for i, level in enumerate(levels):
+            own = signs[:, :, i]
+            if own.any():
+                shaped = self.rule.shaping(select_fitness(values[i], own))
+                update = update_level(level, shaped, own, noise_index[i], self.table, self.rule, self.learning_rate)
+                levels[i] = update.level
+        self.state = replace(self.state, generation=self.state.generation + 1, levels=tuple(levels))
 
-    def _update(self, level: int, fitness: F64Array, signs: NDArray[np.int8], noise_index: IntArray) -> LevelState:
-        """Return level number `level` after its update from `fitness` [n]."""
-        state = self.state.levels[level]
-        if not signs.any():
-            return state
-        shaped = self.rule.shaping(select_fitness(fitness, signs))
-        return update_level(state, shaped, signs, noise_index, self.table, self.rule, self.learning_rate).level
-
-    def _signs(self) -> Signs:
-        """Return the signs [G, M, L] of this generation."""
-        return self.perturbation.signs(
-            self.state.generation, self.population_size, self.mirrored, [True] * len(self.dims)
-        )
+    def _signs(self, generation: int) -> Signs:
+        """Return the signs [G, M, L] of `generation`."""
+        return self.perturbation.signs(generation, self.population_size, self.mirrored, [True] * len(self.dims))
 
     def _noise_index(self, num_groups: int) -> IntArray:
         """Return where the noise of each group starts [L, G]."""
@@ -182,17 +173,22 @@ class EvolutionStrategy:
         if tuple(x.shape for x in starts) != tuple((dim,) for dim in self.dims):
             raise ShapeError(f"initial must have the shape of dim {self.dims}, got {[x.shape for x in starts]}.")
         levels = tuple(
-            LevelState(
-                name="policy" if self._single else f"level_{i}",
-                theta=x,
-                optimizer=self.rule.optimizer.start(len(x)),
-                statistics=ObservationStatistics.empty(0),
-            )
+            LevelState.start("policy" if self._single else f"level_{i}", x, self.rule.optimizer, 0)
             for i, x in enumerate(starts)
         )
         return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
 
 
 def _is_whole(value: object, least: int) -> bool:
-    """Tell whether `value` is a whole number of at least `least`."""
+    """Return whether `value` is a whole number of at least `least`."""
     return isinstance(value, SupportsIndex) and not isinstance(value, bool) and index(value) >= least
+
+
+def _check_options(options: dict[str, Any]) -> None:
+    """Raise ConfigError if one of `options` belongs to no optimizer and no fitness shaping."""
+    known = {
+        name for registry in (OPTIMIZERS, FITNESS_SHAPINGS) for cls in registry.values() for name in options_of(cls)
+    }
+    for name, value in options.items():
+        if name not in known:
+            raise ConfigError(f"unknown option {name!r}, got {value!r}. Options: {', '.join(sorted(known))}.")

@@ -1,4 +1,4 @@
-"""Random streams: every draw of a run comes from its seed, a purpose and a generation, never from a worker."""
+"""Random streams. Every random number of a run derives from its seed, a purpose and a generation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["Purpose", "stream"]
 
 
 class Purpose(IntEnum):
-    """What a stream is drawn for. The values are part of a run's numbers: never renumber them."""
+    """Purpose of a random stream. The values determine a run's numbers and must not be changed."""
 
     INITIAL_PARAMETERS = 0
     NOISE_INDEX = 1
@@ -24,5 +24,5 @@ class Purpose(IntEnum):
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
-    """Return the generator of `(seed, purpose, *key)`; the key is a generation, then a level or a task."""
+    """Return the generator of `(seed, purpose, *key)`. The key is a generation, then a level or a task."""
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(int(purpose), *key))))

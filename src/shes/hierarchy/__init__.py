@@ -1,1 +1,1 @@
-"""Hierarchy: goals, primitive rewards, the two-level agent, and the loop over environment steps."""
+"""Hierarchy: goals, intrinsic rewards, agents, and the loop over environment steps."""

@@ -1,6 +1,6 @@
-"""A clock that a policy may observe: a rhythm to walk by, which a network without memory has not.
+"""A clock that a policy may observe, because a network without memory has no internal rhythm.
 
-Source: algorithm options; e.g. Siekmann et al. 2021, section III (sine and cosine of a gait's phase as inputs).
+Source: Siekmann et al. 2021, section III (sine and cosine of a gait's phase as inputs).
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ __all__ = ["Clock"]
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """Sine and cosine of the time since the episode's start, at one frequency."""
+    """Sine and cosine of the time since the start of the episode, at one frequency."""
 
     size: ClassVar[int] = 2
     """Number of features."""
     frequency_hz: float
-    """Turns in a second of simulated time."""
+    """Frequency in simulated time."""
     step_s: float
-    """Simulated time of a control step, in seconds."""
+    """Simulated time of a control step in seconds."""
 
     def write(self, steps: IntArray, out: F64Array) -> None:
-        """Write sine and cosine into `out` [P, R, 2] for lanes that have made `steps` [P]."""
+        """Write sine and cosine into `out` [P, R, 2], for lanes `steps` [P] control steps after their start."""
         phase = (2 * np.pi * self.frequency_hz * self.step_s) * steps[:, None]
-        np.sin(phase, out=out[..., 0])  # broadcasts over a policy's episodes, which began together
+        np.sin(phase, out=out[..., 0])  # broadcast over the episodes of a lane, which started together
         np.cos(phase, out=out[..., 1])

@@ -1,19 +1,19 @@
-"""The unit of work: the episodes of members of the population that share a noise vector, and what came of them.
+"""The unit of work: a task is the episodes of members that share their noise vectors. Its results are per episode.
 
-A task is a few integers; perturbations are drawn again from the noise table where the work is done (SHES paper II-G).
+A task is a few integers. The worker reads the perturbations from its own noise table (SHES paper II-G).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.es.level import LevelParameters, TrainState
-from shes.types import F64Array, IntArray
+from shes.es.level import LevelParameters
+from shes.hierarchy.moments import Moments
+from shes.types import F64Array
 
 __all__ = [
     "PARTS",
@@ -21,7 +21,6 @@ __all__ = [
     "EpisodeResults",
     "EpisodeTask",
     "Generation",
-    "LevelMoments",
     "Outcomes",
     "Snapshot",
     "empty_outcomes",
@@ -29,35 +28,35 @@ __all__ = [
 ]
 
 PARTS = ("physics", "policy", "task")
-"""What a rollout spends its time on: MuJoCo; the agent; the task's observations and rewards, and the rest."""
+"""Parts of a rollout that are timed: MuJoCo; the agent; the task's observations and rewards, and the rest."""
 
 
 Outcomes: TypeAlias = NDArray[np.void]
-"""A structured array: one element an episode, with the fields of `empty_outcomes`."""
+"""A structured array with one element per episode and the fields of `empty_outcomes`."""
 
 
 def empty_outcomes(num_levels: int, *shape: int) -> Outcomes:
-    """Return zeros for episodes of `shape`: all that is kept of an episode. `Rollout` fills in each field by its name.
+    """Return zeros for episodes of `shape`, with all fields that are kept of an episode.
 
-    A field is aligned: sums over it then round as those of an array of its own.
+    Fields are aligned, so that sums over a field round as those over a separate array.
     """
     fields = [
-        ("returns", np.float64, (num_levels,)),  # summed reward of each level
-        ("environment_returns", np.float64),  # summed reward of the environment
+        ("returns", np.float64, (num_levels,)),  # undiscounted return of each level
+        ("environment_returns", np.float64),  # undiscounted return of the environment
         ("score", np.float64),  # test score of the task
         ("success", np.bool_),  # whether the task counts as solved
-        ("steps", np.int64),  # environment steps; 0 for an episode that was not asked for
-        ("has_terminated", np.bool_),  # whether the task's own rule ended the episode
-        ("has_fallen", np.bool_),  # whether the robot's fall ended the episode
-        ("has_diverged", np.bool_),  # whether the physics blew up
-        ("goals_reached", np.int64),  # goals that the primitive reached
-        ("final_position", np.float64, (2,)),  # where the robot was at the end, in metres
+        ("steps", np.int64),  # environment steps; 0 for an episode that was not run
+        ("has_terminated", np.bool_),  # whether a terminal state of the task ended the episode
+        ("has_fallen", np.bool_),  # whether a fall of the robot ended the episode
+        ("has_diverged", np.bool_),  # whether the physics diverged
+        ("goals_reached", np.int64),  # number of goals that the primitive reached
+        ("final_position", np.float64, (2,)),  # of the robot, in metres
     ]
     return np.zeros(shape, np.dtype(fields, align=True))
 
 
 class ByEpisode:
-    """Has `outcomes`, each field of which is an attribute: `results.score` is `results.outcomes["score"]`."""
+    """Gives the fields of `outcomes` as attributes: `results.score` is `results.outcomes["score"]`."""
 
     outcomes: Outcomes
 
@@ -68,139 +67,106 @@ class ByEpisode:
 
     @property
     def returns(self) -> F64Array:
-        """Summed reward of each level [L, ...]."""
+        """Return of each level [L, ...]."""
         return np.moveaxis(self.outcomes["returns"], -1, 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Snapshot:
-    """An episode at a decision: what another one needs to go on from there."""
+    """State of an episode at a decision, from which another one can continue."""
 
     state: F64Array | None
-    """Whole physics state [S], the solver's warm start included; None stands for a reset."""
+    """Full physics state [S], including the solver's warm start; None for a reset."""
     steps: int
-    """Control steps since the reset."""
+    """Number of control steps since the reset."""
     goals: F64Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """This decision's goal and those of the next ones [J, 2]: from where the robot was when each was set, in metres.
+    """Goals of this decision and the following ones [J, 2], relative to the robot at the time each was set, in metres.
 
-    Empty where the environment sets the goals.
+    Empty if the environment sets the goals.
     """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Generation:
-    """What every task of a generation (or of an evaluation) has in common."""
+    """Data that all tasks of a generation, or of an evaluation, share."""
 
     levels: tuple[LevelParameters, ...]
-    """The mean policies with their normalisation."""
+    """Mean parameters and normalisation of each level."""
     sigma: float
     """Standard deviation of the perturbations."""
     episodes_per_policy: int
-    """Episodes of every member (E)."""
+    """Number of episodes per member (E)."""
     is_evaluation: bool
-    """Whether the episodes are evaluation's: its reset noise and targets, no exploration noise."""
+    """Whether this is an evaluation, with its own reset noise and targets and no exploration noise."""
     members_per_lane: int = 1
-    """Members of the population that share a noise vector, and one matmul (M')."""
+    """Number of members that share noise vectors and a matmul (M')."""
     has_frozen_control: bool = False
-    """Whether the level that acts is frozen: no noise of any kind is put on it then."""
+    """Whether the acting level is frozen. It then has no exploration noise."""
     branch_steps: int = 0
-    """Control steps of a branch, where the primitive is judged by intervals; 0 for whole episodes."""
-    goals_noted: int = 0
-    """Goals of a snapshot that whole episodes leave; 0 if they leave none."""
+    """Number of control steps in a branch; 0 for whole episodes."""
+    snapshot_goals: int = 0
+    """Number of goals in the snapshots of whole episodes; 0 for no snapshots."""
 
     @property
     def kind(self) -> str:
-        """What its episodes are: `evaluation`, `branch` or `training`."""
+        """Kind of the episodes: `evaluation`, `branch` or `training`."""
         return "evaluation" if self.is_evaluation else "branch" if self.branch_steps else "training"
 
     @property
     def rows_per_lane(self) -> int:
-        """Rows of every matmul, R = M' * E: part of what decides how it rounds."""
+        """Number of rows of every matmul, R = M' * E. It affects rounding."""
         return self.members_per_lane * self.episodes_per_policy
-
-    @classmethod
-    def of_training(
-        cls,
-        state: TrainState,
-        sigma: float,
-        episodes: int,
-        learns: Sequence[bool],
-        members_per_lane: int,
-        goals_noted: int = 0,
-    ) -> Generation:
-        """Return what the tasks of training after `state` have in common; `learns` says which levels they perturb."""
-        return cls(
-            levels=LevelParameters.of_all(state.levels),
-            sigma=sigma,
-            episodes_per_policy=episodes,
-            is_evaluation=False,
-            has_frozen_control=not learns[-1],
-            members_per_lane=members_per_lane,
-            goals_noted=goals_noted,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeTask:
-    """Some or all of the R = M' * E episodes of M' members of the population that share their noise."""
+    """Some or all of the R = M' * E episodes of M' members that share their noise."""
 
     member: int
-    """Number of the first of these members."""
+    """Index of the first of these members."""
     noise_index: tuple[int, ...]
     """Start of the noise slice of each level."""
     signs: tuple[tuple[int, ...], ...]
-    """Sign of each level's perturbation, for each of the M' members; 0 leaves the mean policy."""
+    """Sign of each level's perturbation, for each of the M' members; 0 for no perturbation."""
     slots: tuple[int, ...]
-    """Which of the R rows of the matmul these episodes take: a member's E are neighbours."""
+    """Rows of the matmul, among R, for these episodes. Those of a member are neighbours."""
     seeds: tuple[int, ...]
     """Seed of each episode."""
     records_statistics: bool = True
-    """Whether the observations of these episodes are summed."""
+    """Whether the observations of these episodes enter the statistics."""
     start: Snapshot | None = None
-    """Where these episodes begin; at a reset if None."""
+    """Initial state of these episodes; None for a reset."""
     kept_slot: int | None = None
-    """Of whose end a snapshot is wanted, if it ends at the time limit."""
-    noted_steps: tuple[int, ...] = ()
-    """After how many control steps of each episode a snapshot is wanted; an episode that ends before leaves none."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LevelMoments:
-    """Sums of the observations of one level in K episodes."""
-
-    count: IntArray
-    """Observations [K]."""
-    total: F64Array
-    """Their sum [K, O]."""
-    total_squares: F64Array
-    """Sum of their squares [K, O]."""
+    """Slot of the episode whose end is kept as a snapshot, if it ends at the time limit."""
+    snapshot_steps: tuple[int, ...] = ()
+    """Number of control steps before the snapshot of each episode. An episode that ends earlier has none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeResults(ByEpisode):
-    """What came of the K episodes of a task, in the order of its slots."""
+    """Results of the K episodes of a task, in the order of its slots."""
 
     outcomes: Outcomes
-    """What came of each episode [K]."""
-    moments: tuple[LevelMoments, ...] | None
-    """Sums of the observations of each level, if asked for."""
+    """Outcome of each episode [K]."""
+    moments: tuple[Moments, ...] | None
+    """Moments of the observations of each level, if recorded."""
     snapshots: list[Snapshot | None] = field(default_factory=list)
-    """What each episode left [K]; empty if nothing was asked for."""
+    """Snapshot of each episode [K], or None."""
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
-    """What the worker spent on each of `PARTS` since the result before this one."""
+    """Seconds that the worker spent on each of `PARTS` since its previous result."""
     log: tuple[str, ...] = ()
-    """What the simulator had to say meanwhile."""
+    """Log messages of the simulator."""
 
 
 def spread(tasks: list[EpisodeTask], num_workers: int) -> list[EpisodeTask]:
-    """Return the same episodes in the same order, with the last tasks cut into single episodes.
+    """Return the same episodes in the same order, with the last tasks split into single episodes.
 
-    Whole tasks go around as often as every worker can have one; the rest is too few for all workers and is handed
-    out by episodes. A single episode costs the whole task's matmul, so this is done only where workers would idle.
+    As long as every worker can have one, tasks stay whole. The remaining tasks, fewer than workers, are split, so that
+    no worker is idle. A single episode costs the matmul of its whole task.
     """
     whole = len(tasks) - len(tasks) % num_workers
     singles = [
-        replace(task, slots=(slot,), seeds=(seed,), noted_steps=task.noted_steps[i : i + 1])
+        replace(task, slots=(slot,), seeds=(seed,), snapshot_steps=task.snapshot_steps[i : i + 1])
         for task in tasks[whole:]
         for i, (slot, seed) in enumerate(zip(task.slots, task.seeds, strict=True))
     ]

@@ -1,4 +1,4 @@
-"""Exploration noise: on the outputs of the level that decides, and on the controls, in whole episodes of training."""
+"""Exploration noise on the outputs of the deciding level and on the controls, in whole episodes of training."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ EXPLORATION_STD = 0.01
 
 
 class Exploration:
-    """The noise of the episodes that `agent` plays. It is drawn when they start: a device is then sent all of it."""
+    """Exploration noise of an agent's episodes. It is drawn when they start, and transferred to the device at once."""
 
     def __init__(self, agent: AgentBatch[Any], horizon: int, action_size: int) -> None:
-        """Make room for episodes of `horizon` steps with `action_size` controls."""
+        """Allocate noise for episodes of `agent` of `horizon` steps with `action_size` controls."""
         self._agent, self._horizon = agent, horizon
         decisions = -(-horizon // agent.design.controller_interval)
         shapes = ((decisions, agent.design.decision_size), (horizon, action_size))
@@ -29,16 +29,16 @@ class Exploration:
         ]
         self._decision_noise, self._control_noise = self._drawn  # on a device, copies
         self.is_on = False
-        """Whether there is any in this generation."""
+        """Whether this generation has exploration noise."""
         self._has_frozen_control = False
 
     def begin(self, generation: Generation) -> None:
-        """Begin a generation: its evaluations and branches do not explore."""
+        """Start a generation. Evaluations and branches have no exploration noise."""
         self.is_on = not generation.is_evaluation and not generation.branch_steps
         self._has_frozen_control = generation.has_frozen_control
 
     def draw(self, lane: int, task: EpisodeTask) -> None:
-        """Draw the noise of the episodes of `task` in `lane` from their seeds: no draw depends on another episode."""
+        """Draw the noise of the episodes of `task` in `lane`, each from its own seed."""
         for slot, seed in zip(task.slots, task.seeds, strict=True):
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
             for noise in self._drawn:
@@ -46,16 +46,16 @@ class Exploration:
                 np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, lane, slot])
 
     def upload(self) -> None:
-        """Send what has been drawn to the agent's device."""
+        """Transfer the drawn noise to the agent's device."""
         self._decision_noise, self._control_noise = (self._agent.xp.asarray(noise) for noise in self._drawn)
 
     def of_step(self) -> dict[str, F32Array]:
-        """Return this step's noise [P, R, decision_size] and [P, R, A] by the names of `act`; none if it is not on."""
+        """Return the noise of this step by argument of `act`; empty if the noise is off."""
         if not self.is_on:
             return {}
         clock, last = self._agent.clock, self._horizon - 1
         first = int(clock[0])
-        # Mostly all lanes are at the same step: then the noise is a view.
+        # All lanes are usually at the same step. The noise is a view then.
         step = min(first, last) if (clock == first).all() else np.minimum(clock, last)
         noise: dict[str, F32Array] = {}
         design = self._agent.design
@@ -67,5 +67,5 @@ class Exploration:
 
 
 def _at(noise: F32Array, place: int | IntArray) -> F32Array:
-    """Return `noise[place[p], p]` [P, ...] for each lane p, or that of all at one place: a view."""
+    """Return `noise[place[p], p]` [P, ...] for each lane p; a view if all lanes have the same place."""
     return noise[place] if isinstance(place, int) else noise[place, np.arange(len(place))]

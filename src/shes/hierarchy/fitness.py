@@ -1,4 +1,4 @@
-"""What a member's episodes are worth to each level: shaped returns, and for the first level novelty beside them.
+"""Shaped fitness of the members at each level, and for the first level the novelty blended with it.
 
 Source: SHES paper II-A (rewards are not shared between levels); Conti et al. 2018 (novelty).
 """
@@ -20,17 +20,17 @@ __all__ = ["advance_novelty", "shaped_fitness"]
 def advance_novelty(
     state: NoveltyState | None, rule: WeightRule | None, results: PopulationResults, member: int
 ) -> NoveltyState | None:
-    """Return the search for novelty with what the mean policies, run as member number `member`, came to.
+    """Return the novelty state after the mean policies were run as member number `member`.
 
-    The archive knows them before the population is measured by it, but for those that diverged.
+    Their final positions enter the archive before the population is measured by it, except those of diverged episodes.
     """
     if state is None or rule is None:
         return None
     returns = lower_diverged(results.environment_returns, results.has_diverged)
     mean_return, population_return = float(returns[member].mean()), float(returns[:member].mean())
     weight, best_return, stalled = rule.next(state, mean_return, population_return)
-    ahead = replace(state, weight=weight, best_return=best_return, stalled=stalled)
-    return extend(ahead, results.final_position[member][~results.has_diverged[member]])
+    state = replace(state, weight=weight, best_return=best_return, stalled=stalled)
+    return extend(state, results.final_position[member][~results.has_diverged[member]])
 
 
 def shaped_fitness(
@@ -43,25 +43,24 @@ def shaped_fitness(
     """Return for each level the shaped fitness [n'] of the members that perturb it.
 
     Args:
-        results: What came of the population.
+        results: Results of the population.
         signs: Signs of every member at each level [G, M, L].
-        rules: How each level shapes fitness.
-        search: Archive and weight of the search for novelty, if there is one.
-        neighbours: Nearest places of the archive that count.
+        rules: Update rule of each level.
+        search: State of the novelty search, if enabled.
+        neighbours: Number of nearest neighbours in the archive.
     """
     shaped: list[F64Array] = []
     for level, rule in enumerate(rules):
-        fitness = select_fitness(results.fitness[level], signs[:, :, level])
-        if not len(fitness):
-            shaped.append(fitness)
-            continue
-        worth = rule.shaping(fitness)
-        if level == 0 and search is not None:
-            novel = novelty(results.final_position, search.archive, neighbours)
-            novel[results.has_diverged.any(axis=1)] = 0  # where blown-up physics ends says nothing
-            worth = blend(worth, rule.shaping(select_fitness(novel, signs[:, :, level])), search.weight)
-        if rule.fall_price:
-            falls = select_fitness(results.has_fallen.mean(axis=1), signs[:, :, level])
-            worth = worth - rule.fall_price * (falls - falls.mean())
-        shaped.append(worth)
+        own = signs[:, :, level]
+        values = select_fitness(results.fitness[level], own)
+        if len(values):
+            values = rule.shaping(values)
+            if level == 0 and search is not None:
+                novel = novelty(results.final_position, search.archive, neighbours)
+                novel[results.has_diverged.any(axis=1)] = 0  # final positions of diverged episodes are meaningless
+                values = blend(values, rule.shaping(select_fitness(novel, own)), search.weight)
+            if rule.fall_price:
+                falls = select_fitness(results.has_fallen.mean(axis=1), own)
+                values = values - rule.fall_price * (falls - falls.mean())
+        shaped.append(values)
     return shaped

@@ -1,11 +1,12 @@
-"""One policy without goals: S-ES, the flat baseline of the SHES paper's figure 6.
+"""A single policy without goals: S-ES, the flat baseline of the SHES paper's figure 6.
 
-Source: Salimans et al. 2017; algorithm specification section 4, last line.
+Source: Salimans et al. 2017.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from shes.hierarchy.agent import AgentBatch, AgentDesign
 from shes.policies.mlp import MLP
@@ -16,14 +17,11 @@ __all__ = ["FlatAgent", "FlatDesign"]
 
 @dataclass(frozen=True, kw_only=True)
 class FlatDesign(AgentDesign):
-    """What a flat agent is made of. The policy observes the clock, then what the environment shows."""
+    """Design of a flat agent. The policy observes the clock, then the observation of the task."""
 
+    level_names: ClassVar[tuple[str, ...]] = ("policy",)
+    intrinsic_level: ClassVar[int | None] = None
     policy: MLP
-
-    @property
-    def level_names(self) -> tuple[str, ...]:
-        """The policy."""
-        return ("policy",)
 
     @property
     def policies(self) -> tuple[MLP, ...]:
@@ -31,21 +29,16 @@ class FlatDesign(AgentDesign):
         return (self.policy,)
 
     @property
-    def intrinsic_level(self) -> None:
-        """The environment pays."""
-        return None
-
-    @property
     def agent(self) -> type[FlatAgent]:
-        """The class of its agents."""
+        """The class of the agents."""
         return FlatAgent
 
 
 class FlatAgent(AgentBatch[FlatDesign]):
-    """P lanes of R episodes each, of policies without goals. Rows [N] are lane after lane."""
+    """Policies without goals, in P lanes of R episodes each."""
 
     def allocate(self) -> None:
-        """Make room for what the policies observe."""
+        """Allocate the inputs of the policies."""
         self._clock_size = self.design.clock_size
         self._inputs: F64Array = self.xp.zeros((self.num_rows, self.design.observation_sizes[0]))
 
@@ -60,7 +53,6 @@ class FlatAgent(AgentBatch[FlatDesign]):
         control_noise: F32Array | None = None,
     ) -> F32Array:
         """Return the controls [N, A] of one step; see `AgentBatch.act`."""
-        del position, heading, goal, decision_noise
         self._write_clock(self._inputs[:, : self._clock_size])
         self._inputs[:, self._clock_size :] = observation
         self.clock += 1

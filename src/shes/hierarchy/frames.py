@@ -1,9 +1,9 @@
-"""The frames from which a primitive looks at its robot: of all that the body's symmetry allows, the one that fits.
+"""Frames in which a primitive observes and acts, chosen from the symmetry group of its robot.
 
-When a goal is set, the frame is turned, and mirrored, so that the goal lies as straight ahead as the symmetry allows,
-and stays so until the next goal. The primitive observes and acts in that frame: a direction learned is learned for all.
+When a goal is set, the frame is rotated and mirrored so that the goal lies as straight ahead as the symmetry allows. It
+is kept until the next goal. A skill learned for one direction is thereby learned for all.
 
-Source: learning specification, section 1, "The body's symmetry".
+Source: `docs/learning.md`, "The body's symmetry".
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Frames:
     """The frames of N robots, in arrays of `xp`."""
 
     def __init__(self, group: SymmetryGroup, num_robots: int, xp: ModuleType = np) -> None:
-        """Begin with every robot's own frame, element 0 of `group`."""
+        """Start with every robot's own frame, element 0 of `group`."""
         self._group, self._xp = group, xp
         cosine, sine, mirror = (xp.asarray(table) for table in group.direction())
         self._direction = xp.stack([cosine, sine, mirror])  # [3, T]
@@ -39,11 +39,11 @@ class Frames:
         self.set(slice(None), xp.zeros(num_robots, dtype=np.int64))
 
     def choose(self, robots: slice | IntArray, vector: F64Array) -> None:
-        """Choose the frames of `robots` for goals at `vector` [robots, 2], ahead and left in their own frames."""
+        """Choose the frames of `robots` for goals at `vector` [robots, 2] (ahead, left) in the robots' own frames."""
         self.set(robots, self._group.choose(vector[:, 0], vector[:, 1]))
 
     def set(self, robots: slice | IntArray, element: IntArray) -> None:
-        """Look at `robots` from the frames of these elements of the group [robots]."""
+        """Set the frames of `robots` to these elements of the group [robots]."""
         number = self._robots[robots]
         self._own_direction[:, robots] = self._direction[:, element]
         self._own_view[robots] = self._view_index[element] + number * self._view_index.shape[1]
@@ -52,22 +52,22 @@ class Frames:
         self._own_control_sign[robots] = self._control_sign[element]
 
     def turned(self, vector: F64Array) -> F64Array:
-        """Return the vectors [N, 2] from robots' own frames as they look from these."""
+        """Return vectors [N, 2], given in the robots' own frames, in these frames."""
         cosine, sine, mirror = self._own_direction
         x, y = vector[:, 0], vector[:, 1]
         return np.stack([cosine * x + sine * y, mirror * (cosine * y - sine * x)], axis=1)
 
     def view(self, values: F64Array, out: F64Array) -> None:
-        """Write egocentric views [N, V] as they look from these frames into `out` [N, V]."""
+        """Write egocentric views [N, V], given in the robots' own frames, into `out` [N, V] in these frames."""
         np.multiply(values.ravel()[self._own_view], self._own_view_sign, out=out)
 
     def controls(self, control: F32Array) -> F32Array:
-        """Return controls [N, A] that were chosen in these frames as the robots' own."""
+        """Return controls [N, A], given in these frames, in the robots' own frames."""
         return control.ravel()[self._own_control] * self._own_control_sign
 
 
 def turned_back(vector: F64Array, angle: F64Array) -> F64Array:
-    """Return `vector` [N, 2] turned back by `angle` [N]: from the world's frame to that of a heading."""
+    """Return `vector` [N, 2] rotated by minus `angle` [N]: from the world frame to the frame of a heading."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, y = vector[:, 0], vector[:, 1]
     return np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)

@@ -1,13 +1,13 @@
-"""Acting on a goal: what a primitive does every step, whoever set the goal.
+"""Goal-reaching agents: how a primitive observes a goal, acts on it, and is rewarded, whoever sets the goal.
 
-Source: SHES paper II-A to II-C; algorithm specification sections 2 and 3; learning specification, section 1.
+Source: SHES paper II-A to II-C; `docs/learning.md` (egocentric views and symmetry).
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,35 +20,44 @@ from shes.hierarchy.views import ColumnsView, View
 from shes.policies.mlp import MLP
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
-__all__ = ["GoalReachingAgent", "GoalReachingDesign"]
+__all__ = ["GoalReachingAgent", "GoalReachingDesign", "StepInput"]
 
-_MIN_START_M = 1e-3  # a goal may be set where the robot stands; progress towards it must stay finite
+_MIN_START_M = 1e-3  # a goal may be set where the robot stands; the relative progress must stay finite
 
 
 @dataclass(frozen=True, kw_only=True)
 class GoalReachingDesign(AgentDesign):
-    """What an agent that reaches goals is made of. The primitive observes goal features, clock, view, in this order."""
+    """Design of an agent that reaches goals. The primitive observes goal features, clock and view, in this order."""
 
     primitive: MLP
     goal_encoding: GoalEncoding
     primitive_reward: PrimitiveReward
     primitive_view: View = field(default_factory=ColumnsView)
-    """What the primitive sees of the observation."""
+    """The part of the observation that the primitive sees."""
     symmetry: SymmetryGroup | None = None
-    """The turns and mirrorings from which a frame is chosen for every goal, if any; for an egocentric view."""
+    """Symmetry group from which a frame is chosen for every goal, if any. It requires an egocentric view."""
 
 
 ReachingDesign = TypeVar("ReachingDesign", bound=GoalReachingDesign)
 
 
+class StepInput(NamedTuple):
+    """Input of a control step. For the fields see `AgentBatch.act`."""
+
+    observation: F64Array
+    position: F64Array
+    heading: F64Array
+    goal: F64Array | None
+
+
 class GoalReachingAgent(AgentBatch[ReachingDesign]):
-    """P lanes of R episodes, in which primitives pursue goals. Where the goals come from, a subclass says."""
+    """Primitives that pursue goals, in P lanes of R episodes. A subclass chooses the goals."""
 
     def allocate(self) -> None:
-        """Make room for the goals and what the primitives observe."""
+        """Allocate the goals and the inputs of the primitives."""
         design, rows, xp = self.design, self.num_rows, self.xp
         self.goal_origin: F64Array = xp.zeros((rows, 2))
-        """Where the robots stood when their goals were set [N, 2]."""
+        """Positions of the robots when their goals were set [N, 2]."""
         self.goal_start_distance: F64Array = xp.ones(rows)
         """Distance to the goal when it was set [N]."""
         self._distance: F64Array = xp.ones(rows)  # to the goal, before the step
@@ -62,27 +71,20 @@ class GoalReachingAgent(AgentBatch[ReachingDesign]):
         self._view_start = self._clock_start + design.clock_size
         self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
         self._seen: F64Array = xp.zeros((rows, design.observation_sizes[-1] - self._view_start))
-        self._straight: F64Array = xp.zeros(rows)  # the angle of a frame as seen from itself
+        self._zero_angle: F64Array = xp.zeros(rows)
 
     @property
     def goal(self) -> F64Array:
-        """Goals being held, in the world [N, 2], in metres."""
+        """Current goals in the world frame [N, 2] in metres."""
         return self._goal
 
     @abstractmethod
     def choose_goals(
-        self,
-        due: slice | IntArray,
-        rows: slice | IntArray,
-        observation: F64Array,
-        position: F64Array,
-        heading: F64Array,
-        goal: F64Array | None,
-        noise: F32Array | None,
+        self, due: slice | IntArray, rows: slice | IntArray, given: StepInput, noise: F32Array | None
     ) -> F64Array:
-        """Return new goals in the world [rows, 2] for the episodes `rows` of lanes `due`; see `act`.
+        """Return new goals in the world frame [rows, 2] for the episodes `rows` of lanes `due`.
 
-        `due` is NumPy's, `rows` of `xp`; both are a slice where all lanes are due.
+        `due` is an index of NumPy, `rows` one of `xp`; both are slices if all lanes are due.
         """
 
     def act(
@@ -95,42 +97,41 @@ class GoalReachingAgent(AgentBatch[ReachingDesign]):
         decision_noise: F32Array | None = None,
         control_noise: F32Array | None = None,
     ) -> F32Array:
-        """Return the controls [N, A] of one step, setting new goals where they are due; see `AgentBatch.act`."""
+        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
         is_due, angle = self.clock % self.design.controller_interval == 0, self._view.angle(observation, heading)
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self._rows(due)
-            goals = self.choose_goals(due, rows, observation, position, heading, goal, decision_noise)
-            self._hold(rows, goals, position)
+            given = StepInput(observation, position, heading, goal)
+            self._hold(rows, self.choose_goals(due, rows, given, decision_noise), position)
             if self._frames is not None:
                 self._frames.choose(rows, turned_back(self._way[rows], angle[rows]))
         inputs = self._inputs
         self._observe_goal(position, angle, inputs[:, : self._clock_start])
         self._write_clock(inputs[:, self._clock_start : self._view_start])
+        self.clock += 1
         if self._frames is None:
             self._view.write(observation, angle, inputs[:, self._view_start :])
-            self.clock += 1
             return self._control(inputs, control_noise)
         self._view.write(observation, angle, self._seen)
         self._frames.view(self._seen, inputs[:, self._view_start :])
-        self.clock += 1
         return self._frames.controls(self._control(inputs, control_noise))
 
     def _observe_goal(self, position: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Write the features of the goals into `out` [N, features]: from where the view is seen, if it is egocentric.
+        """Write the features of the goals into `out` [N, features].
 
-        Every encoding is then one of a vector in the robot's own frame, or in the one that its symmetry chose.
+        With an egocentric view, encodings receive the vector in the frame of that view instead of the world frame.
         """
         vector = self._goal - position
         distance = _length(vector)
         if self._view.is_egocentric:
-            vector, angle = turned_back(vector, angle), self._straight
+            vector, angle = turned_back(vector, angle), self._zero_angle
         if self._frames is not None:
             vector = self._frames.turned(vector)
         self._encoding.encode(vector, distance, angle, out)
 
     def intrinsic_reward(self, position: F64Array) -> F64Array:
-        """Return the primitives' reward [N] for having come to `position` [N, 2]; goals reached are counted."""
+        """Return the primitives' reward [N] for moving to `position` [N, 2], and count the goals reached."""
         distance = _length(self._goal - position)
         near = distance < REACHED_M
         self.goals_reached += near & ~self._has_reached
@@ -144,7 +145,7 @@ class GoalReachingAgent(AgentBatch[ReachingDesign]):
         self.goal_origin[rows] = position[rows]
         self._goal[rows] = goals
         self._has_reached[rows] = False
-        # Not the controller's vector: rounding must not make this differ from the distance of the step.
+        # Not the controller's vector: this must round as the distance after a step does.
         way = goals - position[rows]
         self._way[rows] = way
         self._distance[rows] = _length(way)

@@ -1,16 +1,19 @@
-"""Goal encodings: what the primitive is told about its goal. Source: SHES paper II-C.
+"""Goal encodings: the features of the goal that the primitive observes. Source: SHES paper II-C.
 
-The goal is a point in the world; every step it is expressed anew from where the robot stands.
+A goal is a point in the world. Every step it is encoded relative to the robot's current position.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 
 from shes.errors import ConfigError
+from shes.options import make
 from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
@@ -30,7 +33,10 @@ DISTANCE_UNIT_M = 1000.0
 
 
 class GoalEncoding(ABC):
-    """Turns the vector to the goal into features that stand in front of the primitive's observation."""
+    """Turns the vector to the goal into features, which precede the rest of the primitive's observation.
+
+    A subclass that is also a `shes.settings.Settings` dataclass has its fields as flags of `shes train`.
+    """
 
     size: ClassVar[int]
     """Number of features."""
@@ -40,10 +46,10 @@ class GoalEncoding(ABC):
         """Write the features of goals into `out` [N, size].
 
         Args:
-            vector: From the robot to the goal, world frame [N, 2], in metres.
-            distance: Its length [N].
+            vector: From the robot to the goal, in the world frame [N, 2], in metres.
+            distance: Length of `vector` [N] in metres.
             heading: Yaw of the robot [N] in radians.
-            out: Where the features go.
+            out: Array for the features.
         """
 
 
@@ -61,9 +67,8 @@ class AngleEncoding(GoalEncoding):
 class MetreAngleEncoding(GoalEncoding):
     """Sine and cosine of the goal's bearing relative to the heading, and the distance in metres.
 
-    Deviation: the distance is not divided by 1000 (paper II-C): the standard deviation that inputs are divided by is at
-    least 0.1, so that a goal 5.7 m away, the farthest that a controller sets in Table I, counts for less than 0.06. In
-    metres the normalisation makes the distance as large as other inputs.
+    Deviation: the distance is not divided by 1000 (paper II-C). Normalisation divides inputs by at least 0.1, so a goal
+    at 5.7 m, the maximum in Table I, would have a feature below 0.06. In metres it is as large as other inputs.
     """
 
     size = 3
@@ -75,9 +80,9 @@ class MetreAngleEncoding(GoalEncoding):
 
 
 class UnitVectorEncoding(GoalEncoding):
-    """Direction of the goal in the world frame, as a vector of length 1, and the distance over 1000.
+    """Unit vector to the goal in the world frame, and the distance over 1000.
 
-    A goal exactly where the robot stands has no direction: its vector is (0, 0).
+    The vector is (0, 0) if the goal is exactly at the robot's position.
 
     Source: paper II-C, "concatenating the distance to the goal onto a normalized vector".
     """
@@ -86,24 +91,22 @@ class UnitVectorEncoding(GoalEncoding):
 
     def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
         """Write x / distance, y / distance, distance / 1000."""
-        del heading
         length = np.where(distance > 0, distance, 1)
         np.divide(vector, length[:, None], out=out[:, :2])
         np.divide(distance, DISTANCE_UNIT_M, out=out[:, 2])
 
 
 class VectorEncoding(GoalEncoding):
-    """The vector to the goal in the world frame, in metres.
+    """Vector to the goal in the world frame, in metres.
 
-    Source: paper II-C, which found that it "did not work since the values are not normalized". Kept to show it; here,
-    as in the authors' code, the observation statistics normalise it like every other input.
+    Source: paper II-C, which reports that it "did not work since the values are not normalized". In the authors' code,
+    as here, the observation statistics normalise it like every other input.
     """
 
     size = 2
 
     def encode(self, vector: F64Array, distance: F64Array, heading: F64Array, out: F64Array) -> None:
         """Write x, y."""
-        del distance, heading
         out[:] = vector
 
 
@@ -126,29 +129,26 @@ GOAL_ENCODINGS: Registry[type[GoalEncoding]] = Registry(
     fix="Set --goal-encoding. Register your own first: shes.register_goal_encoding, or --import MODULE.",
     check=subclass_of(GoalEncoding),
 )
+"""Goal encodings by name: the choices of `--goal-encoding`."""
 
 
 def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:
-    """Make `encoding` known as `name`, in this process; then `shes.train(..., goal_encoding=name)` uses it.
-
-    Args:
-        name: Lower-case words joined by `-` or `_`.
-        encoding: A complete subclass of `GoalEncoding`, made without arguments.
+    """Register `encoding` as `name` in this process, for `shes.train(..., goal_encoding=name)`.
 
     Raises:
-        ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
+        ConfigError: The class is not a complete subclass made without arguments, or the name is malformed or taken.
     """
     GOAL_ENCODINGS.register(name, encoding)
 
 
-def make_goal_encoding(name: str) -> GoalEncoding:
-    """Return the encoding of this name.
+def make_goal_encoding(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> GoalEncoding:
+    """Return the encoding called `name`, with its options from `values`.
 
     Raises:
         UnknownNameError: `name` is not in `GOAL_ENCODINGS`.
         ConfigError: It does not write as many features as its size says.
     """
-    encoding = GOAL_ENCODINGS.find(name)()
+    encoding = make(GOAL_ENCODINGS, name, values)
     features = np.full((2, encoding.size), np.nan)
     encoding.encode(np.ones((2, 2)), np.full(2, np.sqrt(2)), np.zeros(2), features)
     if not np.isfinite(features).all():

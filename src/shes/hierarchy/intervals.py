@@ -1,13 +1,13 @@
-"""The interval-branched estimate: a primitive is judged by intervals that branch off the same state, not by episodes.
+"""The interval estimate: a primitive is evaluated by intervals that branch off the same state, not by whole episodes.
 
-A primitive answers for one goal at a time. At a decision of an episode, a mirrored pair of primitives plays the next
-intervals from the same physics state, on the same goals. What differs between the two is their perturbation alone, and
-a step of the environment tells of many more directions than in whole episodes.
+At a decision of an episode, a mirrored pair of primitives plays the next intervals from the same physics state on the
+same goals. The two differ only in their perturbation, and an environment step evaluates many more directions than in
+whole episodes.
 
-Where the environment sets the goals, the pairs' own ends go on: episodes that run from generation to generation. Under
-a controller, the pairs branch off states that the generation's whole episodes, which judge the controllers, have left.
+If the environment sets the goals, pairs continue from the end of an earlier pair, in episodes that run from generation
+to generation. Under a controller, pairs branch off snapshots of the whole episodes that evaluate the controllers.
 
-Source: learning specification, section 2; e.g. Schulman et al. 2015 (TRPO), section 5.2, the "vine" estimate.
+Source: `docs/learning.md`; compare Schulman et al. 2015 (TRPO), section 5.2, the "vine" estimate.
 """
 
 from __future__ import annotations
@@ -16,61 +16,59 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shes.es.level import LevelParameters, RunningEpisodes, TrainState, UpdateRule, draw_noise_index
-from shes.es.perturbation import Signs
 from shes.es.schedules import Schedule
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation, Snapshot
 from shes.hierarchy.population import Work
 from shes.hierarchy.results import PopulationResults
 
-__all__ = ["IntervalEstimate", "branch_work", "next_running", "noted_steps"]
+__all__ = ["IntervalEstimate", "branch_work", "draw_snapshot_steps", "next_running"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalEstimate:
-    """How a primitive is judged by intervals."""
+    """Hyperparameters of the interval estimate."""
 
     population_size: int
-    """Members evaluated in a generation, both of every pair (2 G)."""
+    """Number of members per generation (2 G)."""
     intervals: int
-    """Intervals that a branch plays (K): with two, how one ends counts for the next."""
+    """Number of intervals in a branch. With two or more, the state at the end of an interval affects the fitness."""
     controller_interval: int
-    """Control steps of an interval (c)."""
+    """Number of control steps in an interval (c)."""
     horizon: int
-    """Control steps after which an episode that runs from generation to generation begins anew."""
+    """Number of control steps after which a running episode starts anew."""
     goal_distance: float
-    """Half width of the square from which goals are drawn where no episode has left any, in metres."""
+    """Half width in metres of the square from which goals are drawn if there is no snapshot."""
     update: UpdateRule
-    """How fitness becomes a step."""
+    """Update rule of the primitive."""
     sigma: Schedule
     """Standard deviation of the perturbations."""
     learning_rate: Schedule
-    """Rate of the optimizer."""
+    """Learning rate."""
 
     @property
     def branch_steps(self) -> int:
-        """Control steps of a branch."""
+        """Number of control steps in a branch."""
         return self.intervals * self.controller_interval
 
     @property
     def num_pairs(self) -> int:
-        """Mirrored pairs of a generation, G."""
+        """Number of mirrored pairs per generation, G."""
         return self.population_size // 2
 
 
 def branch_work(
-    state: TrainState, estimate: IntervalEstimate, table_size: int, left: Sequence[Snapshot] | None = None
+    state: TrainState, estimate: IntervalEstimate, table_size: int, snapshots: Sequence[Snapshot] | None = None
 ) -> Work:
-    """Return the pairs of the generation that follows `state`: the primitive is its last level.
+    """Return the pairs of the generation that follows `state`. The primitive is the last level.
 
     Args:
         state: The state before the generation.
-        estimate: How the primitive is judged.
-        table_size: Numbers in the noise table.
-        left: What whole episodes left; None where the environment sets goals, and episodes run on.
+        estimate: Hyperparameters of the interval estimate.
+        table_size: Number of normals in the noise table.
+        snapshots: Snapshots of whole episodes; None if the environment sets the goals, and episodes continue.
     """
     groups, level = estimate.num_pairs, len(state.levels) - 1
     primitive = state.levels[level]
@@ -79,7 +77,7 @@ def branch_work(
     )
     rng = stream(state.seed, Purpose.BRANCHES, state.generation)
     seeds, kept = rng.integers(0, 2**63, groups).tolist(), rng.integers(0, 2, groups).tolist()
-    starts = _running_starts(state.running, groups) if left is None else _drawn_starts(rng, left, estimate)
+    starts = _running_starts(state.running, groups) if snapshots is None else _drawn_starts(rng, snapshots, estimate)
     tasks = [
         EpisodeTask(
             member=2 * group,
@@ -88,7 +86,7 @@ def branch_work(
             slots=(0, 1),
             seeds=(seeds[group],) * 2,
             start=starts[group],
-            kept_slot=kept[group] if left is None else None,
+            kept_slot=kept[group] if snapshots is None else None,
         )
         for group in range(groups)
     ]
@@ -100,18 +98,12 @@ def branch_work(
         members_per_lane=2,
         branch_steps=estimate.branch_steps,
     )
-    return Work(signs=_pair_signs(groups), noise_index=noise_index, tasks=tasks, generation=generation)
-
-
-def _pair_signs(groups: int) -> Signs:
-    """Return the signs [G, 2, 1] of mirrored pairs."""
-    signs: NDArray[np.int8] = np.ones((groups, 2, 1), dtype=np.int8)
-    signs[:, 1] = -1
-    return signs
+    signs = np.tile(np.array([[1], [-1]], dtype=np.int8), (groups, 1, 1))  # [G, 2, 1]
+    return Work(signs=signs, noise_index=noise_index, tasks=tasks, generation=generation)
 
 
 def _running_starts(running: RunningEpisodes | None, groups: int) -> list[Snapshot | None]:
-    """Return where each running episode is; None for one that begins anew."""
+    """Return a snapshot of each running episode; None for one that starts anew."""
     if running is None:
         return [None] * groups
     return [
@@ -120,32 +112,34 @@ def _running_starts(running: RunningEpisodes | None, groups: int) -> list[Snapsh
     ]
 
 
-def _drawn_starts(rng: np.random.Generator, left: Sequence[Snapshot], estimate: IntervalEstimate) -> list[Snapshot]:
-    """Return a snapshot for each pair: all that were left, in random order, as often as it takes.
+def _drawn_starts(
+    rng: np.random.Generator, snapshots: Sequence[Snapshot], estimate: IntervalEstimate
+) -> list[Snapshot]:
+    """Return a snapshot for each pair: all `snapshots` in random order, repeated as necessary.
 
-    Where every episode ended before it left one, pairs begin at a reset, on goals that are drawn.
+    Without snapshots, because every episode ended too early, pairs start at a reset with random goals.
     """
-    if not left:
+    if not snapshots:
         shape = (estimate.num_pairs, estimate.intervals, 2)
         goals = rng.uniform(-estimate.goal_distance, estimate.goal_distance, shape)
         return [Snapshot(state=None, steps=0, goals=own) for own in goals]
-    order = rng.permutation(len(left))
-    return [left[order[group % len(left)]] for group in range(estimate.num_pairs)]
+    order = rng.permutation(len(snapshots))
+    return [snapshots[order[group % len(order)]] for group in range(estimate.num_pairs)]
 
 
-def noted_steps(state: TrainState, num_episodes: int, horizon: int, controller_interval: int) -> list[int]:
-    """Return for each of `num_episodes` whole episodes the steps after which it leaves a snapshot, at a decision."""
+def draw_snapshot_steps(state: TrainState, num_episodes: int, horizon: int, controller_interval: int) -> list[int]:
+    """Return for each of `num_episodes` whole episodes the number of steps, at a decision, before its snapshot."""
     decisions = -(-horizon // controller_interval)
     rng = stream(state.seed, Purpose.SNAPSHOTS, state.generation)
     return (controller_interval * rng.integers(0, decisions, num_episodes)).tolist()
 
 
 def next_running(results: PopulationResults, estimate: IntervalEstimate | None) -> RunningEpisodes | None:
-    """Return the episodes as the pairs leave them: one of the two ends goes on, unless that fell or was the last.
+    """Return the episodes after the pairs: each continues from one of the pair's two ends.
 
-    None stands for all of them beginning anew.
+    An episode starts anew if that end was terminal or reached the horizon. None means that all episodes start anew.
     """
-    assert estimate is not None, "pairs that nobody judges do not run"
+    assert estimate is not None, "running episodes belong to an interval estimate"
     ends = {
         member // 2: end
         for (member, _), end in results.snapshots.items()

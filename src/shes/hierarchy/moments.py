@@ -1,7 +1,8 @@
-"""What episodes observe, summed: for the observation statistics."""
+"""Sums over the observations of episodes, for the observation statistics."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
@@ -11,14 +12,25 @@ from shes.types import F64Array, IntArray
 __all__ = ["Moments"]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Moments:
-    """Sums of what each of N episodes observed at one level, for `ObservationStatistics`."""
+    """Sums over the observations of each of K episodes at one level. The arrays change in place."""
 
-    def __init__(self, num_episodes: int, size: int, xp: ModuleType = np) -> None:
-        """Hold sums of `size` values for `num_episodes` episodes, in arrays of `xp`."""
-        self.count: IntArray = xp.zeros(num_episodes, dtype=np.int64)
-        self.total: F64Array = xp.zeros((num_episodes, size))
-        self.total_squares: F64Array = xp.zeros((num_episodes, size))
+    count: IntArray
+    """Number of observations [K]."""
+    total: F64Array
+    """Their sum [K, O]."""
+    total_squares: F64Array
+    """Sum of their squares [K, O]."""
+
+    @classmethod
+    def zeros(cls, num_episodes: int, size: int, xp: ModuleType = np) -> Moments:
+        """Return sums over no observations of `size` values, as arrays of `xp`."""
+        return cls(
+            count=xp.zeros(num_episodes, dtype=np.int64),
+            total=xp.zeros((num_episodes, size)),
+            total_squares=xp.zeros((num_episodes, size)),
+        )
 
     def add(self, rows: slice | IntArray, observation: F64Array) -> None:
         """Add one observation [rows, O] to each of `rows`."""
@@ -27,7 +39,6 @@ class Moments:
         self.total_squares[rows] += observation * observation
 
     def clear(self, rows: slice | IntArray) -> None:
-        """Forget what `rows` observed."""
-        self.count[rows] = 0
-        self.total[rows] = 0
-        self.total_squares[rows] = 0
+        """Reset the sums of `rows`."""
+        for sums in (self.count, self.total, self.total_squares):
+            sums[rows] = 0

@@ -1,6 +1,6 @@
-"""The work of one generation: which member uses which noise, signs and episode seeds.
+"""The tasks of a population: noise, signs and episode seeds of every member.
 
-Source: SHES paper, Algorithm 1 lines 2 and 3, II-E, II-F; Conti et al. 2018 for the mean policy's episodes.
+Source: SHES paper, Algorithm 1 lines 2 and 3, II-E, II-F; Conti et al. 2018 for the episodes of the mean policies.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from shes.types import IntArray
 __all__ = ["COMMON_RANDOM_NUMBERS", "Work", "mean_policy_task", "members_per_lane", "population_tasks"]
 
 _ENOUGH_ROWS = 3
-"""Episodes of a member with which its own weights are read for enough rows: then it has a matmul of its own.
+"""Number of episodes per member from which each member has a matmul of its own.
 
-Whoever shares one is computed wherever one of them is: with many episodes that would cost a cluster, where a worker has
-a few episodes alone, more than it saves.
+A matmul shared by several members always has the rows of all of them. On a cluster, where a worker may run only a few
+episodes, this would cost more than it saves.
 """
 
 COMMON_RANDOM_NUMBERS = ("off", "group", "population")
-"""Who shares the episodes' seeds: nobody; the members of a mirrored group; the whole population.
+"""Which members share episode seeds: none, those of a mirrored group, or the whole population.
 
-Deviation: `group` unless the `paper` preset says otherwise (the authors' code: every member draws its own), because it
-takes the difference between episodes out of the comparison within a group.
+Deviation: `group`, except in the preset `paper`, because it removes the variation between episodes from the comparison
+within a group. In the authors' code every member draws its own seeds.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """The rollouts of a population, and how its members are perturbed."""
+    """The tasks of a population, and the perturbations of its members."""
 
     signs: Signs
-    """Signs of every member at each level [G, M, L]; 0 where it is not perturbed."""
+    """Signs of every member at each level [G, M, L]; 0 for no perturbation."""
     noise_index: IntArray
     """Start of the noise slice of each group [L, G]."""
     tasks: list[EpisodeTask]
-    """The rollouts, in the order of the members."""
+    """The tasks, in the order of the members."""
     generation: Generation
-    """What they have in common."""
+    """Data that the tasks share."""
 
 
 def population_tasks(
@@ -53,26 +53,26 @@ def population_tasks(
     episodes: int,
     common_random_numbers: str = "group",
     statistics_fraction: float = 1.0,
-    noted_steps: Sequence[int] = (),
+    snapshot_steps: Sequence[int] = (),
 ) -> list[EpisodeTask]:
-    """Return the tasks of all members: their group's noise, their own signs, their episodes' seeds.
+    """Return the tasks of all members.
 
     Args:
         state: The state before the generation.
         signs: Signs of every member at each level [G, M, L].
         noise_index: Start of each group's noise slice [L, G].
-        episodes: Episodes of a member, E.
+        episodes: Number of episodes per member, E.
         common_random_numbers: One of `COMMON_RANDOM_NUMBERS`.
-        statistics_fraction: Share of the groups, drawn at random, whose observations enter the statistics.
-        noted_steps: After how many control steps each of the G * M * E episodes leaves a snapshot; none leaves one if
-            empty.
+        statistics_fraction: Fraction of the groups, chosen at random, whose observations enter the statistics.
+        snapshot_steps: Number of control steps before the snapshot of each of the G * M * E episodes; empty for no
+            snapshots.
 
     Raises:
         UnknownNameError: `common_random_numbers` is not known.
     """
     if common_random_numbers not in COMMON_RANDOM_NUMBERS:
         raise UnknownNameError(
-            "way to share episodes", common_random_numbers, COMMON_RANDOM_NUMBERS, "Set --common-random-numbers."
+            "common random numbers", common_random_numbers, COMMON_RANDOM_NUMBERS, "Set --common-random-numbers."
         )
     groups, members, _ = signs.shape
     rng = stream(state.seed, Purpose.TRAINING_EPISODES, state.generation)
@@ -93,7 +93,7 @@ def population_tasks(
                 for seed in seeds[group % draws[0], member % draws[1]].tolist()
             ),
             records_statistics=records[group],
-            noted_steps=tuple(noted_steps[(group * members + first) * episodes :][: shared * episodes]),
+            snapshot_steps=tuple(snapshot_steps[(group * members + first) * episodes :][: shared * episodes]),
         )
         for group in range(groups)
         for first in range(0, members, shared)
@@ -101,14 +101,14 @@ def population_tasks(
 
 
 def members_per_lane(members: int, episodes: int) -> int:
-    """Return how many of the `members` of a group share a matmul, M': all of them where `episodes` (E) are few."""
+    """Return how many of the `members` of a group share a matmul, M': all of them if E (`episodes`) is small."""
     return members if episodes < _ENOUGH_ROWS else 1
 
 
 def mean_policy_task(state: TrainState, member: int, episodes: int, shared: int) -> EpisodeTask:
-    """Return the task of the mean policies themselves, as one more member: where they end is what novelty is from.
+    """Return the task of the mean policies as an additional `member`, for novelty search.
 
-    Its matmul has room for `shared` members, as everyone's; the others' rows are idle.
+    Its matmul has rows for `shared` members, as that of every other task. The surplus rows are idle.
     """
     zeros = (0,) * len(state.levels)
     seeds = stream(state.seed, Purpose.NOVELTY_EPISODES, state.generation).integers(0, 2**63, episodes)

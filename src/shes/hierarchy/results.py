@@ -1,4 +1,4 @@
-"""What came of the episodes of a whole population."""
+"""Results of the episodes of a whole population."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from shes.hierarchy.episodes import (
     EpisodeResults,
     EpisodeTask,
     Generation,
-    LevelMoments,
     Outcomes,
     Snapshot,
     empty_outcomes,
 )
+from shes.hierarchy.moments import Moments
 from shes.types import BoolArray, F64Array
 
 __all__ = ["PopulationResults", "lower_diverged"]
 
 
 def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
-    """Return `values` with those of diverged episodes lowered to the least of the others, if that is lower.
+    """Return `values` with those of diverged episodes lowered to the minimum of the others.
 
     Args:
         values: A return or score of every episode, of any shape.
-        has_diverged: Whether the physics blew up, of the same shape.
+        has_diverged: Whether the physics diverged, of the same shape.
     """
     if not has_diverged.any() or has_diverged.all():
         return values
@@ -38,74 +38,69 @@ def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
 
 @dataclass(frozen=True, kw_only=True)
 class PopulationResults(ByEpisode):
-    """What came of the episodes of a whole population of n members with E episodes each."""
+    """Results of a population of n members with E episodes each."""
 
     outcomes: Outcomes
-    """What came of each episode [n, E]; `returns` are [L, n, E], final positions [n, E, 2]."""
-    moments: list[LevelMoments] = field(default_factory=list)
-    """Sums of the observations of each level so far, over episodes (K = 1); empty before the first."""
+    """Outcome of each episode [n, E]. `returns` are [L, n, E], final positions [n, E, 2]."""
+    moments: list[Moments] = field(default_factory=list)
+    """Moments of each level, summed over episodes (K = 1); empty before the first."""
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
-    """What the workers spent on each of `PARTS`, added up over workers."""
+    """Seconds spent on each of `PARTS`, summed over workers."""
     log: list[str] = field(default_factory=list)
-    """What the simulators had to say."""
+    """Log messages of the simulators."""
     snapshots: dict[tuple[int, int], Snapshot] = field(default_factory=dict)
-    """What episodes left that were asked to, by member and episode, in the order of the tasks."""
+    """Snapshots by member and episode, in the order of the tasks."""
 
     @classmethod
     def empty(cls, num_levels: int, members: int, episodes: int) -> PopulationResults:
-        """Return results to be filled by `add`."""
+        """Return empty results, to be filled by `add`."""
         return cls(outcomes=empty_outcomes(num_levels, members, episodes))
 
     @classmethod
     def of_tasks(cls, tasks: Sequence[EpisodeTask], generation: Generation) -> PopulationResults:
-        """Return room for the results of all of `tasks`."""
+        """Return empty results for all of `tasks`."""
         members = 1 + max(task.member + max(task.slots) // generation.episodes_per_policy for task in tasks)
         return cls.empty(len(generation.levels), members, generation.episodes_per_policy)
 
     def members(self, which: slice) -> PopulationResults:
-        """Return what came of some of the members; sums over all of them stay as they are."""
+        """Return the outcomes of some of the members. Sums over all members are unchanged."""
         return replace(self, outcomes=self.outcomes[which])
 
     @property
     def fitness(self) -> F64Array:
         """Fitness of every member at each level [L, n]: its mean return.
 
-        An episode that diverged counts as the worst of all that did not: where rewards are negative, to end early by
-        breaking the physics must not pay.
+        A diverged episode counts as the worst of the others, so that divergence is never rewarded.
         """
-        return np.stack([lower_diverged(row, self.has_diverged) for row in np.ascontiguousarray(self.returns)]).mean(
-            axis=2
-        )
+        returns = [lower_diverged(row, self.has_diverged) for row in np.ascontiguousarray(self.returns)]
+        return np.stack(returns).mean(axis=2)
 
     def add(self, task: EpisodeTask, result: EpisodeResults) -> None:
-        """Enter the result of `task`. The order of these calls is that in which sums of observations are rounded."""
+        """Add the result of `task`. The order of the calls affects the rounding of the moments."""
         episodes = self.outcomes.shape[1]
         place = np.divmod(task.member * episodes + np.array(task.slots), episodes)
         self.outcomes[place] = result.outcomes
         self.seconds[:] += result.seconds
         self.log.extend(result.log)
-        for member, episode, left in zip(*place, result.snapshots, strict=False):
-            if left is not None:
-                self.snapshots[int(member), int(episode)] = left
+        for member, episode, snapshot in zip(*place, result.snapshots, strict=False):
+            if snapshot is not None:
+                self.snapshots[int(member), int(episode)] = snapshot
         if result.moments is None:
             return
         if not self.moments:
-            self.moments.extend(
-                LevelMoments(count=m.count[:1] * 0, total=m.total[0] * 0, total_squares=m.total_squares[0] * 0)
-                for m in result.moments
-            )
+            self.moments.extend(Moments.zeros(1, m.total.shape[1]) for m in result.moments)
         for mine, new in zip(self.moments, result.moments, strict=True):
             mine.count[0] += new.count.sum()
             for k in range(len(new.count)):
-                mine.total[:] += new.total[k]
-                mine.total_squares[:] += new.total_squares[k]
+                mine.total[0] += new.total[k]
+                mine.total_squares[0] += new.total_squares[k]
 
     def merge_statistics(self, levels: Sequence[LevelState], learns: Sequence[bool]) -> tuple[LevelState, ...]:
-        """Return `levels` with these observations in the statistics of those that learn."""
+        """Return `levels` with the observations added to the statistics of those that learn."""
         if not self.moments:
             return tuple(levels)
         return tuple(
-            replace(level, statistics=level.statistics.merge(int(m.count[0]), m.total, m.total_squares))
+            replace(level, statistics=level.statistics.merge(int(m.count[0]), m.total[0], m.total_squares[0]))
             if is_learning
             else level
             for level, m, is_learning in zip(levels, self.moments, learns, strict=True)

@@ -1,12 +1,16 @@
-"""Primitive rewards: what a controller pays its primitive each step. Source: SHES paper II-B."""
+"""Primitive rewards: the intrinsic reward that the primitive receives each step. Source: SHES paper II-B."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from shes.errors import ConfigError
+from shes.options import make
 from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
@@ -22,13 +26,16 @@ __all__ = [
 ]
 
 METRE_REWARD, NEAR_REWARD = 4.0, 0.2
-"""With `metres`: of a metre nearer to the goal, and of a step near it."""
+"""Rewards of `metres`: per metre of approach, and per step near the goal."""
 REACHED_M = 1.0
 """A goal nearer than this is reached (L in the paper)."""
 
 
 class PrimitiveReward(ABC):
-    """Reward of one step from where the robot was when the goal was set, where it is, and where the goal is."""
+    """Reward of a step, from the robot's movement since the goal was set.
+
+    A subclass that is also a `shes.settings.Settings` dataclass has its fields as flags of `shes train`.
+    """
 
     @abstractmethod
     def __call__(
@@ -38,94 +45,88 @@ class PrimitiveReward(ABC):
 
         Args:
             distance: From the robot to the goal after the step [N], in metres.
-            start_distance: The same when the goal was set [N].
-            displacement: What the robot has moved since the goal was set [N, 2].
-            goal: From where the goal was set to the goal [N, 2].
+            start_distance: From the robot to the goal when the goal was set [N], in metres.
+            displacement: Movement of the robot since the goal was set [N, 2], in metres.
+            goal: Goal relative to the robot's position when it was set [N, 2], in metres.
         """
 
     def of_step(
         self, distance: F64Array, before: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
     ) -> F64Array:
         """Return the reward [N] of a step that began `before` metres [N] from the goal; see `__call__`."""
-        del before
         return self(distance, start_distance, displacement, goal)
 
 
 class ProgressReward(PrimitiveReward):
-    """`1 - d_t / d_c`, plus 1 within 1 m of the goal (paper, equation 1)."""
+    """Fraction of the distance covered, `1 - d_t / d_c`, plus 1 within 1 m of the goal. Source: paper, equation 1."""
 
     def __call__(
         self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
     ) -> F64Array:
-        """Return the share of the way covered, plus the bonus at the goal [N]."""
-        del displacement, goal
+        """Return the covered fraction plus the bonus at the goal [N]."""
         return 1 - distance / start_distance + (distance < REACHED_M)
 
 
 class MetresReward(PrimitiveReward):
-    """Four times the metres that a step came nearer to the goal, plus 0.2 within 1 m of it.
+    """Four times the metres by which the step approached the goal, plus 0.2 within 1 m of it.
 
-    What a step is worth does not depend on how far away the goal was set, so that a near goal is not worth more effort
-    than a far one, and speed pays everywhere.
+    The reward of a step does not depend on the initial distance of the goal, so near goals are not preferred.
 
-    Deviation: not the paper's equation 1, which pays for the share of the way in every step.
-    Source: learning specification, section 3; Ng et al. 1999 (a reward by potential differences).
+    Source: Ng et al. 1999 (rewards by potential differences).
+    Deviation: the paper's equation 1 rewards the covered fraction of the distance in every step.
     """
 
     def __call__(
         self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
     ) -> F64Array:
-        """Return what the way since the goal was set is worth [N], if it was set a step ago."""
-        del displacement, goal
+        """Return the reward [N] of a step that began at `start_distance`."""
         return METRE_REWARD * (start_distance - distance) + NEAR_REWARD * (distance < REACHED_M).astype(np.float64)
 
     def of_step(
         self, distance: F64Array, before: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
     ) -> F64Array:
-        """Return what the step's own way is worth [N]."""
-        del start_distance
+        """Return the reward [N] of the step."""
         return self(distance, before, displacement, goal)
 
 
 class NegativeDistanceReward(PrimitiveReward):
-    """Minus the distance to the goal in metres, `-d_t`: never above 0, so that a robot that dies at once loses least.
+    """Minus the distance to the goal in metres.
 
-    Source: HIRO (Nachum et al. 2018), of which paper II-B tells the local minimum.
-    Deviation: HIRO's goal is a whole state, its distance that between states; ours is a point on the floor.
+    The reward is never positive, so that ending an episode early has the highest return.
+
+    Source: HIRO (Nachum et al. 2018); paper II-B describes the local minimum.
+    Deviation: HIRO's goal is a state and its distance that between states. Here the goal is a point on the floor.
     """
 
     def __call__(
         self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
     ) -> F64Array:
-        """Return minus the distance [N], in metres."""
-        del start_distance, displacement, goal
+        """Return minus the distance [N] in metres."""
         return -distance
 
 
 class CosineReward(PrimitiveReward):
-    """Cosine of the angle between what the robot has moved since the goal was set and the way to the goal from there.
+    """Cosine of the angle between the movement since the goal was set and the vector to the goal from there.
 
-    It is in [-1, 1] and pays for the direction, not for how far. Where the robot has not moved, or the goal was set
-    where the robot stood, there is no angle: it is 0.
+    It is in [-1, 1] and does not depend on the distance moved. It is 0 if one of the two vectors is zero.
 
-    Source: FuN (Vezhnevets et al. 2017), as told in paper II-B.
-    Deviation: FuN averages over the goals of the last c steps, because it sets one each step, and measures in a learned
-    space; ours is held for c steps, so that there is one to compare with, on the floor.
+    Source: FuN (Vezhnevets et al. 2017), as described in paper II-B.
+    Deviation: FuN sets a goal each step, averages over the goals of the last c steps, and measures in a learned space.
+    Here a goal is held for c steps and lies on the floor.
     """
 
     def __call__(
         self, distance: F64Array, start_distance: F64Array, displacement: F64Array, goal: F64Array
     ) -> F64Array:
         """Return the cosine [N]."""
-        del distance, start_distance
         moved, way = _direction(displacement), _direction(goal)
         cosine = moved[:, 0] * way[:, 0] + moved[:, 1] * way[:, 1]
-        return np.clip(cosine, -1, 1)  # rounding may exceed 1 by a bit
+        return np.clip(cosine, -1, 1)  # rounding may exceed 1
 
 
 def _direction(vector: F64Array) -> F64Array:
-    """Return `vector` [N, 2] with length 1, or (0, 0) where it has none."""
-    length = np.hypot(vector[:, 0], vector[:, 1])  # its squares would vanish for very short vectors
+    """Return `vector` [N, 2] scaled to length 1, or (0, 0) if it is zero."""
+    length = np.hypot(vector[:, 0], vector[:, 1])  # squares of very small components would underflow
     return vector / np.where(length > 0, length, 1)[:, None]
 
 
@@ -140,29 +141,26 @@ PRIMITIVE_REWARDS: Registry[type[PrimitiveReward]] = Registry(
     fix="Set --primitive-reward. Register your own first: shes.register_primitive_reward, or --import MODULE.",
     check=subclass_of(PrimitiveReward),
 )
+"""Primitive rewards by name: the choices of `--primitive-reward`."""
 
 
 def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:
-    """Make `reward` known as `name`, in this process; then `shes.train(..., primitive_reward=name)` uses it.
-
-    Args:
-        name: Lower-case words joined by `-` or `_`.
-        reward: A complete subclass of `PrimitiveReward`, made without arguments.
+    """Register `reward` as `name` in this process, for `shes.train(..., primitive_reward=name)`.
 
     Raises:
-        ConfigError: The class is none or not complete, or the name is malformed or stands for another class.
+        ConfigError: The class is not a complete subclass made without arguments, or the name is malformed or taken.
     """
     PRIMITIVE_REWARDS.register(name, reward)
 
 
-def make_primitive_reward(name: str) -> PrimitiveReward:
-    """Return the primitive reward of this name.
+def make_primitive_reward(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> PrimitiveReward:
+    """Return the primitive reward called `name`, with its options from `values`.
 
     Raises:
         UnknownNameError: `name` is not in `PRIMITIVE_REWARDS`.
         ConfigError: It does not return one number for each episode.
     """
-    reward = PRIMITIVE_REWARDS.find(name)()
+    reward = make(PRIMITIVE_REWARDS, name, values)
     shape = np.shape(reward(np.ones(2), np.ones(2), np.ones((2, 2)), np.ones((2, 2))))
     if shape != (2,):
         raise ConfigError(

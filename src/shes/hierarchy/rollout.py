@@ -1,13 +1,12 @@
-"""The only loop over environment steps: many policies in lockstep, refilled as they finish.
+"""The only loop over environment steps: many policies in lockstep.
 
-A worker has P lanes; a lane runs the R episodes of a task, each in its own slot: those of one member of the population,
-or of a group's members, whose policies are the mean plus and minus the same noise. A finished episode leaves the
-physics and the statistics but keeps its row of the lane's matmul, so no result depends on which members share a worker
-(design, One generation). Lanes are refilled as they become free; on a device, where an idle lane
-costs as much as a busy one and a transfer more than either, when all are.
+A worker has P lanes. A lane runs the R episodes of a task, each in its own slot: those of one member, or of several
+members of a mirrored group, which share their noise. A finished episode leaves the physics and the statistics but keeps
+its row in the lane's matmul, so results do not depend on which members share a worker. On the CPU, a free lane is
+refilled at once. On a device, where transfers are expensive, all lanes are refilled together.
 
-Who runs, and for how long, is known here in NumPy's arrays; what is computed of episodes is the task's and the agent's,
-in those of their module `xp`. Every step waits for a device twice: are the actions finite, and who has ended?
+The rollout's own state is in NumPy arrays; the environment and the agent use arrays of their module `xp`. Every step
+waits for the device twice: to check that actions are finite, and to find the episodes that have ended.
 """
 
 from __future__ import annotations
@@ -30,79 +29,80 @@ from shes.hierarchy.episodes import (
     EpisodeResults,
     EpisodeTask,
     Generation,
-    LevelMoments,
     Outcomes,
     Snapshot,
     empty_outcomes,
 )
 from shes.hierarchy.exploration import Exploration
-from shes.hierarchy.snapshots import Notes
+from shes.hierarchy.moments import Moments
+from shes.hierarchy.snapshots import SnapshotRecorder
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 __all__ = ["Rollout"]
 
 NumberedTask = tuple[int, EpisodeTask]
-"""A task with its number in the order of results."""
+"""A task with its number in the order of the results."""
 
 
 @dataclass(kw_only=True)
 class _Lane:
-    """A task at work."""
+    """A lane that runs a task."""
 
     number: int
     task: EpisodeTask
     running: set[int]
-    """Places in `task.slots` of the episodes that have not ended."""
+    """Indices in `task.slots` of the episodes that have not ended."""
     results: EpisodeResults
 
 
 class Rollout:
-    """Runs episodes of one environment for one agent design on one thread."""
+    """Runs episodes of one environment with agents of one design, in one thread."""
 
     def __init__(
         self,
         design: AgentDesign,
-        make_task: Callable[[int], EpisodeBatch],
+        make_batch: Callable[[int], EpisodeBatch],
         num_lanes: int,
         rows_per_lane: int,
         horizon: int,
         members_per_lane: int = 1,
     ) -> None:
-        """Make room for `num_lanes` tasks of `rows_per_lane` episodes of at most `horizon` steps.
+        """Allocate `num_lanes` lanes of `rows_per_lane` episodes of at most `horizon` steps.
 
-        `make_task` returns the environment for a number of episodes N = P * R; the R episodes of a lane are those of
+        `make_batch` returns the environment for a number of episodes N = P * R. The episodes of a lane belong to
         `members_per_lane` members, which share their noise.
         """
         self.rows_per_lane, self.horizon, self.members_per_lane = rows_per_lane, horizon, members_per_lane
         self.design = design
-        self.task = make_task(num_lanes * rows_per_lane)
-        self.xp = self.task.xp
+        self.batch = make_batch(num_lanes * rows_per_lane)
+        self.xp = self.batch.xp
         self.agent = design.make(num_lanes, rows_per_lane, self.xp, shares_noise=members_per_lane > 1)
         self._lanes: list[_Lane | None] = [None] * num_lanes
         rows = num_lanes * rows_per_lane
-        self._exploration = Exploration(self.agent, horizon, self.task.action_size)
+        self._exploration = Exploration(self.agent, horizon, self.batch.action_size)
         self._is_running: BoolArray = np.zeros(rows, dtype=np.bool_)
         self._running: IntArray = np.zeros(0, dtype=np.int64)
         self._steps: IntArray = np.zeros(rows, dtype=np.int64)
         self._intrinsic_return: F64Array = self.xp.zeros(rows)
         self._seconds: F64Array = np.zeros(len(PARTS))
-        self._notes: Notes | None = None
+        self._recorder: SnapshotRecorder | None = None
 
     @property
     def num_lanes(self) -> int:
-        """Tasks at work at a time, P."""
+        """Number of lanes, P."""
         return len(self._lanes)
 
     def run(
         self, work: Iterator[NumberedTask], generation: Generation, table: NoiseTable
     ) -> Iterator[tuple[int, EpisodeResults]]:
-        """Run `work` to its end, a task per lane at a time; yield numbered results as they come.
+        """Run all of `work`, one task per lane at a time, and yield numbered results as tasks finish.
 
         Raises:
             PolicyError: A policy returned NaN or infinity.
         """
         self._exploration.begin(generation)
-        self._notes = self._make_notes(generation.goals_noted)
+        num_goals = generation.snapshot_goals
+        self._recorder = SnapshotRecorder(self.batch, self.agent, num_goals) if num_goals else None
         self.agent.normalise_by(generation.levels)
         if self.agent.shares_noise:
             self.agent.centre_on(generation.levels)
@@ -113,23 +113,21 @@ class Rollout:
         is_exhausted = False
         while True:
             free = [place for place, lane in enumerate(self._lanes) if lane is None]
-            if not is_exhausted and free and not (self.task.starts_together and len(free) < self.num_lanes):
+            if not is_exhausted and free and not (self.batch.starts_together and len(free) < self.num_lanes):
                 started = dict(zip(free, work, strict=False))
                 is_exhausted = len(started) < len(free)
                 if started:
                     self._start(started, means, generation, table)
             if not len(self._running):
                 return
-            yield from self._until_one_ends()
-
-    def _make_notes(self, num_goals: int) -> Notes | None:
-        """Return what notes snapshots with `num_goals` goals, if any are wanted."""
-        return Notes(self.task, self.agent, num_goals) if num_goals else None
+            while not len(ended := self._step()):
+                pass
+            yield from self._finish(ended)
 
     def _start(
         self, started: dict[int, NumberedTask], means: list[F32Array], generation: Generation, table: NoiseTable
     ) -> None:
-        """Put tasks into free lanes: perturb the policies, reset the episodes, draw their exploration noise."""
+        """Start tasks in free lanes: perturb the policies, reset the episodes, draw their exploration noise."""
         slots: list[int] = []
         seeds: list[int] = []
         for place, (number, task) in started.items():
@@ -141,14 +139,15 @@ class Rollout:
             results = _empty_results(task, self.design.observation_sizes)
             self._lanes[place] = _Lane(number=number, task=task, running=set(range(len(task.slots))), results=results)
         rows = np.array(slots)
-        _begin(self.task, rows, seeds, [task for _, task in started.values()])
-        # Lanes without work keep the others' time: then what all decide together is quicker.
+        starts = [None if task.start is None else task.start.state for _, task in started.values() for _ in task.slots]
+        self.batch.reset(rows, seeds, starts if any(state is not None for state in starts) else ())
+        # If none is running, lanes without work start as well: steps are faster if all lanes have the same clock.
         self.agent.start(np.array(list(started)) if len(self._running) else slice(None))
         for place, (_, task) in started.items():
             if task.start is not None:
                 self.agent.go_on(place, task.start.steps, task.start.goals)
-        if self._notes is not None:
-            self._notes.begin(started)
+        if self._recorder is not None:
+            self._recorder.begin(started)
         if self._exploration.is_on:
             self._exploration.upload()
         self._intrinsic_return[self.xp.asarray(rows)] = 0
@@ -158,7 +157,7 @@ class Rollout:
         self.agent.is_recording = any(lane is not None and lane.task.records_statistics for lane in self._lanes)
 
     def _perturb(self, place: int, task: EpisodeTask, means: list[F32Array], sigma: float, table: NoiseTable) -> None:
-        """Give lane `place` the policies of a task."""
+        """Write the parameters of a task into lane `place`."""
         agent = self.agent
         for level, mean in enumerate(means):
             noise = table.slice(task.noise_index[level], len(mean))
@@ -170,40 +169,33 @@ class Rollout:
             else:
                 perturb(mean, noise, scales[0], agent.theta[level][place])
 
-    def _until_one_ends(self) -> Iterator[tuple[int, EpisodeResults]]:
-        """Advance every running episode until one of them has ended; yield the tasks that this finished."""
-        ended = np.zeros(0, dtype=np.int64)
-        while not len(ended):
-            ended = self._step()
-        yield from self._finish(ended)
-
     def _step(self) -> IntArray:
-        """Advance every running episode by one control step; return the rows of those that this ended."""
-        task, agent = self.task, self.agent
-        start, physics_s = perf_counter(), task.physics_s
-        seen = (task.observe(), task.position, task.heading)
+        """Advance every running episode by one control step, and return the rows of those that ended."""
+        batch, agent = self.batch, self.agent
+        start, physics_s = perf_counter(), batch.physics_s
+        seen = (batch.observe(), batch.position, batch.heading)
         observed = perf_counter()
-        action = agent.act(*seen, goal=task.goal, **self._exploration.of_step())
+        action = agent.act(*seen, goal=batch.goal, **self._exploration.of_step())
         if not np.isfinite(action).all():
             self._refuse(action)
-        if self._notes is not None:
-            self._notes.take(self._is_running, self._steps)
+        if self._recorder is not None:
+            self._recorder.take(self._is_running, self._steps)
         acted = perf_counter()
-        task.step(self._running, action)
-        self._steps += 1  # of those that do not run it is not asked
+        batch.step(self._running, action)
+        self._steps += 1  # rows that are not running are ignored
         stepped = perf_counter()
         if self.design.intrinsic_level is not None:
-            # What a diverged simulation is worth is not known: its last step pays nothing.
-            self._intrinsic_return += agent.intrinsic_reward(task.position) * ~task.diverged
+            # The state of a diverged simulation is meaningless: its last step has no intrinsic reward.
+            self._intrinsic_return += agent.intrinsic_reward(batch.position) * ~batch.diverged
         paid = perf_counter()
-        ended = self._is_running & (to_host(task.terminated | task.diverged) | (self._steps >= self.horizon))
-        physics_s, policy_s = task.physics_s - physics_s, acted - observed + paid - stepped
-        # A device computes the physics while the rest is prepared: what is left of the time is the task's.
+        ended = self._is_running & (to_host(batch.terminated | batch.diverged) | (self._steps >= self.horizon))
+        physics_s, policy_s = batch.physics_s - physics_s, acted - observed + paid - stepped
+        # A device may compute the physics in the background, so the task's time is the remainder.
         self._seconds += (physics_s, policy_s, perf_counter() - start - physics_s - policy_s)
         return np.flatnonzero(ended)
 
     def _finish(self, rows: IntArray) -> Iterator[tuple[int, EpisodeResults]]:
-        """Take the results of the episodes in `rows`; yield the lanes in which none is left."""
+        """Store the results of the episodes in `rows`, and yield the results of lanes that have finished."""
         self._is_running[rows] = False
         self._running = np.flatnonzero(self._is_running)
         outcomes, moments = self._outcomes(rows)
@@ -220,8 +212,8 @@ class Rollout:
             if lane.task.kept_slot == slot:
                 has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
                 results.snapshots[k] = None if has_ended_early else self._snapshot(row, lane.task)
-            if self._notes is not None:
-                results.snapshots[k] = self._notes.of(row)
+            if self._recorder is not None:
+                results.snapshots[k] = self._recorder.of(row)
             lane.running.discard(k)
             if not lane.running:
                 self._lanes[place] = None
@@ -230,25 +222,25 @@ class Rollout:
                 yield lane.number, results
 
     def _snapshot(self, row: int, task: EpisodeTask) -> Snapshot:
-        """Return what another episode needs to go on where the one in `row` has ended."""
+        """Return a snapshot of the end of the episode in `row`."""
         before = 0 if task.start is None else task.start.steps
-        state = self.task.states(np.array([row]))[0]
+        state = self.batch.states(np.array([row]))[0]
         return Snapshot(state=state, steps=before + int(self._steps[row]))
 
     def _outcomes(self, rows: IntArray) -> tuple[Outcomes, list[tuple[F64Array, ...]]]:
-        """Return the outcomes of the episodes in `rows` and the moments of each level, in one transfer each."""
-        task, agent, ids = self.task, self.agent, self.xp.asarray(rows)
+        """Return the outcomes of the episodes in `rows`, and the moments of each level."""
+        batch, agent, ids = self.batch, self.agent, self.xp.asarray(rows)
         quantities: dict[str, Any] = {
-            "environment_returns": task.running_return,
-            "score": task.score,
-            "success": task.success,
+            "environment_returns": batch.running_return,
+            "score": batch.score,
+            "success": batch.success,
             "goals_reached": agent.goals_reached,
-            "has_diverged": task.diverged,
-            "has_terminated": task.terminated & ~task.diverged,
-            "has_fallen": task.fallen & ~task.diverged,
-            "final_position": task.position,
+            "has_diverged": batch.diverged,
+            "has_terminated": batch.terminated & ~batch.diverged,
+            "has_fallen": batch.fallen & ~batch.diverged,
+            "final_position": batch.position,
         }
-        # float64 holds every count that there is exactly.
+        # A single transfer. float64 represents every count exactly.
         parts = [part[ids].reshape(len(rows), -1) for part in (self._intrinsic_return, *quantities.values())]
         found = to_host(np.concatenate([part.astype(np.float64) for part in parts], axis=1))
         ends = np.cumsum([part.shape[1] for part in parts])
@@ -267,9 +259,9 @@ class Rollout:
         return outcomes, moments
 
     def _refuse(self, action: F32Array) -> None:
-        """Say whose policy returned what is not finite; one without work cannot be the reason."""
+        """Raise PolicyError for the member whose policy returned NaN or infinity."""
         rows = np.flatnonzero(~np.isfinite(to_host(action)).all(axis=1))
-        for row in sorted(rows.tolist(), key=lambda row: not self._is_running[row]):  # idle rows of a lane come last
+        for row in sorted(rows.tolist(), key=lambda row: not self._is_running[row]):  # idle rows last
             lane = self._lanes[row // self.rows_per_lane]
             if lane is None:
                 continue
@@ -285,24 +277,11 @@ class Rollout:
             )
 
 
-def _begin(batch: EpisodeBatch, rows: IntArray, seeds: list[int], tasks: list[EpisodeTask]) -> None:
-    """Reset the episodes of `tasks`, which take `rows` of `batch` one after another, or put them where they start."""
-    starts = [None if task.start is None else task.start.state for task in tasks for _ in task.slots]
-    if any(state is not None for state in starts):
-        batch.reset(rows, seeds, starts)
-    else:
-        batch.reset(rows, seeds)
-
-
 def _empty_results(task: EpisodeTask, sizes: tuple[int, ...]) -> EpisodeResults:
-    """Return results to be filled for the episodes of `task`, whose levels observe `sizes` values."""
+    """Return empty results for the episodes of `task`, whose levels have `sizes` inputs."""
     k = len(task.slots)
-    moments = tuple(
-        LevelMoments(count=np.zeros(k, np.int64), total=np.zeros((k, size)), total_squares=np.zeros((k, size)))
-        for size in sizes
-    )
     return EpisodeResults(
         outcomes=empty_outcomes(len(sizes), k),
-        moments=moments if task.records_statistics else None,
+        moments=tuple(Moments.zeros(k, size) for size in sizes) if task.records_statistics else None,
         snapshots=[None] * k,
     )

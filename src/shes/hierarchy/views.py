@@ -1,7 +1,7 @@
-"""Views: what a level sees of what its environment shows.
+"""Views: the part of an environment's observation that a level sees.
 
-Source: algorithm specification section 6 (a primitive sees the robot's own coordinates); learning specification,
-section 1 (the egocentric view).
+Source: SHES paper II-D (a transferred primitive sees the robot's own coordinates); `docs/learning.md` (egocentric
+views).
 """
 
 from __future__ import annotations
@@ -15,58 +15,54 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.types import F64Array, IntArray
 
-__all__ = ["ColumnsView", "EgocentricView", "View", "columns"]
+__all__ = ["ColumnsView", "EgocentricView", "View"]
 
 
 class View(ABC):
-    """Picks, or works out, what a level sees. Worker processes are sent it."""
+    """Selects or computes the values that a level sees. It is sent to worker processes."""
 
     is_egocentric: bool = False
-    """Whether what is seen, goals too, is in the robot's own frame."""
+    """Whether the values, and the goals beside them, are expressed in the robot's own frame."""
 
     @abstractmethod
     def size(self, observation_size: int) -> int:
-        """Return the number of values that are seen of an observation of `observation_size`."""
+        """Return the number of values seen of an observation of `observation_size` values."""
 
     def angle(self, observation: F64Array, heading: F64Array) -> F64Array:
-        """Return the angle [N] of the frame from which robots of this `heading` [N] see, in radians."""
-        del observation
+        """Return the angle [N] of the view's frame in radians, for robots with this `heading` [N]."""
         return heading
 
     @abstractmethod
     def write(self, observation: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Write what is seen of `observation` [N, O], from frames at `angle` [N], into `out` [N, V]."""
+        """Write the view of `observation` [N, O], from frames at `angle` [N], into `out` [N, V]."""
 
     @abstractmethod
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
-        """Return what the values that are seen are called, by what those of the observation are called."""
+        """Return the names of the values, given the names of the observed values."""
 
     def on(self, xp: ModuleType) -> View:
         """Return this view for arrays of `xp`."""
-        del xp
         return self
 
 
 class ColumnsView(View):
-    """Some of the observation's values, in any order, or all of them."""
+    """Some or all of the observed values, in any order."""
 
     def __init__(self, indices: Sequence[int] | None = None, xp: ModuleType = np) -> None:
-        """See the values at `indices`, all if none are given."""
+        """Select the values at `indices`, or all values if None."""
         self.indices = None if indices is None else tuple(int(index) for index in indices)
-        picked = columns(self.indices)
-        self._columns = picked if isinstance(picked, slice) else xp.asarray(picked)
+        self._columns = slice(None) if self.indices is None else _columns(self.indices, xp)
 
     def size(self, observation_size: int) -> int:
-        """Return how many values are picked."""
+        """Return the number of selected values."""
         return observation_size if self.indices is None else len(self.indices)
 
     def write(self, observation: F64Array, angle: F64Array, out: F64Array) -> None:
         """Copy the values; see `View.write`."""
-        del angle
         out[:] = observation[:, self._columns]
 
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
-        """Return the names of the values that are picked."""
+        """Return the names of the selected values."""
         return tuple(observation_names[i] for i in self.indices or range(len(observation_names)))
 
     def on(self, xp: ModuleType) -> ColumnsView:
@@ -75,10 +71,10 @@ class ColumnsView(View):
 
 
 class EgocentricView(View):
-    """The robot's state in its own frame, without its place, then other values of the observation.
+    """The robot's state in its own frame, without its position, followed by other observed values.
 
-    Deviation: the paper's policies see the torso's quaternion and velocities along the world's axes, so that a network
-    has to learn to rotate before it can learn to walk.
+    Deviation: the paper's policies see the torso's quaternion, and velocities in the world frame, so that a network has
+    to learn the rotation before it can learn to walk.
     """
 
     is_egocentric = True
@@ -91,22 +87,20 @@ class EgocentricView(View):
         self._places = tuple(int(index) for index in proprioception), tuple(int(index) for index in others)
         robot = self._places[0]
         self._qpos, self._qvel, self._others = (
-            _span(indices, xp) for indices in (robot[: body.num_qpos], robot[body.num_qpos :], self._places[1])
+            _columns(indices, xp) for indices in (robot[: body.num_qpos], robot[body.num_qpos :], self._places[1])
         )
         self._own = len(body.egocentric)
 
     def size(self, observation_size: int) -> int:
         """Return the number of the robot's own values and of the others."""
-        del observation_size
         return self._own + len(self._places[1])
 
     def angle(self, observation: F64Array, heading: F64Array) -> F64Array:
-        """Return the angle of the body's own frame [N]."""
-        del heading
+        """Return the angle of the body's own frame [N] in radians."""
         return self.body.frame_angle(observation[:, self._qpos])
 
     def write(self, observation: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Work out the robot's own values and copy the others; see `View.write`."""
+        """Compute the robot's own values and copy the others; see `View.write`."""
         self.body.write_egocentric(observation[:, self._qpos], observation[:, self._qvel], angle, out[:, : self._own])
         if self._places[1]:
             out[:, self._own :] = observation[:, self._others]
@@ -121,15 +115,8 @@ class EgocentricView(View):
         return EgocentricView(self.body, *self._places, xp)
 
 
-def columns(indices: tuple[int, ...] | None) -> slice | IntArray:
-    """Return what picks columns `indices`, all if None: a slice where it can be one, because that is quicker."""
-    if indices is None:
-        return slice(None)
-    return _span(indices, np)
-
-
-def _span(indices: tuple[int, ...], xp: ModuleType) -> slice | IntArray:
-    """Return what picks columns `indices`: a slice where they are neighbours, because that is quicker."""
+def _columns(indices: tuple[int, ...], xp: ModuleType) -> slice | IntArray:
+    """Return the index of columns `indices`. Neighbours become a slice, which is faster."""
     if indices and indices == tuple(range(indices[0], indices[0] + len(indices))):
         return slice(indices[0], indices[0] + len(indices))
     return xp.asarray(np.array(indices, dtype=np.int64))

@@ -1,1 +1,1 @@
-"""Policies: a flat parameter vector becomes a batched action."""
+"""Policies: networks over flat parameter vectors."""

@@ -1,8 +1,8 @@
-"""Multilayer perceptron over a flat parameter vector, for many policies at once.
+"""Multilayer perceptron over flat parameter vectors, for many policies at once.
 
-Source: SHES paper and its code: tanh after every layer, the output included (algorithm specification section 1).
-A stacked matmul gives a policy the same bits whatever other policies are stacked with it, as long as its number of rows
-stays the same; so callers keep a policy's row count E for its whole life.
+Source: the SHES authors' code: tanh after every layer, including the output.
+In a stacked matmul, the results of a policy are bit-identical whatever other policies are stacked with it, as long as
+its number of rows stays the same. Callers therefore never change the row count of a policy.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from shes.types import F32Array
 __all__ = ["BIAS_INITIALISATIONS", "MLP", "OUTPUT_INITIALISATIONS", "Layers", "Rows", "aligned_rows"]
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
-"""`glorot_normal` is the paper's code: a bias vector of n has fan (1, n), so standard deviation sqrt(2 / (1 + n))."""
+"""`glorot_normal` is that of the authors' code: a bias vector of n has the standard deviation sqrt(2 / (1 + n))."""
 
 OUTPUT_INITIALISATIONS = ("glorot_normal", "zero")
-"""`zero` begins with a policy that does nothing; the random gains of a linear one drive its outputs to their limits."""
+"""`zero` starts with outputs of zero. Random weights would drive the outputs of a linear policy to their limits."""
 
 Layers: TypeAlias = tuple[tuple[F32Array, F32Array], ...]
 """Weights [P, in, out] and biases [P, 1, out] of each layer of P policies."""
 
 Rows: TypeAlias = tuple[tuple[F32Array, F32Array], ...]
-"""What each of R rows takes of its stack's noise, and its own biases, [P, R, out] both, at each layer: spread over all
-outputs, because NumPy is several times slower where it has to spread them itself."""
+"""Scale of the noise and biases of each row, both [P, R, out], at each layer. They are stored for all outputs, because
+broadcasting them in NumPy would be several times slower."""
 
 _CACHE_LINE = 64  # bytes
 
 
 def aligned_rows(rows: int, columns: int) -> F32Array:
-    """Return zeros [rows, columns] of which every row starts on a cache line: no policy's place changes its bits."""
+    """Return zeros [rows, columns]. Every row starts on a cache line, so that its place does not affect rounding."""
     per_line = _CACHE_LINE // 4
     stride = -(-columns // per_line) * per_line
     raw = np.zeros(rows * stride + per_line, np.float32)
@@ -43,13 +43,13 @@ def aligned_rows(rows: int, columns: int) -> F32Array:
 
 
 class MLP:
-    """Layer sizes of a network; its parameters are a flat vector [D]: weights [in, out] and biases, layer by layer."""
+    """A network's layer sizes. Its parameters are a flat vector [D]: weights [in, out] and biases, layer by layer."""
 
     def __init__(self, num_inputs: int, hidden: tuple[int, ...], num_outputs: int) -> None:
-        """Take `num_inputs` to `num_outputs` through `hidden` layers.
+        """Create a network with layers of these sizes.
 
         Raises:
-            ConfigError: A layer is not positive.
+            ConfigError: A size is not positive.
         """
         self.sizes = (num_inputs, *hidden, num_outputs)
         if min(self.sizes) < 1:
@@ -61,10 +61,10 @@ class MLP:
     def initial(
         self, rng: np.random.Generator, bias_initialisation: str = "zero", output_initialisation: str = "glorot_normal"
     ) -> F32Array:
-        """Return start parameters [D]: Glorot-normal weights, and biases and the output layer as named.
+        """Return initial parameters [D]. Weights of hidden layers are Glorot-normal.
 
         Raises:
-            UnknownNameError: One is not among `BIAS_INITIALISATIONS` or `OUTPUT_INITIALISATIONS`.
+            UnknownNameError: A name is not in `BIAS_INITIALISATIONS` or `OUTPUT_INITIALISATIONS`.
         """
         if output_initialisation not in OUTPUT_INITIALISATIONS:
             raise UnknownNameError(
@@ -82,7 +82,7 @@ class MLP:
         return np.concatenate(parts)
 
     def layers(self, theta: F32Array) -> Layers:
-        """Return the layers of policies `theta` [P, D]: views."""
+        """Return the layers of policies `theta` [P, D] as views."""
         policies, start = theta.shape[0], 0
         found: list[tuple[F32Array, F32Array]] = []
         for fan_in, fan_out in pairwise(self.sizes):
@@ -97,7 +97,7 @@ class MLP:
 
     @staticmethod
     def forward(layers: Layers, observation: F32Array) -> F32Array:
-        """Return the outputs of `act` from the `layers` of its policies."""
+        """Return the outputs [P, R, A] of policies with these `layers`; see `act`."""
         layer = observation
         for weights, biases in layers:
             layer = layer @ weights
@@ -109,14 +109,14 @@ class MLP:
     def forward_around(mean: Layers, noise: Layers, rows: Rows, observation: F32Array) -> F32Array:
         """Return the outputs [P, R, A] of policies `mean + scale * noise` on normalised `observation` [P, R, O].
 
-        The R rows of a stack share a noise vector, which is read once for all of them: `x (W + s N) = x W + s (x N)`.
-        With few rows a product of one policy's own weights waits for the memory that they come from.
+        The R rows of a lane share a noise vector, which is read once for all of them: `x (W + s N) = x W + s (x N)`.
+        With few rows, a matmul with separate weights for each policy would be limited by memory bandwidth.
 
         Args:
             mean: Layers of one policy, P = 1.
             noise: Layers of the P noise vectors.
-            rows: Scale and biases of each row's policy, at each layer.
-            observation: What each row's policy sees.
+            rows: Scale and biases of each row.
+            observation: Normalised observation of each row.
         """
         layer = observation
         for (weights, _), (noise_weights, _), (scale, biases) in zip(mean, noise, rows, strict=True):

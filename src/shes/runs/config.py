@@ -9,7 +9,7 @@ from shes.algorithms.evolution.rooms import SCHEDULED
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
-from shes.es.perturbation import check_perturbation
+from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import make_schedule
 from shes.runs.rooms import check_names, learner, settings_in
 from shes.settings import Execution, Setting, flag, out_of_range, setting_fields
@@ -225,7 +225,7 @@ class TrainConfig:
                 "Set --primitive-view egocentric, or --symmetry none."
             )
         perturbation = self.hierarchy.perturbation if len(self.level_names) > 1 else "many_to_many"
-        check_perturbation(perturbation, evolution.population_size, evolution.mirrored, self.by_episodes)
+        PERTURBATIONS.find(perturbation)().signs(0, evolution.population_size, evolution.mirrored, self.by_episodes)
 
     def _check_branches(self) -> None:
         """Check that the primitive's episodes can be branched."""

@@ -9,13 +9,15 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.registry import ALGORITHMS, find_algorithm, learners
+from shes.backends.registry import BACKENDS
 from shes.cores import num_cores
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
 from shes.errors import ConfigError
+from shes.options import with_options
 from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shown, Unasked, setting_fields
 from shes.sim.warp_device import DEVICES
 
@@ -55,8 +57,8 @@ class RunSettings(Settings):
 class WorkerSettings(Settings):
     """Workers."""
 
-    backend: Annotated[Literal["processes", "serial"], Execution()] = "processes"
-    """Where the CPU does the work: processes (worker processes on this machine) or serial (this process)."""
+    backend: Annotated[str, Choices(BACKENDS, is_described=True), Execution()] = "processes"
+    """What runs the episodes on the CPU."""
     num_workers: Annotated[int, Ge(0), Execution(), Shown(flag="--workers", everyday=True)] = 0
     """Worker processes; 0 is one for every core. Never changes a number."""
     chunk_size: Annotated[int, Ge(0), Execution()] = 0
@@ -98,7 +100,12 @@ class EvaluationSettings(Settings):
     """Generations between the checkpoints kept beside `last` and `best`."""
 
 
-_OF_EVERY_RUN = (RunSettings, WorkerSettings, EpisodeSettings, EvaluationSettings)
+_OF_EVERY_RUN: dict[str, type[Settings]] = {
+    "run": RunSettings,
+    "workers": WorkerSettings,
+    "episodes": EpisodeSettings,
+    "evaluation": EvaluationSettings,
+}
 
 
 def learner(run: RunSettings) -> type[Algorithm[Any]]:
@@ -110,15 +117,17 @@ def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
     """Return the settings classes of a run by room, in the order of the help."""
     env = find_environment(run.env)
     body = env.body.Options if isinstance(env, Environment) else Settings
-    return {
-        "run": RunSettings,
-        "workers": WorkerSettings,
-        **learner(run).rooms,
-        "environment": env.options,
-        **({"body": body} if setting_fields(body) else {}),
-        "episodes": EpisodeSettings,
-        "evaluation": EvaluationSettings,
-    }
+    return with_options(
+        {
+            "run": RunSettings,
+            "workers": WorkerSettings,
+            **learner(run).rooms,
+            "environment": env.options,
+            **({"body": body} if setting_fields(body) else {}),
+            "episodes": EpisodeSettings,
+            "evaluation": EvaluationSettings,
+        }
+    )
 
 
 def settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
@@ -131,13 +140,14 @@ def settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
     tasks = {cls: None for each in ENVIRONMENTS.values() for cls in (each.options, each.body.Options)}
-    methods = [cls for each in learners() for cls in each.rooms.values()]
-    return settings_in([*_OF_EVERY_RUN, *tasks, *methods])
+    methods = [cls for each in learners() for cls in with_options(each.rooms).values()]
+    return settings_in([*with_options(_OF_EVERY_RUN).values(), *tasks, *methods])
 
 
 def execution_settings() -> dict[str, Setting]:
     """Return the settings that do not change the numbers of a run, by name."""
-    return {name: each for name, each in settings_in(_OF_EVERY_RUN).items() if each.has(Execution)}
+    settings = settings_in(with_options(_OF_EVERY_RUN).values())
+    return {name: each for name, each in settings.items() if each.has(Execution)}
 
 
 def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:

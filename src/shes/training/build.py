@@ -13,8 +13,7 @@ from shes.algorithms.evolution.rooms import EvolutionSettings
 from shes.algorithms.problem import Problem
 from shes.algorithms.worker import RolloutWorker, WorkerPlan, simulator_factory
 from shes.backends.backend import Backend
-from shes.backends.processes import ProcessesBackend
-from shes.backends.serial import SerialBackend
+from shes.backends.registry import BACKENDS
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.registry import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.options import TaskOptions
@@ -23,6 +22,7 @@ from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.rooms import learner
+from shes.settings import setting_fields
 from shes.sim.warp_device import is_out_of_memory
 
 __all__ = [
@@ -147,6 +147,6 @@ def check_device(config: TrainConfig) -> None:
 def build_backend(config: TrainConfig, plan: WorkerPlan) -> Backend:
     """Return the started backend of `config`; a device has one worker, in this process."""
     factory = partial(RolloutWorker, plan)
-    if config.workers.backend == "serial" or config.workers.device != "cpu":
-        return SerialBackend(factory)
-    return ProcessesBackend(factory, config.workers.count)
+    cls: Any = BACKENDS.find(config.workers.backend if config.workers.device == "cpu" else "serial")
+    options = cls.Options.of(config.settings)
+    return cls(factory, config.workers.count, **{name: getattr(options, name) for name in setting_fields(cls.Options)})

@@ -13,7 +13,7 @@ from typing import Any
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.designs import primitive_layers
-from shes.algorithms.evolution.learners import EvolutionStrategy
+from shes.algorithms.evolution.learners import EvolutionAlgorithm
 from shes.errors import CheckpointError, ConfigError
 from shes.es.level import LevelState
 from shes.runs.config import TrainConfig
@@ -167,16 +167,16 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Tran
     config = algorithm.problem.settings
     for name in TRANSFERRED:
         path = config.settings.get(name)
-        if path is None or not isinstance(algorithm, EvolutionStrategy):
+        if path is None or not isinstance(algorithm, EvolutionAlgorithm):
             continue
         source, level, origin = _read(name, path, config.settings[f"{name}_checkpoint"])
-        assert isinstance(source.algorithm, EvolutionStrategy)
+        assert isinstance(source.algorithm, EvolutionAlgorithm)
         _check_fit(name, path, source.algorithm, algorithm)
         state, origins[name] = algorithm.with_level(state, name, level), origin
     return state, origins
 
 
-def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionStrategy) -> None:
+def _check_fit(level: str, path: str, source: EvolutionAlgorithm, own: EvolutionAlgorithm) -> None:
     """Check that a level of the run at `path` has the inputs and outputs of the level in our own run.
 
     Raises:
@@ -203,7 +203,7 @@ def _check_fit(level: str, path: str, source: EvolutionStrategy, own: EvolutionS
         )
 
 
-def _primitive_spec(algorithm: EvolutionStrategy) -> str:
+def _primitive_spec(algorithm: EvolutionAlgorithm) -> str:
     """Return the inputs and outputs of the primitive in words."""
     inputs, task, settings = algorithm.inputs("primitive"), algorithm.problem.sample(), algorithm.problem.settings
     kind = settings.hierarchy.symmetry
@@ -214,7 +214,7 @@ def _primitive_spec(algorithm: EvolutionStrategy) -> str:
     )
 
 
-def _controller_spec(algorithm: EvolutionStrategy) -> str:
+def _controller_spec(algorithm: EvolutionAlgorithm) -> str:
     """Return the inputs and outputs of the controller in words."""
     inputs, settings = algorithm.inputs("controller"), algorithm.problem.settings
     spec = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"

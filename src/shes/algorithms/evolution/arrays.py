@@ -1,4 +1,4 @@
-"""The state of an evolution strategy as named arrays, which a checkpoint holds."""
+"""Conversion of an evolution strategy's state to and from the named arrays of a checkpoint."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from shes.es.statistics import ObservationStatistics
 __all__ = ["check_arrays", "from_arrays", "to_arrays"]
 
 _GROWS = frozenset({"novelty/archive"})
-"""Arrays whose first axis has no fixed length."""
-_MAY_BE_LEFT_OUT = frozenset({"running/states", "running/steps"})
-"""Arrays of episodes that go on, which there are from the first generation on, if at all."""
+"""Arrays whose first axis has a variable length."""
+_OPTIONAL = frozenset({"running/states", "running/steps"})
+"""Arrays that are missing before the first generation."""
 
 
 def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
@@ -50,19 +50,18 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
-    """Refuse arrays that are no later state of the run that begins with `start`: names, shapes, types, finite values.
+    """Check that `arrays` can be a later state of the run that begins with `start`.
 
     Raises:
-        CheckpointError: They are not.
+        CheckpointError: A name, shape, type or value does not fit.
     """
     expected = to_arrays(start)
     missing = expected.keys() - arrays.keys()
-    unknown = arrays.keys() - expected.keys() - _MAY_BE_LEFT_OUT
+    unknown = arrays.keys() - expected.keys() - _OPTIONAL
     if missing or unknown:
-        told = [f"lacks {', '.join(sorted(missing))}"] * bool(missing) + [f"has {', '.join(sorted(unknown))}"] * bool(
-            unknown
-        )
-        raise CheckpointError(f"is not of this run: it {' and '.join(told)}. Put back the checkpoint of this run.")
+        faults = {"lacks": missing, "has": unknown}
+        found = " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in faults.items() if names)
+        raise CheckpointError(f"is not of this run: it {found}. Put back the checkpoint of this run.")
     if ("running/states" in arrays) != ("running/steps" in arrays):
         raise CheckpointError("has states or steps of running episodes, not both. Put back the checkpoint of this run.")
     for name, array in arrays.items():
@@ -80,19 +79,29 @@ def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
 
 
 def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
-    """Return the state that `to_arrays` took apart."""
+    """Return the state that `to_arrays` converted."""
+    novelty = running = None
+    if "novelty/archive" in arrays:
+        novelty = NoveltyState(
+            archive=arrays["novelty/archive"],
+            weight=float(arrays["novelty/weight"]),
+            best_return=float(arrays["novelty/best_return"]),
+            stalled=int(arrays["novelty/stalled"]),
+        )
+    if "running/states" in arrays:
+        running = RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
     return TrainState(
         seed=int(arrays["seed"]),
         generation=int(arrays["generation"]),
         env_steps=int(arrays["env_steps"]),
         levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
-        novelty=_novelty(arrays),
-        running=_running(arrays),
+        novelty=novelty,
+        running=running,
     )
 
 
 def _level(arrays: Mapping[str, np.ndarray], name: str) -> LevelState:
-    """Return the level of this name."""
+    """Return the level called `name`."""
     start = f"{name}/optimizer_"
     slots = {key.removeprefix(start): values for key, values in arrays.items() if key.startswith(start)}
     steps = int(slots.pop("steps"))
@@ -106,22 +115,3 @@ def _level(arrays: Mapping[str, np.ndarray], name: str) -> LevelState:
             total_squares=arrays[f"{name}/observation_total_squares"],
         ),
     )
-
-
-def _novelty(arrays: Mapping[str, np.ndarray]) -> NoveltyState | None:
-    """Return the search for novelty, if there is one."""
-    if "novelty/archive" not in arrays:
-        return None
-    return NoveltyState(
-        archive=arrays["novelty/archive"],
-        weight=float(arrays["novelty/weight"]),
-        best_return=float(arrays["novelty/best_return"]),
-        stalled=int(arrays["novelty/stalled"]),
-    )
-
-
-def _running(arrays: Mapping[str, np.ndarray]) -> RunningEpisodes | None:
-    """Return the episodes that go on, if there are any."""
-    if "running/states" not in arrays:
-        return None
-    return RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])

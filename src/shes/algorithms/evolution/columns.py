@@ -1,4 +1,4 @@
-"""Columns of `progress.csv` for a generation of an evolution strategy."""
+"""Columns of `progress.csv` for a generation of an evolution strategy. `docs/algorithm.md` explains them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ __all__ = ["columns"]
 
 
 def columns(report: GenerationReport) -> dict[str, Any]:
-    """Return what the row of `progress.csv` says of a generation, by column.
+    """Return the row of `progress.csv` for a generation, by column.
 
-    `physics_s`, `policy_s` and `task_s` are added up over the workers; NaN stands for what a generation has not.
+    `physics_s`, `policy_s` and `task_s` are summed over the workers. Values that do not exist are NaN.
     """
     results, levels = report.results, report.state.levels
-    populations = [each for each in (report.population, report.branches) if each is not None]
     row: dict[str, Any] = {}
     for level, (population, i) in zip(levels, report.sources, strict=True):
         fitness = population.members.fitness[i]
@@ -66,12 +65,12 @@ def columns(report: GenerationReport) -> dict[str, Any]:
             "primitive_learning_rate": report.branches.learning_rate,
         }
     row |= {"rollout_s": round(report.rollout_s, 4), "update_s": round(report.update_s, 4)}
-    seconds = np.sum([each.results.seconds for each in populations], axis=0)
+    seconds = np.sum([each.results.seconds for each in report.populations], axis=0)
     return row | {f"{part}_s": round(float(s), 4) for part, s in zip(PARTS, seconds, strict=True)}
 
 
 def _tied(fitness: F64Array) -> float:
-    """Return the share of the members whose fitness another one has, too; NaN where there are no members."""
+    """Return the fraction of members whose fitness another member has as well; NaN if there are no members."""
     if not len(fitness):
         return float("nan")
     _, counts = np.unique(fitness, return_counts=True)
@@ -79,7 +78,7 @@ def _tied(fitness: F64Array) -> float:
 
 
 def _overlapping(indices: IntArray, dim: int) -> int:
-    """Return how many noise vectors share normals with another one of their generation."""
+    """Return how many of the noise vectors that start at `indices` overlap with another one in the table."""
     ordered = np.sort(indices)
     touches = np.diff(ordered) < dim
     return int((np.concatenate([touches, [False]]) | np.concatenate([[False], touches])).sum())

@@ -1,4 +1,4 @@
-"""Agent designs of the evolution strategies, from the settings of the run and its environment."""
+"""Agent designs of the evolution strategies, from the settings of a run and its environment."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ __all__ = [
 
 
 def flat_design(problem: Problem) -> FlatDesign:
-    """Return the design of one policy without goals.
+    """Return the design of an agent with a single policy.
 
     Raises:
-        ConfigError: It is to seek novelty, which is of positions, and nobody knows where the robot is.
+        ConfigError: Novelty search is on, and the environment does not give the robot's position.
     """
     task, settings = problem.sample(), problem.settings
     if settings.novelty.novelty != "none":
@@ -49,8 +49,8 @@ def primitive_design(problem: Problem) -> PrimitiveDesign:
     """Return the design of a primitive alone.
 
     Raises:
-        ConfigError: There is no position to hide, or nobody knows where the robot is, or how to look at it from its
-            own frame.
+        ConfigError: A view, the symmetry or `hide_position` does not suit the environment, or the environment does not
+            give the robot's position.
     """
     return PrimitiveDesign(**_reaching(problem.settings, problem.sample()))
 
@@ -59,11 +59,14 @@ def hierarchical_design(problem: Problem) -> HierarchicalDesign:
     """Return the design of a controller and its primitive.
 
     Raises:
-        ConfigError: There is no position to hide, or nobody knows where the robot is, or how to look at it from its
-            own frame.
+        ConfigError: A view, the symmetry or `hide_position` does not suit the environment, or the environment does not
+            give the robot's position.
     """
     task, settings = problem.sample(), problem.settings
-    output, view = make_controller_output(settings.hierarchy.controller_output), _controller_view(settings, task)
+    output, view = (
+        make_controller_output(settings.hierarchy.controller_output, settings.settings),
+        _controller_view(settings, task),
+    )
     return HierarchicalDesign(
         controller=MLP(view.size(task.observation_size), settings.networks.hidden, output.size),
         controller_output=output,
@@ -75,7 +78,7 @@ def hierarchical_design(problem: Problem) -> HierarchicalDesign:
 
 
 def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
-    """Return what the level that acts is made of, whatever it is called."""
+    """Return the fields of a design that concern the acting level."""
     clock = None
     if settings.networks.clock_frequency is not None:
         clock = Clock(frequency_hz=settings.networks.clock_frequency, step_s=task.step_s)
@@ -83,7 +86,7 @@ def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
 
 
 def branch_design(settings: Any, design: AgentDesign) -> BranchDesign | None:
-    """Return what acts in branches beside a controller, by the `design` of the run's agent; None without branches."""
+    """Return the design of the agents in branches under a controller, or None if there are no such branches."""
     if not settings.is_branched or not isinstance(design, HierarchicalDesign):
         return None
     shared = {field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)}
@@ -91,10 +94,10 @@ def branch_design(settings: Any, design: AgentDesign) -> BranchDesign | None:
 
 
 def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
-    """Return what an agent of `settings` is made of that concerns its primitive."""
+    """Return the fields of a design that concern the primitive."""
     hierarchy = settings.hierarchy
     task.check_position()
-    encoding, view = make_goal_encoding(hierarchy.goal_encoding), primitive_view(settings, task)
+    encoding, view = make_goal_encoding(hierarchy.goal_encoding, settings.settings), primitive_view(settings, task)
     return {
         "primitive": MLP(
             encoding.size + _clock_size(settings) + view.size(task.observation_size),
@@ -104,28 +107,28 @@ def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
         "primitive_view": view,
         "symmetry": _symmetry(settings, task),
         "goal_encoding": encoding,
-        "primitive_reward": make_primitive_reward(hierarchy.primitive_reward),
+        "primitive_reward": make_primitive_reward(hierarchy.primitive_reward, settings.settings),
         "controller_interval": hierarchy.controller_interval,
         **_acting(settings, task),
     }
 
 
 def primitive_layers(settings: Any) -> tuple[int, ...]:
-    """Return the hidden layers of the primitive of `settings`."""
+    """Return the sizes of the primitive's hidden layers."""
     own = settings.hierarchy.primitive_hidden if len(settings.level_names) > 1 else None
     return settings.networks.hidden if own is None else own
 
 
 def _clock_size(settings: Any) -> int:
-    """Return the number of the clock's features."""
+    """Return the number of clock features."""
     return 0 if settings.networks.clock_frequency is None else Clock.size
 
 
 def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
-    """Return the symmetry that the primitive of `settings` uses, if any.
+    """Return the symmetry group that the primitive uses, or None.
 
     Raises:
-        ConfigError: The robot of `task` has none that is known.
+        ConfigError: The robot of `task` has no known symmetry.
     """
     kind = settings.hierarchy.symmetry
     if kind == "none":
@@ -134,33 +137,32 @@ def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
     if group is None:
         robot = "an external robot" if task.robot is None else f"the {task.robot.name}"
         raise ConfigError(
-            f"symmetry is {kind!r}, but nobody has told what symmetry {robot} of {settings.run.env} has. "
-            "Leave --symmetry away, or name an environment of the ant."
+            f"symmetry is {kind!r}, but {robot} of {settings.run.env} has no known symmetry. "
+            "Omit --symmetry, or choose an environment with the ant."
         )
     return group
 
 
 def _egocentric(settings: Any, task: EpisodeBatch, setting: str, others: Sequence[int] = ()) -> EgocentricView:
-    """Return the egocentric view of the robot of `task`, then of the observation's values at `others`.
+    """Return the egocentric view of the robot of `task`, followed by the observed values at `others`.
 
     Raises:
-        ConfigError: Nobody knows how to look at this robot from its own frame.
+        ConfigError: The robot has no egocentric view.
     """
     if task.robot is None or not task.robot.egocentric:
         env = settings.run.env
-        whose = f"{env} is Gymnasium's" if task.robot is None else f"{env} has the {task.robot.name}"
+        whose = f"{env} has an external robot" if task.robot is None else f"{env} has the {task.robot.name}"
         raise ConfigError(
-            f"{setting} is 'egocentric', but {whose}: what its robot looks like from its own frame is not known. "
-            f"Set {flag(setting)} to another one."
+            f"{setting} is 'egocentric', but {whose}, which has no egocentric view. Set {flag(setting)} to another one."
         )
     return EgocentricView(task.robot, task.proprioception.tolist(), others)
 
 
 def _controller_view(settings: Any, task: EpisodeBatch) -> View:
-    """Return what the controller of `settings` sees of the observation of `task`.
+    """Return the view of the controller.
 
     Raises:
-        ConfigError: Nobody knows how to look at this robot from its own frame.
+        ConfigError: The robot of `task` has no egocentric view.
     """
     if settings.hierarchy.controller_view == "observation":
         return ColumnsView()
@@ -169,18 +171,16 @@ def _controller_view(settings: Any, task: EpisodeBatch) -> View:
 
 
 def primitive_view(settings: Any, task: EpisodeBatch) -> View:
-    """Return what the primitive of `settings` sees of the observation of `task`.
+    """Return the view of the primitive.
 
     Raises:
-        ConfigError: Its position is to be hidden, and it sees none; or nobody knows how to look at this robot from its
-            own frame.
+        ConfigError: There is no position to hide, or the robot of `task` has no egocentric view.
     """
     hierarchy = settings.hierarchy
     if hierarchy.primitive_view == "egocentric":
         if hierarchy.hide_position:
             raise ConfigError(
-                "hide_position: an egocentric view shows no absolute position that could be hidden. "
-                "Leave --hide-position away."
+                "hide_position is true, but an egocentric view contains no absolute position. Omit --hide-position."
             )
         return _egocentric(settings, task, "primitive_view")
     sees_all = hierarchy.primitive_view == "observation" and settings.level_names != ("primitive",)
@@ -190,22 +190,22 @@ def primitive_view(settings: Any, task: EpisodeBatch) -> View:
     hidden = [column for column in view if column in task.position_columns]
     if not hidden:
         raise ConfigError(
-            f"hide_position: a primitive in {settings.run.env} sees no absolute position that could be hidden. "
-            "Leave --hide-position away."
+            f"hide_position is true, but a primitive in {settings.run.env} observes no absolute position. "
+            "Omit --hide-position."
         )
     return ColumnsView([column for column in view if column not in hidden])
 
 
 def primitive_inputs(problem: Problem) -> tuple[str, ...]:
-    """Return what each input of the primitive is called, in order."""
+    """Return the name of each input of the primitive, in order."""
     task, settings = problem.sample(), problem.settings
     encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
-    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding).size)]
+    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding, settings.settings).size)]
     clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
     return (*features, *clock, *primitive_view(settings, task).names(task.observation_names))
 
 
 def controller_inputs(problem: Problem) -> tuple[str, ...]:
-    """Return what each input of the controller is called, in order."""
+    """Return the name of each input of the controller, in order."""
     task, settings = problem.sample(), problem.settings
     return tuple(_controller_view(settings, task).names(task.observation_names))

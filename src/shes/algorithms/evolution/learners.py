@@ -1,9 +1,8 @@
-"""Evolution strategies as learners of a run: SHES, S-ES, and the primitive alone."""
+"""Evolution strategies as algorithms of a run: SHES, S-ES, and the primitive alone."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import ClassVar
@@ -22,8 +21,8 @@ from shes.algorithms.evolution.designs import (
     primitive_design,
     primitive_inputs,
 )
+from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make_state
 from shes.algorithms.evolution.rooms import PRIMITIVE_ROOMS, SES_ROOMS, SHES_ROOMS
-from shes.algorithms.evolution.settings import make_settings, make_state
 from shes.algorithms.problem import Problem
 from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
@@ -32,48 +31,47 @@ from shes.es.level import LevelParameters, LevelState, TrainState
 from shes.hierarchy.agent import AgentDesign
 from shes.settings import Settings
 
-__all__ = ["SES", "SHES", "EvolutionStrategy", "PrimitiveES"]
+__all__ = ["SES", "SHES", "EvolutionAlgorithm", "PrimitiveES"]
 
-_MOST_THREADS = 8  # of the gradient: beyond that memory is the limit
+_MAX_THREADS = 8  # of the gradient; with more, memory bandwidth is the limit
 
 
-class EvolutionStrategy(Algorithm[TrainState]):
-    """Algorithm 1 of the SHES paper; with one level S-ES."""
+class EvolutionAlgorithm(Algorithm[TrainState]):
+    """Algorithm 1 of the SHES paper, or S-ES with one level."""
+
+    make_design: ClassVar[Callable[[Problem], AgentDesign]]
+    """Returns the design of its agents."""
 
     def __init__(self, problem: Problem) -> None:
-        """Make the agent's design and the numbers of Algorithm 1.
+        """Create the agents' design and the hyperparameters.
 
         Raises:
             ConfigError: The settings do not fit the environment.
-            ShapeError: The environment observes another number of values than its layout names.
+            ShapeError: The observation does not have the size of the observation spec.
         """
-        super().__init__(problem, self._make_design(problem))
-        self.settings = make_settings(problem.settings)
-
-    @abstractmethod
-    def _make_design(self, problem: Problem) -> AgentDesign:
-        """Return what the agent is made of."""
+        super().__init__(problem, type(self).make_design(problem))
+        self.hyperparameters = make_hyperparameters(problem.settings)
 
     def start(self, seed: int) -> TrainState:
-        """Return the state before the first generation; a level that is transferred comes in later."""
+        """Return the state before the first generation, without transferred parameters."""
         return make_state(self.problem.settings, self.design, seed)
 
     def run(self, state: TrainState, backend: Backend) -> Generator[Report[TrainState], None, None]:
-        """Yield a report after every generation, for ever, from `state` on."""
-        table, threads = self.table.on(self.problem.xp), min(self.problem.num_threads, _MOST_THREADS)
+        """Yield a report after every generation from `state` on, indefinitely."""
+        table, threads = self.table.on(self.problem.xp), min(self.problem.num_threads, _MAX_THREADS)
         with ThreadPoolExecutor(threads, thread_name_prefix="shes-gradient") as pool:
-            for report in evolve(state, self.settings, table, backend, pool):
+            for report in evolve(state, self.hyperparameters, table, backend, pool):
                 yield Report(state=report.state, columns=columns(report), log=report.log)
 
     def to_arrays(self, state: TrainState) -> dict[str, np.ndarray]:
-        """Return `state` as arrays by name."""
+        """Return `state` as named arrays."""
         return to_arrays(state)
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TrainState:
-        """Return the state that `to_arrays` took apart.
+        """Return the state that `to_arrays` converted.
 
         Raises:
-            CheckpointError: It is not one of this run: other levels, names, shapes or types, or numbers that are none.
+            CheckpointError: The arrays are not a state of this run: levels, names, shapes, types or values differ.
         """
         levels = tuple(str(name) for name in np.atleast_1d(arrays["levels"]))
         if levels != self.level_names:
@@ -85,24 +83,24 @@ class EvolutionStrategy(Algorithm[TrainState]):
         return from_arrays(arrays)
 
     def parameters(self, state: TrainState) -> tuple[LevelParameters, ...]:
-        """Return the mean policies and their normalisation."""
+        """Return the parameters and the normalisation of the mean policies."""
         return LevelParameters.of_all(state.levels)
 
     def without_training(self, state: TrainState) -> TrainState:
-        """Return `state` without running episodes, with an optimizer that begins anew."""
+        """Return `state` without running episodes and with reset optimizers."""
         levels = tuple(
             replace(level, optimizer=rule.optimizer.start(len(level.theta)))
-            for level, rule in zip(state.levels, self.settings.updates, strict=True)
+            for level, rule in zip(state.levels, self.hyperparameters.updates, strict=True)
         )
         return replace(state, levels=levels, running=None)
 
     @property
     def episodes_in_lockstep(self) -> int:
-        """Episodes of a policy that share a matmul: those that its fitness is the mean of."""
+        """Number of episodes of a policy that share a matmul: its episodes per generation."""
         return self.problem.settings.evolution.episodes_per_policy
 
     def plan(self) -> WorkerPlan:
-        """Return what every worker needs to know once."""
+        """Return the data that every worker receives once, at its start."""
         return self.problem.plan(self.design, branch_design(self.problem.settings, self.design))
 
     def with_level(self, state: TrainState, name: str, source: LevelState) -> TrainState:
@@ -114,35 +112,29 @@ class EvolutionStrategy(Algorithm[TrainState]):
         return replace(state, levels=levels)
 
     def inputs(self, level: str) -> tuple[str, ...]:
-        """Return what each input of `level` is called, in order: a level of another run must have the same."""
+        """Return the name of each input of `level`, in order. A transferred level must have the same inputs."""
         return {"controller": controller_inputs, "primitive": primitive_inputs}[level](self.problem)
 
 
-class SHES(EvolutionStrategy):
+class SHES(EvolutionAlgorithm):
     """A controller that sets goals and a primitive that reaches them, evolved together. Source: SHES paper."""
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
-
-    def _make_design(self, problem: Problem) -> AgentDesign:
-        return hierarchical_design(problem)
+    make_design = staticmethod(hierarchical_design)
 
 
-class PrimitiveES(EvolutionStrategy):
-    """A primitive alone, where the environment sets the goals. Source: SHES paper, section II-D."""
+class PrimitiveES(EvolutionAlgorithm):
+    """A primitive alone, in environments that set the goals. Source: SHES paper, section II-D."""
 
     level_names: ClassVar[tuple[str, ...]] = ("primitive",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_ROOMS
-
-    def _make_design(self, problem: Problem) -> AgentDesign:
-        return primitive_design(problem)
+    make_design = staticmethod(primitive_design)
 
 
-class SES(EvolutionStrategy):
+class SES(EvolutionAlgorithm):
     """One policy without goals. Source: Salimans et al. 2017."""
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = SES_ROOMS
-
-    def _make_design(self, problem: Problem) -> AgentDesign:
-        return flat_design(problem)
+    make_design = staticmethod(flat_design)

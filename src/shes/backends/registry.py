@@ -1,0 +1,18 @@
+"""The registry of backends. Adding one takes a file and a line here."""
+
+from __future__ import annotations
+
+from shes.backends.backend import Backend
+from shes.backends.processes import ProcessesBackend
+from shes.backends.serial import SerialBackend
+from shes.registry import Registry, subclass_of
+
+__all__ = ["BACKENDS"]
+
+BACKENDS: Registry[type[Backend]] = Registry(
+    "backend",
+    {"processes": ProcessesBackend, "serial": SerialBackend},
+    fix="Set --backend.",
+    check=subclass_of(Backend, num_arguments=2),
+)
+"""Backends by name: the choices of `--backend`."""

@@ -1,0 +1,115 @@
+"""Options of registered classes: each is a setting of the room in which its class can be chosen."""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import pytest
+
+from shes.errors import ConfigError, UnknownNameError
+from shes.options import make, with_options
+from shes.registry import Registry, subclass_of
+from shes.runs.config import TrainConfig, known_settings
+from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Unasked, setting_fields
+
+
+class Shape:
+    """The contract."""
+
+
+class Point(Shape):
+    """A point. It has no options."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ball(Shape, Settings):
+    """A ball, all around."""
+
+    radius: Annotated[float, Gt(0)] = 1.0
+    """Radius in metres."""
+    fuzz: Annotated[float, Unasked()] = 0.0
+
+
+class Box(Shape):
+    """A box."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Options(Settings):
+        radius: Annotated[float, Gt(0)] = 1.0
+        size: Annotated[int, Ge(1), Lt(9)] = 3
+        """Edge length in metres."""
+
+    name: ClassVar[str] = "box"
+
+
+SHAPES = Registry("shape", {"point": Point, "ball": Ball, "box": Box}, fix="Set --shape.", check=subclass_of(Shape))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room(Settings):
+    """Room."""
+
+    shape: Annotated[str, Choices(SHAPES, is_described=True)] = "point"
+    """Shape of the thing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Other(Settings):
+    """Other room."""
+
+    other_shape: Annotated[str, Choices(SHAPES)] = "point"
+
+
+def test_options_stand_in_the_first_room_that_can_choose_their_class():
+    rooms = with_options({"room": Room, "other": Other})
+    assert list(setting_fields(rooms["room"])) == ["shape", "radius", "size"]
+    assert rooms["other"] is Other
+    assert issubclass(rooms["room"], Room)
+    assert rooms["room"]().to_dict() == {"shape": "point", "radius": 1.0, "size": 3}
+
+
+def test_the_same_rooms_have_the_same_classes():
+    assert with_options({"room": Room}) == with_options({"room": Room})
+
+
+def test_an_option_needs_one_of_the_choices_that_have_it():
+    options = setting_fields(with_options({"room": Room, "other": Other})["room"])
+    assert options["radius"].needs == (Needs("shape", ("ball", "box")), Needs("other_shape", ("ball", "box")))
+    assert options["size"].needs == (Needs("shape", ("box",)), Needs("other_shape", ("box",)))
+
+
+def test_the_help_is_the_docstring_of_the_class():
+    options = setting_fields(with_options({"room": Room})["room"])
+    assert options["radius"].text == "Radius in metres."
+    assert options["size"].text == "Edge length in metres."
+    assert options["shape"].text == "Shape of the thing. point: A point; ball: A ball, all around; box: A box."
+
+
+def test_an_option_is_checked_as_every_setting():
+    with pytest.raises(ConfigError, match=r"size must be .*less than 9, got 9\. Set --size"):
+        with_options({"room": Room})["room"](size=9)
+
+
+def test_a_class_is_made_with_its_own_options():
+    values = {"radius": 2.0, "size": 4, "other": 1}
+    assert make(SHAPES, "ball", values) == Ball(radius=2.0)
+    assert type(make(SHAPES, "point", values)) is Point
+    with pytest.raises(UnknownNameError, match=r"unknown shape 'bal'. Did you mean 'ball'"):
+        make(SHAPES, "bal", values)
+
+
+def test_a_class_that_is_registered_later_brings_its_options(monkeypatch):
+    @dataclass(frozen=True, kw_only=True)
+    class Cone(Shape, Settings):
+        """A cone."""
+
+        height: Annotated[float, Gt(0)] = 1.0
+
+    monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "cone": Cone})
+    assert "height" in setting_fields(with_options({"room": Room})["room"])
+
+
+def test_a_run_keeps_the_options_of_its_optimizer_in_the_room_of_the_optimizer():
+    config = TrainConfig.of(env="point-gather", optimizer="sgd", momentum=0.5)
+    assert config.to_dict()["evolution"]["momentum"] == 0.5
+    assert TrainConfig.from_dict(config.to_dict()) == config
+    assert known_settings()["momentum"].needs == (Needs("optimizer", ("sgd", "clipup")),)
