@@ -187,9 +187,9 @@ def test_the_view_of_the_primitive_may_be_registered(tmp_path):
 @pytest.mark.parametrize(
     ("env", "settings", "message"),
     [
-        ("tests/Car-v0", {}, r"'tests/Car-v0' is an id of Gymnasium\. Write gymnasium:tests/Car-v0"),
-        ("gymnasium:tests/Car-v0", {}, r"nobody has told where the robot of gymnasium:tests/Car-v0 is.*--algorithm es"),
-        ("gymnasium:tests/Car-v0", {"algorithm": "es", "novelty": "ns"}, r"nobody has told where the robot of"),
+        ("tests/Car-v0", {}, r"'tests/Car-v0' is a Gymnasium id\. Write gymnasium:tests/Car-v0"),
+        ("gymnasium:tests/Car-v0", {}, r"the position of the robot of gymnasium:tests/Car-v0 is unknown.*--algorithm es"),
+        ("gymnasium:tests/Car-v0", {"algorithm": "es", "novelty": "ns"}, r"the position of the robot of"),
         ("car", {"hide_position": True}, r"sees no absolute position that could be .*Leave --hide-position"),
     ],
 )

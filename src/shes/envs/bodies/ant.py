@@ -13,7 +13,7 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.quaternions import yaw
+from shes.envs.root import yaw
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Ant"]

@@ -1,4 +1,4 @@
-"""What the name of a Gymnasium environment stands for, and how one is made, in a worker process too."""
+"""Describes an external environment, one that Gymnasium or a user's function makes, and makes it in any process."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import importlib
 import io
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import SimulatorFactory
@@ -29,32 +29,34 @@ _ROBOTICS = ("AntMaze", "PointMaze", "Fetch", "HandManipulate", "HandReach", "Ad
 
 @dataclass(frozen=True, kw_only=True)
 class ExternalEnvironment:
-    """A Gymnasium environment and what SHES was told of it. Nothing is imported or made before it is needed."""
+    """A Gymnasium environment and how to read it. Nothing is imported or made before it is needed."""
+
+    sets_goals: ClassVar[bool] = False
+    has_own_physics: ClassVar[bool] = True
+    options: ClassVar[type[TaskOptions]] = TaskOptions
+    """The class of its options: it adds none."""
 
     name: str
     source: str | EnvSpec | Callable[..., gymnasium.Env[Any, Any]]
-    """Its id, its entry in Gymnasium's registry, or a function that makes it (given `render_mode` for pictures)."""
+    """Gymnasium id, registration, or a function that makes it (called with `render_mode` to draw pictures)."""
     locate: Locate | None = None
-    """Says where the robot is; if none, its joints do."""
+    """Returns the robot's pose; None reads it from the MuJoCo joints."""
     primitive_view: tuple[int, ...] | None = None
-    """Indices in the flat observation that the primitive sees; if none, everything but `desired_goal`."""
+    """Indices in the flat observation that the primitive sees; None is all but `desired_goal`."""
     is_scored_by_success: bool = False
-    """Whether the score is 1 for the `success` (or `is_success`) that `info` reports at the end, not the return."""
-    sets_goals: bool = field(default=False, init=False)
-    has_own_physics: bool = field(default=True, init=False)
-
-    @property
-    def options(self) -> type[TaskOptions]:
-        """The class of its options: it has none of its own."""
-        return TaskOptions
+    """Whether the score is the `success` (or `is_success`) that `info` reports at the end, instead of the return."""
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what worker processes are sent: they do not know what a script registered in Gymnasium."""
+        """Replace the id by its registration, which a worker process lacks if a script made it."""
         return {**vars(self), "source": self.spec or self.source}
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Its entry in Gymnasium's registry, which must have one for an id; None if a function makes it."""
+        """Registration in Gymnasium; None if a function makes the environment.
+
+        Raises:
+            UnknownNameError: The id is not registered.
+        """
         import gymnasium
 
         if not isinstance(self.source, str):
@@ -69,7 +71,7 @@ class ExternalEnvironment:
 
     @property
     def max_episode_steps(self) -> int | None:
-        """Time limit of its registration; None if it has none. A function is called to find out."""
+        """Time limit of the registration, or None. An environment made by a function is made once to find out."""
         spec = self.spec
         if spec is None:
             env = self.make_one()
@@ -80,22 +82,27 @@ class ExternalEnvironment:
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> ExternalTask:
-        """Return `num_episodes` episodes; a ConfigError refuses options of ours, but for those that presets set."""
+        """Return `num_episodes` episodes.
+
+        Raises:
+            ConfigError: The device is not the CPU, the environment cannot be made or used, or an option has another
+                value than its default; `reset_noise` and `evaluation`, which presets set, are ignored.
+        """
         from shes.envs.external.task import ExternalTask
 
         if simulator is not CpuSimulator:
-            raise ConfigError(f"{self.name} has physics of its own: it runs on the CPU alone. Set --device cpu.")
+            raise ConfigError(f"{self.name} has its own physics, which runs on the CPU only. Set --device cpu.")
         for name, value in vars(TaskOptions()).items():
             if getattr(options or TaskOptions(), name) != value and name not in ("reset_noise", "evaluation"):
-                raise ConfigError(f"{self.name} has no {name}. Leave --{name.replace('_', '-')} away.")
+                raise ConfigError(f"{self.name} has no {name}. Omit --{name.replace('_', '-')}.")
         return ExternalTask(self, num_episodes)
 
     def make_one(self, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
-        """Return a single environment, without the time limit of its registration: whoever steps it counts."""
+        """Return a single environment without the time limit of its registration: the caller counts the steps."""
         import gymnasium
 
         spec, asked = self.spec, {} if render_mode is None else {"render_mode": render_mode}
-        log_physics_warnings()  # of its compiler, too
+        log_physics_warnings()  # MuJoCo's compiler warns too
         with self.explained(f"be made{f' with {asked}' if asked else ''}"):
             if spec is not None:
                 _import_robotics(spec.id)
@@ -106,26 +113,27 @@ class ExternalEnvironment:
             return env
 
     @contextmanager
-    def explained(self, what: str) -> Iterator[None]:
-        """Make every error of its own code a ConfigError, or a MissingExtraError, of one line that names it."""
+    def explained(self, action: str) -> Iterator[None]:
+        """Turn any error into a one-line ConfigError or MissingExtraError: "<name> cannot <action>: <error>"."""
         import gymnasium
 
         try:
             yield
         except Exception as error:
             kind = "" if isinstance(error, ShesError) else f"{type(error).__name__}: "
-            told = f"{self.name} cannot {what}: {kind}{' '.join(str(error).split())}"
+            told = f"{self.name} cannot {action}: {kind}{' '.join(str(error).split())}"
             if not isinstance(error, ImportError | gymnasium.error.DependencyNotInstalled):
                 raise ConfigError(told) from error
             entry = getattr(gymnasium.registry.get(str(getattr(self.source, "id", self.source))), "entry_point", "")
-            room = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")  # its extra's name
+            # gymnasium.envs.box2d.lunar_lander:LunarLander is installed by the extra gymnasium[box2d].
+            room = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")
             extra = f"gymnasium[{room}]" if room else "shes[robotics]" if "gymnasium_robotics" in told else None
             is_told = extra is None or "pip install" in told
             raise MissingExtraError(told if is_told else f"{told} (pip install '{extra}')") from error
 
 
 def _import_robotics(env_id: str) -> None:
-    """Import Gymnasium-Robotics if `env_id` is one of its ids: nothing else is imported for the sake of a name."""
+    """Import Gymnasium-Robotics if `env_id` is one of its ids; no other package is imported automatically."""
     if env_id.startswith(_ROBOTICS):
-        with redirect_stderr(io.StringIO()):  # it tells everybody about environments of its past
+        with redirect_stderr(io.StringIO()):  # it prints deprecation notices
             importlib.import_module("gymnasium_robotics")
