@@ -384,7 +384,7 @@ def test_cuda_without_a_card_is_a_clear_error(monkeypatch):
     import warp
 
     monkeypatch.setattr(warp, "get_cuda_device_count", lambda: 0)
-    with pytest.raises(ConfigError, match=r"device cuda needs an NVIDIA card.*--device cpu"):
+    with pytest.raises(ConfigError, match=r"device cuda needs an NVIDIA GPU.*--device cpu"):
         WarpSimulator(ant_model(), 1, device="cuda")
 
 

@@ -113,7 +113,7 @@ def test_a_version_before_its_release_counts(machine, versions):
 def test_without_a_card_the_error_says_what_warp_says(machine, monkeypatch):
     monkeypatch.setattr(machine.warp, "get_cuda_device_count", lambda: 0)
     monkeypatch.setattr(shes.sim.warp_device, "_start", lambda: "Could not find the NVIDIA CUDA driver.")
-    message = r"needs an NVIDIA card .*Warp sees none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\."
+    message = r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\."
     with pytest.raises(ConfigError, match=message):
         WarpDevice("cuda")
 

@@ -80,7 +80,7 @@ class ExternalReader(Reader):
         else:
             physics = None if env is None else find_physics(env)
             if physics is None or self._root is None:
-                raise ConfigError("the robot's pose is read from the environment: call agent.act(observation, env=env).")
+                raise ConfigError("the robot's pose is read from the environment: agent.act(observation, env=env).")
             found = self._root(physics.qpos)
         if np.shape(found) != (3,):
             raise ConfigError(f"locate must return (x, y, heading), got {found!r}.")
@@ -123,4 +123,5 @@ def find_physics(env: gymnasium.Env[Any, Any]) -> mujoco.MjData | None:
 def _without_desired_goal(space: gymnasium.Space[Any]) -> Any:
     """Return the indices in the flat observation of all entries but `desired_goal`."""
     parts = space.spaces if isinstance(space, Dict) else {"": space}
-    return np.flatnonzero(np.repeat([key != "desired_goal" for key in parts], [flatdim(each) for each in parts.values()]))
+    sizes = [flatdim(part) for part in parts.values()]
+    return np.flatnonzero(np.repeat([key != "desired_goal" for key in parts], sizes))

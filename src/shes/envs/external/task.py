@@ -124,7 +124,8 @@ class ExternalTask(EpisodeBatch):
         self.running_return[i] += reward
         success, is_score = info.get("success", info.get("is_success")), self.environment.is_scored_by_success
         if is_score and success is None and self._terminated[i]:
-            raise ConfigError(f"its score is success, but the last info does not report it: {', '.join(info) or 'empty'}.")
+            entries = ", ".join(info) or "empty"
+            raise ConfigError(f"its score is success, but the last info does not report it: {entries}.")
         self._success[i] = bool(success)
         self._score[i] = self._success[i] if is_score else self.running_return[i]
         if self._reader.can_locate:
