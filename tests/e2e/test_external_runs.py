@@ -147,7 +147,7 @@ def test_watching_uses_the_environments_own_window(run, monkeypatch):
 
 
 def test_a_camera_that_there_is_not_is_refused(run, tmp_path):
-    with pytest.raises(ConfigError, match=r"this environment draws itself, and has no camera 'top'\. Leave --camera"):
+    with pytest.raises(ConfigError, match=r"this environment draws itself and has no camera 'top'\. Omit --camera"):
         render(run.path, tmp_path / "walk.gif", camera="top")
 
 
@@ -188,7 +188,11 @@ def test_the_view_of_the_primitive_may_be_registered(tmp_path):
     ("env", "settings", "message"),
     [
         ("tests/Car-v0", {}, r"'tests/Car-v0' is a Gymnasium id\. Write gymnasium:tests/Car-v0"),
-        ("gymnasium:tests/Car-v0", {}, r"the position of the robot of gymnasium:tests/Car-v0 is unknown.*--algorithm es"),
+        (
+            "gymnasium:tests/Car-v0",
+            {},
+            r"the position of the robot of gymnasium:tests/Car-v0 is unknown.*--algorithm es",
+        ),
         ("gymnasium:tests/Car-v0", {"algorithm": "es", "novelty": "ns"}, r"the position of the robot of"),
         ("car", {"hide_position": True}, r"sees no absolute position that could be .*Leave --hide-position"),
     ],

@@ -154,7 +154,7 @@ def test_the_joints_of_a_mujoco_body_say_where_it_is(make, joints):
 def test_other_joints_do_not_say_where_a_robot_is(joints):
     task = start(2, make=Body, locate=None, joints=joints)
     assert not task.position.any()
-    message = r"the position of the robot of tested is unknown.*register_external\(name, make, locate=\.\.\.\), or set --algorithm es"
+    message = r"the robot of tested is unknown.*register_external\(name, make, locate=\.\.\.\), or set --algorithm es"
     with pytest.raises(ConfigError, match=message):
         task.check_position()
     start(1).check_position()
@@ -378,7 +378,11 @@ def run_out(make, **settings):
 @pytest.mark.parametrize(
     ("make", "settings", "message"),
     [
-        ("tests/Unbounded-v0", {}, r"wrong cannot be used: its action space must be Discrete or a bounded Box of floats"),
+        (
+            "tests/Unbounded-v0",
+            {},
+            r"wrong cannot be used: its action space must be Discrete or a bounded Box of floats",
+        ),
         ("tests/Growing-v0", {}, r"its observation space must have a fixed size, got Sequence"),
         ("tests/Cra-v0", {}, r"unknown Gymnasium environment 'tests/Cra-v0'\. Did you mean 'tests/Car-v0'.*--import"),
         ("zzzzzz", {}, r"'zzzzzz'\. Known: none like it\. Import its package"),

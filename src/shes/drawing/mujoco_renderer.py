@@ -1,4 +1,4 @@
-"""Three-dimensional pictures, by MuJoCo's own renderer."""
+"""Three-dimensional pictures by MuJoCo's renderer."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from shes.drawing.drawer import Picture
 from shes.drawing.opengl import use_opengl
-from shes.drawing.renderer import Picture, Renderer, check_camera
+from shes.drawing.renderer import Renderer, check_camera
 from shes.drawing.scenery import FOLLOW_FIELD_OF_VIEW_DEG, decorate
 from shes.envs.markers import Marker
 from shes.types import F64Array
@@ -16,19 +17,19 @@ from shes.types import F64Array
 __all__ = ["MujocoRenderer", "add_markers"]
 
 _FOLLOW = {"azimuth": 90.0, "elevation": -42.0, "distance": 11.0}
-_ROBOT_BODY = 1  # worlds begin with the robot
+_ROBOT_BODY = 1  # the first body of every world
 _TOP_MARGIN = 1.02
-_TOP_DISTANCE_M = 120.0  # far away, and narrow: nearly no perspective, so that no wall hides what is behind it
+_TOP_DISTANCE_M = 120.0  # nearly no perspective, so that walls hide nothing
 _MAX_GEOMS = 4000
 _LINE = mujoco.mjtGeom.mjGEOM_LINE
 _LINE_PIXELS_PER_M = 80.0
 
 
 class MujocoRenderer(Renderer):
-    """Draws with OpenGL."""
+    """A renderer that uses OpenGL."""
 
     def __init__(self, spec: mujoco.MjSpec, width: int, height: int, opengl: str) -> None:
-        """Draw the world of `spec`, which gets its looks here, by OpenGL `opengl`."""
+        """Decorate the world of `spec` and draw it with OpenGL `opengl`."""
         super().__init__(decorate(spec).compile(), width, height)
         use_opengl(opengl)
         self._renderer = mujoco.Renderer(self.model, height, width, max_geom=_MAX_GEOMS)
@@ -40,13 +41,13 @@ class MujocoRenderer(Renderer):
         mujoco.mj_forward(self.model, self.data)
         self._aim(camera)
         self._renderer.update_scene(self.data, self._camera)
-        # From above a shadow hides more than it shows, and it is half the work.
+        # From above, shadows hide more than they show, and take half of the time.
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != "top"
         add_markers(self._renderer.scene, markers)
         return self._renderer.render()
 
     def _aim(self, name: str) -> None:
-        """Point the camera."""
+        """Point the camera; raise an UnknownNameError for an unknown `name`."""
         check_camera(name)
         camera = self._camera
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
@@ -68,14 +69,14 @@ class MujocoRenderer(Renderer):
 
 
 def add_markers(scene: mujoco.MjvScene, markers: Sequence[Marker]) -> None:
-    """Put `markers` into `scene`, as far as there is room."""
+    """Add `markers` to `scene`, up to its capacity."""
     for marker in markers:
         if scene.ngeom >= scene.maxgeom:
             return
         geom = scene.geoms[scene.ngeom]
         color = np.array(marker.color, dtype=np.float32)
         if marker.end is not None:
-            # Drawn as a line of pixels: a trail of capsules takes longer to draw than all else together.
+            # A line of pixels: a trail of capsules takes longer to draw than everything else.
             mujoco.mjv_initGeom(geom, _LINE, np.zeros(3), np.zeros(3), np.zeros(9), color)
             pixels = marker.radius * _LINE_PIXELS_PER_M
             mujoco.mjv_connector(geom, _LINE, pixels, np.array(marker.position), np.array(marker.end))

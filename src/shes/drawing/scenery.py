@@ -53,7 +53,7 @@ def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         specular=[0.1, 0.1, 0.1],
         castshadow=True,
     )
-    _ground(spec)
+    _add_ground(spec)
     has_platforms = any(geom.name.startswith("platform") for geom in spec.geoms)
     for geom in spec.geoms:
         if geom.name.startswith(("floor", "platform")):
@@ -78,7 +78,7 @@ def _lower(wall: mujoco.MjsGeom) -> None:
     wall.pos, wall.size = position, size
 
 
-def _ground(spec: mujoco.MjSpec) -> None:
+def _add_ground(spec: mujoco.MjSpec) -> None:
     """Add the material of the ground: squares, so that movement shows."""
     spec.add_texture(
         name="ground",

@@ -1,4 +1,4 @@
-"""One episode of a trained agent, step by step, with what is worth seeing of it: for videos and the viewer."""
+"""Plays episodes of a trained agent step by step, for videos and the viewer."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ class Moment:
     """One control step."""
 
     pose: Any
-    """What there is to draw: the pose [nq] of everything, or a picture."""
+    """The pose to draw: qpos [nq] or a picture."""
     markers: list[Marker]
-    """What the task shows, the controller's goal, the robot's trail."""
+    """The task's markers, the goal, and the robot's trail."""
     caption: str
-    """Checkpoint, time and score, and how the episode ended."""
+    """Checkpoint, time, score, and how the episode ended."""
 
 
 class Playback:
-    """Episodes of one checkpoint, under the conditions of evaluation."""
+    """Episodes of one checkpoint, under evaluation's conditions."""
 
     def __init__(self, run: Path | str, checkpoint: str, seed: int | None = None, steps: int | None = None) -> None:
         """Load `checkpoint` of `run`.
 
         Args:
-            run: The run folder, or the name of a shipped agent.
+            run: Run folder, or the name of a shipped agent.
             checkpoint: `best`, `last` or the number of a generation.
-            seed: Seed of the episodes, as `evaluate` takes it.
-            steps: Control steps after which an episode ends; evaluation's horizon if none.
+            seed: Seed of the episodes, as for `evaluate`.
+            steps: Control steps after which an episode ends; None is evaluation's horizon.
 
         Raises:
             RunFolderError: `run` is neither a run folder nor a shipped agent.
@@ -76,27 +76,27 @@ class Playback:
         return self._task.step_s
 
     def make_drawer(self, width: int, height: int) -> Drawer:
-        """Return what makes pictures of the moments, of this size; ask before `play`.
+        """Return a drawer of the moments; call it before `play`.
 
         Raises:
-            ConfigError: There are no pictures of this environment, or not of this size.
+            ConfigError: The environment has no pictures, or the size is not allowed.
         """
         return make_drawer(self._task, width, height)
 
     def open_window(self) -> Window:
-        """Return a window that shows the moments; ask before `play`.
+        """Return a window that shows the moments; call it before `play`.
 
         Raises:
-            ConfigError: There is no screen, or no window of this environment.
+            ConfigError: There is no screen, or the environment has no window.
         """
         return open_window(self._task)
 
     def close(self) -> None:
-        """Give back what the environment holds."""
+        """Release the environment's resources."""
         self._task.close()
 
     def seed_of(self, episode: int) -> int:
-        """Return the seed of the `episode`-th of the episodes that `evaluate` runs.
+        """Return the seed of episode `episode` of those that `evaluate` runs.
 
         Raises:
             ConfigError: `episode` is negative.
@@ -106,7 +106,7 @@ class Playback:
         return fresh_seeds(self._state, episode + 1, self._seed)[episode]
 
     def play(self, seed: int) -> Iterator[Moment]:
-        """Yield the moments of the episode with this seed, the start first."""
+        """Yield the moments of the episode with seed `seed`, beginning with its start."""
         task, one = self._task, np.array([0])
         task.reset(one, [seed])
         self._agent.reset()
@@ -132,7 +132,7 @@ class Playback:
 
 
 def _ending(task: EpisodeBatch, is_last: bool) -> str:
-    """Return why the episode has ended, in a word or two; nothing while it goes on."""
+    """Return why the episode has ended; an empty string if it has not."""
     if task.diverged[0]:
         return "diverged"
     if task.terminated[0]:
@@ -141,7 +141,7 @@ def _ending(task: EpisodeBatch, is_last: bool) -> str:
 
 
 def _goal_and_trail(goals: F64Array | None, trail: deque[F64Array], ground: float) -> list[Marker]:
-    """Return the goal, if there is one, a line to it, the way that the robot came, and a spot under the robot."""
+    """Return markers of the robot's trail and position, and of the goal and a line to it, if there is one."""
     height = ground + _ABOVE_GROUND_M
     places = [(*place, height) for place in trail]
     way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]

@@ -1,4 +1,4 @@
-"""Learning curves of runs."""
+"""`shes plot`: learning curves of runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from shes.viewing.curves import interpolate, interval
 __all__ = ["X_AXES", "plot"]
 
 X_AXES = {"generation": "generation", "env_steps": "environment steps", "wall_time_s": "minutes"}
-"""What a curve can be drawn over: column of the tables -> label."""
+"""Abscissae: column of the tables -> label."""
 
 Panel = tuple[str, str, str]
 """Table, column, title."""
@@ -30,7 +30,7 @@ Panel = tuple[str, str, str]
 
 @dataclass(frozen=True, kw_only=True)
 class _Group:
-    """Runs that share all settings but the seed: repetitions of each other. In every panel they look the same."""
+    """Runs with equal settings except the seed. They are drawn as one curve."""
 
     folders: list[RunFolder]
     label: str
@@ -46,18 +46,18 @@ class _Curve:
 def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str = "env_steps") -> Path:
     """Draw the learning curves of `runs` and return the picture's path.
 
-    Runs of the same settings but for the seed are one group: its mean is drawn, and a 95 % bootstrap interval over its
-    runs. A run alone shows the spread of its evaluation's episodes instead (mean, plus or minus two standard errors).
+    Runs that differ in the seed only form a group: the figure shows its mean and a 95 % bootstrap interval over its
+    runs. A single run shows its evaluation's mean plus or minus two standard errors over episodes instead.
 
     Args:
         runs: Run folders, or names of shipped agents.
-        out: The picture; its suffix (.png, .pdf, .svg) says the format.
+        out: Path of the picture; the suffix (.png, .pdf, .svg) selects the format.
         x: `env_steps`, `generation` or `wall_time_s`.
 
     Raises:
         RunFolderError: A run is neither a run folder nor a shipped agent, or has no generation yet.
         UnknownNameError: `x` is not one of `X_AXES`.
-        ConfigError: No run is given, or the suffix of `out` is no picture format.
+        ConfigError: `runs` is empty, or the suffix of `out` is not a picture format.
         StorageError: The picture cannot be written.
     """
     if not runs:
@@ -88,20 +88,20 @@ def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str =
 
 
 def _panels(folders: list[RunFolder]) -> list[Panel]:
-    """Return what is drawn: the score, and the return of each level that one of the runs has."""
+    """Return the panels: the score, and the return of each level of any run."""
     levels = dict.fromkeys(name for folder in folders for name in folder.read_config().level_names)
     returns = [("progress", f"{name}_return_mean", f"{name} return (training)") for name in levels]
     return [("evaluation", "score_mean", "evaluation score"), *returns]
 
 
 def _has_level(folder: RunFolder, column: str) -> bool:
-    """Tell whether a run has the level that `column` is of; every run has a score."""
+    """Return whether a run has `column`: its score, or the return of one of its levels."""
     level = column.removesuffix("_return_mean")
     return level == column or level in folder.read_config().level_names
 
 
 def _groups(folders: list[RunFolder]) -> list[_Group]:
-    """Return the groups that `folders` are of."""
+    """Return `folders` in groups of equal settings except the seed."""
     found: dict[str, list[RunFolder]] = {}
     for folder in folders:
         config = folder.read_config()
@@ -117,7 +117,7 @@ def _groups(folders: list[RunFolder]) -> list[_Group]:
 
 
 def _draw_group(axis: Axes, group: _Group, table: str, column: str, x: str) -> None:
-    """Draw one column of a group's runs."""
+    """Draw one column of the group's runs."""
     curves = [_read_curve(folder, table, column, x) for folder in group.folders]
     if len(curves) == 1:
         axis.plot(curves[0].x, curves[0].y, label=group.label, color=group.color)
@@ -130,7 +130,7 @@ def _draw_group(axis: Axes, group: _Group, table: str, column: str, x: str) -> N
 
 
 def _draw_spread(axis: Axes, group: _Group, curve: _Curve, table: str, column: str) -> None:
-    """Shade two standard errors of a single run's evaluations."""
+    """Shade two standard errors of the score of a single run."""
     if (table, column) != ("evaluation", "score_mean"):
         return
     columns = read_csv(group.folders[0].evaluation)
