@@ -212,7 +212,7 @@ def test_whole_states_are_rows_of_one_size_in_numpys_arrays(moving):
     states = moving.states(np.array([3, 1]))
     assert type(states) is np.ndarray
     assert states.dtype == np.float64
-    assert states.shape == (2, moving.state_size)
+    assert states.shape == (2, moving.model.nq + 2 * moving.model.nv + 1)
     assert np.array_equal(states, moving.states(ALL)[[3, 1]])
 
 

@@ -119,7 +119,7 @@ def test_of_a_primitive_alone_the_goal_is_where_its_flag_is(tmp_path):
 
 def test_the_caption_says_how_the_episode_ended(tiny_run, monkeypatch):
     playback = Playback(tiny_run, "0", steps=20)
-    task = playback._task
+    task = playback.task
     shown = []
     for moment in playback.play(3):
         shown.append(moment.caption)

@@ -153,11 +153,7 @@ class TaskAdapter:
 
 
 def _as_numbers(actions: ArrayLike) -> F64Array:
-    """Return `actions` as an array of float64.
-
-    Raises:
-        PolicyError: They are not numbers, or lists of different lengths.
-    """
+    """Return `actions` as float64; raise a PolicyError if they are not numbers, or lists of different lengths."""
     try:
         given = np.asarray(actions)
     except ValueError:
@@ -170,12 +166,7 @@ def _as_numbers(actions: ArrayLike) -> F64Array:
 def _split_options(
     environment: Environment, options: Mapping[str, Any]
 ) -> tuple[TaskOptions, Settings | None, dict[str, Any]]:
-    """Return the options of the task, those of the body, if it has any, and those of pictures.
-
-    Raises:
-        ConfigError: An option is unknown or out of range.
-        UnknownNameError: A name is unknown.
-    """
+    """Return the options of the task, those of the body, if it has any, and those of pictures; check them."""
     task, body = environment.options, environment.body.Options
     names = {*setting_fields(task), *setting_fields(body), *_PICTURE_DEFAULTS}
     for name in options:

@@ -195,11 +195,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
 
 
 def _step_limit(max_episode_steps: int | None) -> float:
-    """Return the steps after which an episode is truncated; infinity for None and -1.
-
-    Raises:
-        ConfigError: `max_episode_steps` is neither a whole number of at least 1 nor -1.
-    """
+    """Return the steps after which an episode is truncated: infinity for None and -1."""
     if max_episode_steps is None or max_episode_steps == -1:
         return np.inf
     if not is_whole(max_episode_steps) or max_episode_steps < 1:

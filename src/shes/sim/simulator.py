@@ -50,11 +50,6 @@ class Simulator(ABC):
     def reset(self, ids: IntArray) -> None:
         """Reset simulations `ids` to the model's default state, exactly, and clear `diverged`."""
 
-    @property
-    def state_size(self) -> int:
-        """Size of a physics state, S."""
-        return self.model.nq + 2 * self.model.nv + 1
-
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the physics states of simulations `ids` [ids, S], as a NumPy array.
 

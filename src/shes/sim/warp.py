@@ -204,11 +204,7 @@ class WarpSimulator(Simulator):
 
 
 def _check_state(model: mujoco.MjModel) -> None:
-    """Check that the model's state is qpos and qvel only, which is all that `reset` resets.
-
-    Raises:
-        ConfigError: It also has activations, delays or other state.
-    """
+    """Raise a ConfigError unless the model's state is qpos and qvel, which is all that `reset` resets."""
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_PHYSICS)
     if size != model.nq + model.nv:
         raise ConfigError(

@@ -56,11 +56,7 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
 
 
 def _check_versions() -> None:
-    """Check the versions of the packages that mujoco-warp and this package need.
-
-    Raises:
-        ConfigError: A version is incompatible.
-    """
+    """Raise a ConfigError if mujoco-warp or this package needs another version of a package."""
     from packaging.requirements import Requirement
 
     for package, extra in (("shes", "warp"), ("mujoco-warp", "")):

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from shes.drawing.drawer import Drawer, Window
-from shes.drawing.rendering import make_drawer, open_window
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.errors import ConfigError
@@ -67,33 +65,9 @@ class Playback:
         self.name = f"{checkpoint} (generation {state.generation})" if not checkpoint.isdecimal() else checkpoint
         self.steps = steps or config.evaluation_steps
         self._agent = Agent(opened)
-        self._task = opened.algorithm.problem.make_task(is_evaluation=True)
+        self.task = opened.algorithm.problem.make_task(is_evaluation=True)
+        """The environment; whoever plays it closes it."""
         self._state, self._seed = state, seed
-
-    @property
-    def step_s(self) -> float:
-        """Time of a control step, in seconds."""
-        return self._task.step_s
-
-    def make_drawer(self, width: int, height: int) -> Drawer:
-        """Return a drawer of the moments; call it before `play`.
-
-        Raises:
-            ConfigError: The environment has no pictures, or the size is not allowed.
-        """
-        return make_drawer(self._task, width, height)
-
-    def open_window(self) -> Window:
-        """Return a window that shows the moments; call it before `play`.
-
-        Raises:
-            ConfigError: There is no screen, or the environment has no window.
-        """
-        return open_window(self._task)
-
-    def close(self) -> None:
-        """Release the environment's resources."""
-        self._task.close()
 
     def seed_of(self, episode: int) -> int:
         """Return the seed of episode `episode` of those that `evaluate` runs.
@@ -107,7 +81,7 @@ class Playback:
 
     def play(self, seed: int) -> Iterator[Moment]:
         """Yield the moments of the episode with seed `seed`, beginning with its start."""
-        task, one = self._task, np.array([0])
+        task, one = self.task, np.array([0])
         task.reset(one, [seed])
         self._agent.reset()
         trail = deque([task.position[0].copy()], maxlen=_TRAIL_STEPS)
@@ -122,7 +96,7 @@ class Playback:
                 return
 
     def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
-        task = self._task
+        task = self.task
         parts = [self.name, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending]
         return Moment(
             pose=task.pose(0),

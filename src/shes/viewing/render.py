@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from shes.drawing.drawer import Drawer, Picture
 from shes.drawing.renderer import CAMERAS
+from shes.drawing.rendering import make_drawer
 from shes.errors import ConfigError, UnknownNameError
 from shes.viewing.playback import Moment, Playback
 from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
@@ -62,27 +63,19 @@ def render(
         StorageError: The video cannot be written.
     """
     target = Path(out)
+    names = (checkpoints,) if isinstance(checkpoints, str) else checkpoints
     check_video_path(target)
-    if camera not in VIEWS:
-        raise UnknownNameError("camera", camera, VIEWS, "Set --camera.")
-    if isinstance(checkpoints, str):
-        checkpoints = (checkpoints,)
-    if not checkpoints:
-        raise ConfigError(
-            "render needs at least one checkpoint: best, last or the number of a generation. Set --checkpoint."
-        )
-    if size % 2 or not 64 <= size <= 1080:
-        raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
-    playbacks = [Playback(run, str(name), seed, steps) for name in checkpoints]
+    _check_arguments(names, camera, size)
+    playbacks = [Playback(run, str(name), seed, steps) for name in names]
     episode_seed = playbacks[0].seed_of(episode)
     drawers: list[Drawer] = []
     try:
-        drawers.extend(each.make_drawer(size, size) for each in playbacks)
+        drawers.extend(make_drawer(each.task, size, size) for each in playbacks)
         cameras = _cameras(drawers[0], camera)
         episodes = [each.play(episode_seed) for each in playbacks]
         if on_step is not None:
             episodes[0] = _counted(episodes[0], playbacks[0].steps, on_step)
-        rate = FRAMES_PER_SECOND * playbacks[0].step_s
+        rate = FRAMES_PER_SECOND * playbacks[0].task.step_s
         columns = [_frames(moments, drawer, cameras, rate) for moments, drawer in zip(episodes, drawers, strict=True)]
         if len(columns) == 1:
             frames = (np.hstack(views) for views in columns[0])
@@ -90,9 +83,21 @@ def render(
             frames = _side_by_side([(np.vstack(views) for views in column) for column in columns])
         write_video(target, _held(frames, round(_HELD_S * FRAMES_PER_SECOND)))
     finally:
-        for each in (*drawers, *playbacks):
+        for each in (*drawers, *(playback.task for playback in playbacks)):
             each.close()
     return target
+
+
+def _check_arguments(checkpoints: Sequence[str], camera: str, size: int) -> None:
+    """Check the arguments of `render` that need no run."""
+    if camera not in VIEWS:
+        raise UnknownNameError("camera", camera, VIEWS, "Set --camera.")
+    if not checkpoints:
+        raise ConfigError(
+            "render needs at least one checkpoint: best, last or the number of a generation. Set --checkpoint."
+        )
+    if size % 2 or not 64 <= size <= 1080:
+        raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
 
 
 def _counted(moments: Iterator[Moment], steps: int, on_step: Callable[[int, int], None]) -> Iterator[Moment]:
@@ -103,11 +108,7 @@ def _counted(moments: Iterator[Moment], steps: int, on_step: Callable[[int, int]
 
 
 def _cameras(drawer: Drawer, asked: str) -> Sequence[str]:
-    """Return the cameras to draw with.
-
-    Raises:
-        ConfigError: The environment draws itself and does not have camera `asked`.
-    """
+    """Return the cameras to draw with; raise a ConfigError if the environment draws itself and lacks `asked`."""
     if asked == "both":
         return drawer.cameras
     if asked not in drawer.cameras:

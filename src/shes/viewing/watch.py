@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import count
 from pathlib import Path
 
+from shes.drawing.rendering import open_window
 from shes.viewing.playback import Playback
 
 __all__ = ["watch"]
@@ -24,7 +25,7 @@ def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None)
         ConfigError: There is no screen, the environment has no window, or `seed` is negative.
     """
     playback = Playback(run, checkpoint, seed)
-    window = playback.open_window()
+    window = open_window(playback.task)
     try:
         for episode in count():
             for number, moment in enumerate(playback.play(playback.seed_of(episode))):
@@ -33,4 +34,4 @@ def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None)
                 window.show(moment.pose, moment.markers, is_new_episode=number == 0)
     finally:
         window.close()
-        playback.close()
+        playback.task.close()
