@@ -1,4 +1,4 @@
-"""External environments: an episode is the environment's own, its robot is where it says, its actions are its own."""
+"""External environments: episodes, actions and the robot's pose are those of the Gymnasium environment."""
 
 import sys
 
@@ -39,7 +39,7 @@ ANT_MAZE = "robotics-ant-maze"
 
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
-    """The registries with the environments of the tests in them; what a test adds is forgotten afterwards."""
+    """Register the environments of the tests; restore the registries afterwards."""
     monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     register()
@@ -81,7 +81,7 @@ def play(task, actions, ids=None):
     return view(task)
 
 
-# What is observed, and where the robot is.
+# Observations, and the pose of the robot.
 
 
 def test_our_own_point_maze_is_the_same_from_outside():
@@ -130,7 +130,7 @@ SLIDES = "<joint type='slide' axis='1 0 0'/><joint type='slide' axis='0 1 0'/>"
     ],
 )
 def test_the_joints_of_a_mujoco_body_say_where_it_is(make, joints):
-    """The body's own frame, which MuJoCo computes from qpos, must be where the joints say."""
+    """The body's frame, which MuJoCo computes from qpos, must have the pose that the joints determine."""
     task = start(3, make=make, locate=None, joints=joints)
     for i, env in enumerate(task._envs):
         data = getattr(env, "inner", env).data
@@ -345,7 +345,7 @@ def test_an_episode_may_be_longer_than_the_registration_says_but_not_than_the_en
     assert play(task, actions[4:])["terminated"].all()
 
 
-# What fails.
+# Failures.
 
 
 @pytest.mark.parametrize(
@@ -462,7 +462,7 @@ def test_a_missing_package_names_the_extra_that_brings_it(name, missing, extra, 
         environment.make(1)
 
 
-# What an agent needs.
+# The reader.
 
 
 def test_an_agent_may_give_observations_of_one_environment_or_of_several():

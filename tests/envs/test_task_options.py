@@ -1,4 +1,4 @@
-"""The options of a task, as Python gives them: those that the task has, or an error. Kinds of values: test_settings."""
+"""The options of a task as Python arguments: they are applied, or raise. `test_settings` tests kinds of values."""
 
 import gymnasium
 import numpy as np

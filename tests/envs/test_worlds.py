@@ -1,4 +1,4 @@
-"""Worlds: the boxes of a grid cover its wall cells, all of them, once, and nothing else."""
+"""Worlds: the boxes of a grid cover each of its wall cells once, and no other cell."""
 
 import mujoco
 import numpy as np

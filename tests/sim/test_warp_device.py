@@ -1,4 +1,4 @@
-"""Devices of Warp without Warp: what is missing, too old or too small is one clear error. Cards are stand-ins here."""
+"""Warp devices with a stand-in for Warp: a GPU, driver or package that is missing or too old is a clear error."""
 
 import os
 import sys
@@ -23,7 +23,7 @@ NEEDS = {
 
 @pytest.fixture
 def versions(monkeypatch):
-    """What is installed, to be changed."""
+    """The installed versions, which tests change."""
     installed = dict(VERSIONS)
 
     def version(name):
@@ -46,7 +46,7 @@ class Pool:
 
 @pytest.fixture
 def machine(monkeypatch, versions):
-    """A machine with a card: its Warp and its CuPy."""
+    """A machine with a GPU: its Warp and its CuPy."""
     device = SimpleNamespace(name="Card 1", ordinal=0, stream=SimpleNamespace(cuda_stream=7))
     warp = SimpleNamespace(
         config=SimpleNamespace(log_level=20),

@@ -3,10 +3,12 @@
 A cell is `#` wall, `.` free, `r` free and the robot's start (the origin), `B` movable block, or `C` chasm. Column j is
 at x = 8 j - x_robot and row i at y = 8 i - y_robot. In a world with a chasm all other cells are platforms 4 m high.
 
-Source: the environments of Nachum et al. 2018 (HIRO), as in the SHES authors' HrlMuJoCoEnvs.jl.
+Source: Nachum et al. 2018 (HIRO); the SHES authors' HrlMuJoCoEnvs.jl; `docs/environments/index.md`, *Worlds*.
 """
 
 from __future__ import annotations
+
+import re
 
 import mujoco
 
@@ -150,15 +152,7 @@ def merged_boxes(grid: Grid, signs: str) -> list[tuple[float, float, float, floa
 
 def _runs(row: str, signs: str) -> list[tuple[int, int]]:
     """Return the first and last column of every run of `signs` in `row`."""
-    runs: list[tuple[int, int]] = []
-    for j, cell in enumerate(row):
-        if cell not in signs:
-            continue
-        if runs and runs[-1][1] == j - 1:
-            runs[-1] = (runs[-1][0], j)
-        else:
-            runs.append((j, j))
-    return runs
+    return [(run.start(), run.end() - 1) for run in re.finditer(f"[{re.escape(signs)}]+", row)]
 
 
 def _has(grid: Grid, sign: str) -> bool:

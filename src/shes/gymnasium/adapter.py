@@ -128,7 +128,7 @@ class TaskAdapter:
             ConfigError: No render mode was chosen.
         """
         if self._render_mode is None:
-            raise ConfigError('there is no render_mode: make the environment with render_mode="rgb_array" or "human".')
+            raise ConfigError('render_mode is not set: make the environment with render_mode="rgb_array" or "human".')
         if self._render_mode == "human":
             return None
         if self._drawer is None:

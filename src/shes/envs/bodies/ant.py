@@ -1,6 +1,6 @@
 """The ant of the HIRO and SHES tasks. Gymnasium's ant differs: it has another time step and another gear.
 
-Source: `easier_ant.xml` of the SHES authors' HrlMuJoCoEnvs.jl.
+Source: `easier_ant.xml` of the SHES authors' HrlMuJoCoEnvs.jl; `docs/environments/index.md`, *The ant*.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""The point: a sphere pushed along x and y, which is fast to simulate and makes every task easier to solve."""
+"""The point: a sphere pushed along x and y. It is fast to simulate and makes every task easier.
+
+Source: own design; `docs/environments/index.md`, *The point*.
+"""
 
 from __future__ import annotations
 

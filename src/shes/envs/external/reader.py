@@ -69,7 +69,7 @@ class ExternalReader(Reader):
         except Exception as error:
             raise ShapeError(f"not an observation of {num_envs} times {self._space}: {error!r}.") from error
 
-    def pose(self, row: F64Array, info: Mapping[str, Any], env: gymnasium.Env[Any, Any] | None) -> PlanarPose:
+    def planar_pose(self, row: F64Array, info: Mapping[str, Any], env: gymnasium.Env[Any, Any] | None) -> PlanarPose:
         """Return the robot's planar pose for observation `row` [O]: by `locate`, else from the joints of `env`.
 
         Raises:
@@ -93,7 +93,7 @@ class ExternalReader(Reader):
         for i, row in enumerate(rows):
             own = {k: v[i] if len(rows) > 1 and np.ndim(v) else v for k, v in (info or {}).items()}
             try:
-                poses[i] = self.pose(row, own, envs[i])
+                poses[i] = self.planar_pose(row, own, envs[i])
             except LookupError as error:
                 raise ConfigError(f"locate failed ({error!r}). Pass info: agent.act(observation, info).") from error
         return poses[:, :2], poses[:, 2]

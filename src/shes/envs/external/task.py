@@ -129,7 +129,7 @@ class ExternalTask(EpisodeBatch):
         self._success[i] = bool(success)
         self._score[i] = self._success[i] if is_score else self.running_return[i]
         if self._reader.can_locate:
-            *self._position[i], self._heading[i] = self._reader.pose(row, info, env)
+            *self._position[i], self._heading[i] = self._reader.planar_pose(row, info, env)
 
     def _env(self, i: int) -> gymnasium.Env[Any, Any]:
         """Return environment `i`, which is made at the first call."""
