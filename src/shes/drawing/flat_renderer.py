@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import filterfalse
 
 import mujoco
 import numpy as np
@@ -27,7 +28,7 @@ _LINE_EVERY_M = 2.0
 
 
 class FlatRenderer(Renderer):
-    """A renderer that draws geoms as rectangles, circles and bars, from the lowest to the highest."""
+    """A renderer that draws geoms as rectangles, circles and bars: scenery, markers, then the robot, each by height."""
 
     def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
         """Return a picture of the world at `qpos`."""
@@ -40,14 +41,13 @@ class FlatRenderer(Renderer):
         sheet.grid()
         is_box = self.model.geom_type == _BOX
         heights = self.data.geom_xpos[:, 2] + is_box * self.model.geom_size[:, 2]
-        is_robot = np.array([not self._is_scenery(geom) for geom in range(self.model.ngeom)])
-        order = np.lexsort((heights, is_robot))  # walls and blocks, then markers, then the robot
-        for geom in order[~is_robot[order]]:
-            self._draw_geom(sheet, int(geom))
+        geoms = np.argsort(heights, kind="stable").tolist()
+        for geom in filter(self._is_scenery, geoms):
+            self._draw_geom(sheet, geom)
         for marker in sorted(markers, key=lambda each: each.position[2]):
             _draw_marker(sheet, marker)
-        for geom in order[is_robot[order]]:
-            self._draw_geom(sheet, int(geom))
+        for geom in filterfalse(self._is_scenery, geoms):
+            self._draw_geom(sheet, geom)
         return sheet.picture(self.width, self.height)
 
     def close(self) -> None:
@@ -57,15 +57,14 @@ class FlatRenderer(Renderer):
         """Return the centre (x, y) and half height of the visible area, in metres."""
         if camera == "follow":
             return float(qpos[0]), float(qpos[1]), _FOLLOW_HALF_M
-        left, bottom, right, top = self.extent
-        half = max((top - bottom) / 2, (right - left) / 2 * self.height / self.width)
-        return (left + right) / 2, (bottom + top) / 2, half
+        return self.top_view
 
     def _is_scenery(self, geom: int) -> bool:
         """Return whether a geom is ground, wall or block, not robot."""
         return self.model.geom(geom).name.startswith(("floor", "wall", "platform", "block"))
 
     def _draw_geom(self, sheet: _Sheet, geom: int) -> None:
+        """Draw a geom at its current position; planes are not drawn."""
         kind, size = int(self.model.geom_type[geom]), self.model.geom_size[geom]
         place, axes = self.data.geom_xpos[geom], self.data.geom_xmat[geom].reshape(3, 3)
         if kind == _BOX:

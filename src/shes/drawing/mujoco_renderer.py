@@ -16,7 +16,7 @@ from shes.types import F64Array
 
 __all__ = ["MujocoRenderer", "add_markers"]
 
-_FOLLOW = {"azimuth": 90.0, "elevation": -42.0, "distance": 11.0}
+_FOLLOW = (90.0, -42.0, 11.0)  # azimuth and elevation in degrees, distance in metres
 _ROBOT_BODY = 1  # the first body of every world
 _TOP_MARGIN = 1.02
 _TOP_DISTANCE_M = 120.0  # nearly no perspective, so that walls hide nothing
@@ -53,15 +53,13 @@ class MujocoRenderer(Renderer):
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         if name == "follow":
             self.model.vis.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
-            camera.azimuth, camera.elevation = _FOLLOW["azimuth"], _FOLLOW["elevation"]
-            camera.distance = _FOLLOW["distance"]
+            camera.azimuth, camera.elevation, camera.distance = _FOLLOW
             camera.lookat[:] = self.data.xpos[_ROBOT_BODY]
             return
-        left, bottom, right, top = self.extent
-        half = max((top - bottom) / 2, (right - left) / 2 * self.height / self.width) * _TOP_MARGIN
-        self.model.vis.global_.fovy = np.rad2deg(2 * np.arctan2(half, _TOP_DISTANCE_M))
+        x, y, half = self.top_view
+        self.model.vis.global_.fovy = np.rad2deg(2 * np.arctan2(half * _TOP_MARGIN, _TOP_DISTANCE_M))
         camera.azimuth, camera.elevation, camera.distance = 90.0, -90.0, _TOP_DISTANCE_M
-        camera.lookat[:] = ((left + right) / 2, (bottom + top) / 2, 0)
+        camera.lookat[:] = (x, y, 0)
 
     def close(self) -> None:
         """Free the OpenGL context."""

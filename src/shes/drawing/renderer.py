@@ -52,13 +52,21 @@ class Renderer(Drawer):
         if not boxes.any():
             return (-_OPEN_HALF_M, -_OPEN_HALF_M, _OPEN_HALF_M, _OPEN_HALF_M)
         center, half = data.geom_xpos[boxes, :2], self.model.geom_size[boxes, :2]
-        sides = [*(center - half).min(axis=0), *(center + half).max(axis=0)]
-        for i, side in enumerate(sides):
-            sign = -1 if i < 2 else 1
-            reaches = np.isclose((center + sign * half)[:, i % 2], side)
-            hidden = 2 * half[reaches, i % 2].min() - _RIM_M
-            sides[i] = float(side - sign * max(hidden, 0.0))
-        return (sides[0], sides[1], sides[2], sides[3])
+        corners: list[float] = []
+        for sign in (-1, 1):
+            sides = center + sign * half
+            outermost = sign * (sign * sides).max(axis=0)
+            thickness = np.where(np.isclose(sides, outermost), 2 * half, np.inf).min(axis=0)
+            corners += (outermost - sign * np.maximum(thickness - _RIM_M, 0.0)).tolist()
+        left, bottom, right, top = corners
+        return left, bottom, right, top
+
+    @property
+    def top_view(self) -> tuple[float, float, float]:
+        """Centre x and y, and half height, of the picture from above, in metres."""
+        left, bottom, right, top = self.extent
+        half = max((top - bottom) / 2, (right - left) / 2 * self.height / self.width)
+        return (left + right) / 2, (bottom + top) / 2, half
 
 
 def check_camera(name: str) -> None:

@@ -15,12 +15,9 @@ import mujoco
 from shes.errors import UnknownNameError
 
 __all__ = [
+    "ARENA",
     "CELL_SIZE_M",
-    "FALL",
-    "GATHER",
     "INTEGRATORS",
-    "MAZE",
-    "PUSH",
     "TIMESTEP_S",
     "WALL_HEIGHT_M",
     "Grid",
@@ -41,10 +38,8 @@ FLOOR_HALF_SIZE_M = 40.0
 TIMESTEP_S = 0.02
 """Physics step."""
 
-GATHER: Grid = ("#####", "#...#", "#.r.#", "#...#", "#####")
-MAZE: Grid = ("#####", "#r..#", "###.#", "#...#", "#####")
-PUSH: Grid = ("#####", "#.r##", "#.B.#", "##.##", "#####")
-FALL: Grid = ("####", "#r.#", "#.B#", "#CC#", "#..#", "####")
+ARENA: Grid = ("#####", "#...#", "#.r.#", "#...#", "#####")
+"""A square without obstacles, of Gather and Flagrun."""
 
 BLOCK_MASS_KG = 0.0002
 FALLING_BLOCK_MASS_KG = 0.001

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from shes.envs.tasks.target_task import BlockOptions, TargetTask
-from shes.envs.worlds import FALL, WALL_HEIGHT_M, Grid
+from shes.envs.worlds import WALL_HEIGHT_M, Grid
 
 __all__ = ["Fall"]
 
@@ -18,7 +18,7 @@ class Fall(TargetTask):
 
     name: ClassVar[str] = "fall"
     Options = BlockOptions
-    grid: ClassVar[Grid] = FALL
+    grid: ClassVar[Grid] = ("####", "#r.#", "#.B#", "#CC#", "#..#", "####")
     ground_m: ClassVar[float] = WALL_HEIGHT_M
     block_axes: ClassVar[str] = "yz"
     own_target: ClassVar[tuple[float, ...]] = (0.0, 27.0, 4.5)

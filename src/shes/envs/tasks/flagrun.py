@@ -16,7 +16,7 @@ from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.options import FURTHEST_M, TaskOptions
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskDescription
-from shes.envs.worlds import GATHER, add_grid, empty_world
+from shes.envs.worlds import ARENA, add_grid, empty_world
 from shes.settings import Ge, Le
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
@@ -96,7 +96,7 @@ class Flagrun(Task):
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the arena of Gather."""
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
-        add_grid(spec, GATHER)
+        add_grid(spec, ARENA)
         body.add_to(spec)
         return spec
 

@@ -18,7 +18,7 @@ from shes.envs.markers import FOOD, POISON, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
-from shes.envs.worlds import GATHER, add_grid, add_square_walls, empty_world
+from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
 from shes.errors import ConfigError
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
@@ -109,7 +109,7 @@ class Gather(Task):
         if options.spec == "hiro":
             add_square_walls(spec, HIRO_WALLS_M)
         else:
-            add_grid(spec, GATHER)
+            add_grid(spec, ARENA)
         body.add_to(spec)
         return spec
 

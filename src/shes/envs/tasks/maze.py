@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from shes.envs.tasks.target_task import TargetOptions, TargetTask
-from shes.envs.worlds import MAZE, Grid, is_free
+from shes.envs.worlds import Grid, is_free
 from shes.errors import ConfigError
 from shes.types import F64Array
 
@@ -46,7 +46,7 @@ class Maze(TargetTask):
     name: ClassVar[str] = "maze"
     Options = MazeOptions
     options: MazeOptions  # type: ignore[assignment] - narrower than in TargetTask
-    grid: ClassVar[Grid] = MAZE
+    grid: ClassVar[Grid] = ("#####", "#r..#", "###.#", "#...#", "#####")
     own_target: ClassVar[tuple[float, ...]] = (0.0, 16.0)
     target_scale: ClassVar[float] = 0.01
 

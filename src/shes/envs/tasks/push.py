@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from shes.envs.tasks.target_task import BlockOptions, TargetTask
-from shes.envs.worlds import PUSH, Grid
+from shes.envs.worlds import Grid
 
 __all__ = ["Push"]
 
@@ -19,6 +19,6 @@ class Push(TargetTask):
 
     name: ClassVar[str] = "push"
     Options = BlockOptions
-    grid: ClassVar[Grid] = PUSH
+    grid: ClassVar[Grid] = ("#####", "#.r##", "#.B.#", "##.##", "#####")
     block_axes: ClassVar[str] = "xy"
     own_target: ClassVar[tuple[float, ...]] = (0.0, 19.0)

@@ -51,7 +51,7 @@ class TargetTask(Task):
     options: Any
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     grid: ClassVar[Grid]
-    """The grid of the world."""
+    """The grid of the world; see `shes.envs.worlds`."""
     block_axes: ClassVar[str] = ""
     """Axes along which the block moves, in the order of its coordinates; empty without a block."""
     own_target: ClassVar[tuple[float, ...]]
