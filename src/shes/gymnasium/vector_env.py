@@ -187,7 +187,8 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
 
     def render(self) -> tuple[Picture, ...] | None:  # type: ignore[override] - Gymnasium's type is wider
         """Return a picture [H, W, 3] of each environment."""
-        return tuple(self._adapter.render(i) for i in range(self.num_envs))
+        pictures = (self._adapter.render(i) for i in range(self.num_envs))
+        return tuple(pictures)  # type: ignore[return-value] - None is only for mode `human`, which it lacks
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the renderer."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import SimulatorFactory
@@ -31,10 +31,9 @@ _ROBOTICS = ("AntMaze", "PointMaze", "Fetch", "HandManipulate", "HandReach", "Ad
 class ExternalEnvironment:
     """A Gymnasium environment and how to read it. Nothing is imported or made before it is needed."""
 
-    sets_goals: ClassVar[bool] = False
-    has_own_physics: ClassVar[bool] = True
-    options: ClassVar[type[TaskOptions]] = TaskOptions
-    """The class of its options: it adds none."""
+    sets_goals = False
+    has_own_physics = True
+    options = TaskOptions
 
     name: str
     source: str | EnvSpec | Callable[..., gymnasium.Env[Any, Any]]
