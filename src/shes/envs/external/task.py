@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.external.description import ExternalDescription
 from shes.envs.external.reader import ExternalReader, find_physics
 from shes.errors import ConfigError
 from shes.sim.cpu import count_divergences, forget_divergences
@@ -41,7 +41,7 @@ class ExternalTask(EpisodeBatch):
     diverged, physics_s = property(attrgetter("_diverged")), property(attrgetter("_physics_s"))
     score, success = property(attrgetter("_score")), property(attrgetter("_success"))
 
-    def __init__(self, environment: ExternalEnvironment, num_episodes: int) -> None:
+    def __init__(self, environment: ExternalDescription, num_episodes: int) -> None:
         """Make the first of `num_episodes` environments and inspect it; the others are made at their first reset.
 
         Raises:
