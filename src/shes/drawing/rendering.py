@@ -9,9 +9,9 @@ import mujoco
 
 from shes.drawing.drawer import Drawer, Window
 from shes.drawing.flat_renderer import FlatRenderer
-from shes.drawing.frames import FrameDrawer, FrameWindow
 from shes.drawing.mujoco_renderer import MujocoRenderer
 from shes.drawing.opengl import HOW_TO_GET_OPENGL, find_opengl, is_switched_off, offer_opengl
+from shes.drawing.passthrough import PassthroughDrawer, PassthroughWindow
 from shes.drawing.renderer import Renderer
 from shes.drawing.scenery import MAX_PIXELS
 from shes.drawing.viewer import Viewer
@@ -33,7 +33,7 @@ def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
     if batch.draws_itself:
         batch.draw_by("rgb_array")
         offer_opengl()
-        return FrameDrawer(width, height)
+        return PassthroughDrawer(width, height)
     return make_renderer(batch.world_to_draw, width, height)
 
 
@@ -45,7 +45,7 @@ def open_window(batch: EpisodeBatch) -> Window:
     """
     if batch.draws_itself:
         batch.draw_by("human")
-        return FrameWindow()
+        return PassthroughWindow()
     return Viewer(batch.world_to_draw(), batch.step_s)
 
 

@@ -165,7 +165,7 @@ class EpisodeBatch(ABC):
     @property
     @abstractmethod
     def fallen(self) -> BoolArray:
-        """Whether the episode has ended in failure [N]: the robot fell, or an external environment ended unsolved."""
+        """Whether the episode has ended by a fall [N]; in an external environment, by a termination without success."""
 
     @property
     @abstractmethod

@@ -10,10 +10,10 @@ import numpy as np
 from shes.drawing.drawer import Drawer, Picture
 from shes.envs.markers import Marker
 
-__all__ = ["FrameDrawer", "FrameWindow"]
+__all__ = ["PassthroughDrawer", "PassthroughWindow"]
 
 
-class FrameDrawer(Drawer):
+class PassthroughDrawer(Drawer):
     """A drawer whose poses are pictures [H, W, 3]. It resizes them, and ignores markers."""
 
     cameras = ("own",)
@@ -36,7 +36,7 @@ class FrameDrawer(Drawer):
         """Do nothing: the environment owns the renderer."""
 
 
-class FrameWindow:
+class PassthroughWindow:
     """The window of an environment that shows its own steps."""
 
     is_open = True
