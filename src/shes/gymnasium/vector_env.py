@@ -113,7 +113,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
 
     def _mask(self, options: dict[str, Any] | None) -> BoolArray:
         """Return which environments to reset [N]."""
-        mask = np.ones(self.num_envs, np.bool_) if options is None else options.get("reset_mask")
+        mask = None if options is None else options.get("reset_mask")
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
@@ -126,11 +126,9 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         """Start episodes `ids`, each from its seed [N] or, if that is None, from its environment's generator."""
         chosen: list[int] = []
         for i in ids.tolist():
-            seed = seeds[i]
-            if seed is not None or self._rngs[i] is None:
-                self._rngs[i] = np_random(None if seed is None else int(seed))[0]
-            rng = self._rngs[i]
-            assert rng is not None
+            seed, rng = seeds[i], self._rngs[i]
+            if seed is not None or rng is None:
+                rng = self._rngs[i] = np_random(None if seed is None else int(seed))[0]
             chosen.append(self._adapter.draw_seed(rng) if seed is None else int(seed))
         self._adapter.reset(ids, chosen)
 

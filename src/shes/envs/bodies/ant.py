@@ -65,12 +65,12 @@ class Ant(Body):
     control_limit: ClassVar[float] = 30.0
     quaternion: ClassVar[slice | None] = slice(3, 7)
     egocentric: ClassVar[tuple[ObservationElement, ...]] = (
-        *elements(["torso_z"], "{} in the world", "m"),
+        pose[2],
         *elements(["tilt_ahead", "tilt_left"], "{}: component of the torso's z axis"),
         *elements(["velocity_ahead", "velocity_left", "velocity_up"], "{} of the torso", "m/s"),
-        *elements([f"torso_w{axis}" for axis in "xyz"], "{}: angular velocity about an axis of the torso", "rad/s"),
-        *elements(_JOINTS, "angle of {}", "rad"),
-        *elements([f"{joint}_velocity" for joint in _JOINTS], "{}", "rad/s"),
+        *velocity[3:6],
+        *pose[7:],
+        *velocity[6:],
     )
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
@@ -80,11 +80,7 @@ class Ant(Body):
         torso.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[TORSO_RADIUS_M, 0, 0])
         for number in _LEGS:
             self._add_leg(torso, number)
-        for joint in self.controls:
-            motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            motor.set_to_motor()
-            motor.ctrllimited = True
-            motor.ctrlrange = [-self.control_limit, self.control_limit]
+        self.add_motors(spec)
 
     @staticmethod
     def _add_leg(torso: mujoco.MjsBody, number: int) -> None:

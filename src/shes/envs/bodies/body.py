@@ -61,6 +61,15 @@ class Body(ABC):
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
         """Add the robot and its actuators to `spec`, at the origin, on ground of height `ground_m`."""
 
+    def add_motors(self, spec: mujoco.MjSpec, gear: float = 1.0) -> None:
+        """Add a motor to `spec` for each of `controls`, if these are names of joints."""
+        for joint in self.controls:
+            motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            motor.set_to_motor()
+            motor.gear = [gear, 0, 0, 0, 0, 0]
+            motor.ctrllimited = True
+            motor.ctrlrange = [-self.control_limit, self.control_limit]
+
     @abstractmethod
     def heading(self, qpos: F64Array) -> F64Array:
         """Return the headings (yaw) [N] in radians of robots at `qpos` [N, num_qpos]."""

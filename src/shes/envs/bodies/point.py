@@ -51,11 +51,7 @@ class Point(Body):
         body.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS_M, 0, 0], mass=MASS_KG)
         for name, axis in zip(self.controls, ([1, 0, 0], [0, 1, 0]), strict=True):
             body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=DAMPING)
-            motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            motor.set_to_motor()
-            motor.gear = [GEAR_N, 0, 0, 0, 0, 0]
-            motor.ctrllimited = True
-            motor.ctrlrange = [-self.control_limit, self.control_limit]
+        self.add_motors(spec, GEAR_N)
         return body
 
     def heading(self, qpos: F64Array) -> F64Array:
