@@ -25,10 +25,6 @@ class DeviceSimulator(Simulator):
         assert isinstance(ids, np.ndarray)
         self._cpu.reset(ids)
 
-    @property
-    def state_size(self):
-        return self._cpu.state_size
-
     def states(self, ids):
         assert isinstance(ids, np.ndarray)
         return self._cpu.states(ids)

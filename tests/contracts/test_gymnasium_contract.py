@@ -1,4 +1,4 @@
-"""What every environment and specification promises to Gymnasium's users: single and vector, made by id."""
+"""The Gymnasium contract of every environment and specification, single and vector, made by id."""
 
 import warnings
 
@@ -30,7 +30,7 @@ def draw_actions(env, steps, seed=0):
 
 
 def rollout(env, actions, seed):
-    """Return everything that `env` shows from a reset with `seed` on, to the end of its episode."""
+    """Return everything that `env` returns from a reset with `seed` to the end of its episode."""
     shown = [env.reset(seed=seed)]
     for action in actions:
         shown.append(env.step(action))

@@ -1,4 +1,4 @@
-"""What every simulator promises. A new simulator is one line in `SIMULATORS`."""
+"""The contract of simulators. A new simulator is one line in `SIMULATORS`."""
 
 import mujoco
 import numpy as np
@@ -26,7 +26,7 @@ def make(request):
 
 
 def host(array):
-    """Return a copy as a NumPy array, wherever the simulator keeps it."""
+    """Return a copy as a NumPy array."""
     return np.array(array.get() if hasattr(array, "get") else array)
 
 
@@ -35,7 +35,7 @@ def state(simulator):
 
 
 def kick(simulator, seed=0):
-    """Give every simulation another velocity and other controls."""
+    """Give every simulation a different velocity and different controls."""
     rng = np.random.default_rng(seed)
     simulator.qvel[:] = simulator.xp.asarray(rng.normal(0, 0.5, simulator.qvel.shape))
     simulator.ctrl[:] = simulator.xp.asarray(rng.uniform(-30, 30, simulator.ctrl.shape))
@@ -181,13 +181,13 @@ def test_the_mark_of_a_divergence_goes_with_the_reset_and_comes_with_the_next_di
 
 
 def controls(simulator, steps, seed=3):
-    """Return controls [steps, nu] that every simulation is to get."""
+    """Return controls [steps, nu] for every simulation."""
     rng = np.random.default_rng(seed)
     return simulator.xp.asarray(rng.uniform(-30, 30, (steps, simulator.model.nu)))
 
 
 def go_on(simulator, ids, steps=20):
-    """Step simulations `ids` on, all by the same controls; return where they were after each step [steps, ids, S]."""
+    """Step simulations `ids` with the same controls; return their states after each step [steps, ids, S]."""
     found = []
     for control in controls(simulator, steps):
         simulator.ctrl[:] = control
@@ -198,7 +198,7 @@ def go_on(simulator, ids, steps=20):
 
 @pytest.fixture
 def moving(make):
-    """A simulator in mid-motion: on its feet, with contacts, no two simulations alike."""
+    """A simulator in motion, with contacts, whose simulations all differ."""
     simulator = make()
     kick(simulator)
     simulator.step(ALL, 40)
@@ -212,12 +212,12 @@ def test_whole_states_are_rows_of_one_size_in_numpys_arrays(moving):
     states = moving.states(np.array([3, 1]))
     assert type(states) is np.ndarray
     assert states.dtype == np.float64
-    assert states.shape == (2, moving.state_size)
+    assert states.shape == (2, moving.model.nq + 2 * moving.model.nv + 1)
     assert np.array_equal(states, moving.states(ALL)[[3, 1]])
 
 
 def test_a_state_put_elsewhere_goes_on_with_the_same_bits(make, moving):
-    """In another place of another simulator of the same model, of any size and past."""
+    """Also in another row of another simulator of the same model, of any size and history."""
     one, used = make(1), make()
     kick(used, seed=8)
     used.step(ALL, 30)
@@ -268,7 +268,7 @@ def test_a_simulation_that_is_put_into_a_state_forgets_that_it_diverged(moving):
 
 
 def test_the_solvers_warm_start_is_part_of_a_state(make, moving):
-    """Poses, velocities and controls alone do not go on with the same bits."""
+    """Continuing from poses, velocities and controls alone is not bit-identical."""
     cold, warm = make(), make()
     for name in ("qpos", "qvel"):
         getattr(cold, name)[:] = cold.xp.asarray(host(getattr(moving, name)))

@@ -1,7 +1,6 @@
-"""What every task promises, over `shes.envs.registry.ENVIRONMENTS` with every specification: a later
-task inherits all of it.
+"""The contract of tasks, over `shes.envs.registry.ENVIRONMENTS` with every specification, later tasks included.
 
-`view` is everything that a caller can see of a task; equality below is to the bit.
+`view` is everything that a caller can see of a task. Equality is bit-identity.
 """
 
 import mujoco
@@ -31,7 +30,7 @@ SHOWN = (
 
 
 def view(task, rows=slice(None)):
-    """Return a copy of everything to be seen of `rows`, by name."""
+    """Return copies of every array of `rows`, by name."""
     seen = {name: np.array(getattr(task, name)[rows]) for name in SHOWN}
     seen["observation"] = task.observe()[rows].copy()
     seen["qpos"], seen["qvel"] = task.sim.qpos[rows].copy(), task.sim.qvel[rows].copy()
@@ -44,7 +43,7 @@ def assert_same_view(left, right):
 
 
 def start(variant, num_episodes, seeds=None, **options):
-    """Return a task whose episodes have all begun, by default with seeds 0, 1, 2, ..."""
+    """Return a task after its reset, by default with seeds 0, 1, 2, ..."""
     task = variant.make_task(num_episodes, **options)
     task.reset(np.arange(num_episodes), range(num_episodes) if seeds is None else seeds)
     return task

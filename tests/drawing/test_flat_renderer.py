@@ -1,4 +1,4 @@
-"""Flat pictures: what lies where is drawn there."""
+"""Flat pictures: geoms and markers are drawn at their positions."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def rgb(color):
 
 
 def is_colored(picture, x, y, color, renderer):
-    """Tell whether a pixel at (x, y) metres, or next to it, of a picture from above has `color`."""
+    """Return whether a pixel at (x, y) metres, or next to it, of a picture from above has `color`."""
     left, bottom, right, top = renderer.extent
     column = int((x - left) / (right - left) * SIZE)
     row = int((top - y) / (top - bottom) * SIZE)

@@ -1,4 +1,4 @@
-"""Three-dimensional pictures. They need an OpenGL, so they are tests of the extras."""
+"""Three-dimensional pictures. They need OpenGL, so these tests are extras."""
 
 import mujoco
 import numpy as np

@@ -1,4 +1,4 @@
-"""Which OpenGL is taken: MUJOCO_GL decides where it is set, else what works."""
+"""Choice of the OpenGL: MUJOCO_GL if it is set, else the first that works."""
 
 import logging
 import os
@@ -17,7 +17,7 @@ from shes.errors import ConfigError
 
 @pytest.fixture
 def works(monkeypatch):
-    """Say what works on this machine; give back what was tried."""
+    """Set which OpenGLs work on this machine; return the list of those tried."""
     tried = []
 
     def say(*names):

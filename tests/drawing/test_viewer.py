@@ -1,4 +1,4 @@
-"""The window: what it is given to show, and what happens where there is no screen."""
+"""The viewer's window: the poses that it shows, and the error without a screen."""
 
 import shutil
 import subprocess
@@ -18,7 +18,7 @@ from shes.errors import ConfigError
 
 
 class FakeWindow:
-    """Stands in for MuJoCo's window: remembers the poses it was given, closes after some."""
+    """A stand-in for MuJoCo's window that records poses and closes after some."""
 
     def __init__(self, model, data, frames=10_000):
         self.data, self.frames = data, frames

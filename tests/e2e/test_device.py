@@ -103,7 +103,7 @@ def test_cuda_where_there_is_no_card_is_one_line_and_no_folder(tmp_path):
         pytest.skip("there is a card")
     code, out, err = runs.run("train", "ant-gather", "--device", "cuda", "--out", tmp_path / "run")
     assert (code, out) == (2, "")
-    assert err.startswith("Error: device cuda needs an NVIDIA card")
+    assert err.startswith("Error: device cuda needs an NVIDIA GPU")
     assert err.endswith("Use --device cpu.\n")
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []

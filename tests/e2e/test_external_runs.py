@@ -140,14 +140,14 @@ def test_watching_uses_the_environments_own_window(run, monkeypatch):
         if len(shown) == 12:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.drawing.frames.FrameWindow.show", show)
+    monkeypatch.setattr("shes.drawing.passthrough.PassthroughWindow.show", show)
     with pytest.raises(KeyboardInterrupt):
         watch(run.path)
     assert [number for number, is_new in enumerate(shown) if is_new] == [0, 10]
 
 
 def test_a_camera_that_there_is_not_is_refused(run, tmp_path):
-    with pytest.raises(ConfigError, match=r"this environment draws itself, and has no camera 'top'\. Leave --camera"):
+    with pytest.raises(ConfigError, match=r"this environment draws itself and has no camera 'top'\. Omit --camera"):
         render(run.path, tmp_path / "walk.gif", camera="top")
 
 
@@ -187,9 +187,13 @@ def test_the_view_of_the_primitive_may_be_registered(tmp_path):
 @pytest.mark.parametrize(
     ("env", "settings", "message"),
     [
-        ("tests/Car-v0", {}, r"'tests/Car-v0' is an id of Gymnasium\. Write gymnasium:tests/Car-v0"),
-        ("gymnasium:tests/Car-v0", {}, r"nobody has told where the robot of gymnasium:tests/Car-v0 is.*--algorithm es"),
-        ("gymnasium:tests/Car-v0", {"algorithm": "es", "novelty": "ns"}, r"nobody has told where the robot of"),
+        ("tests/Car-v0", {}, r"'tests/Car-v0' is a Gymnasium id\. Write gymnasium:tests/Car-v0"),
+        (
+            "gymnasium:tests/Car-v0",
+            {},
+            r"the position of the robot of gymnasium:tests/Car-v0 is unknown.*--algorithm es",
+        ),
+        ("gymnasium:tests/Car-v0", {"algorithm": "es", "novelty": "ns"}, r"the position of the robot of"),
         ("car", {"hide_position": True}, r"observes no absolute position.*Omit --hide-position"),
     ],
 )

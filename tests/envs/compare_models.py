@@ -1,4 +1,4 @@
-"""Compare two compiled models in everything that physics reads."""
+"""Compares two compiled models in all fields that the physics reads."""
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ _WITHOUT_MEANING = {
 
 
 def model_differences(model, other, but=()):
-    """Return what differs, in words; `but` names fields to leave out. Geoms are matched by body, type and place."""
+    """Return the differences in words; `but` names fields to ignore. Geoms are matched by body, type and position."""
     differences = [
         f"{size}: {getattr(model, size)} and {getattr(other, size)}"
         for size in ("nq", "nv", "nu", "nbody", "njnt", "ngeom", "npair", "nexclude", "neq", "ntendon")
@@ -43,6 +43,6 @@ def model_differences(model, other, but=()):
 
 
 def _geom_order(model: mujoco.MjModel):
-    """Return the geoms' indices sorted by body, type, place and size."""
+    """Return the geoms' indices sorted by body, type, position and size."""
     keys = np.column_stack([model.geom_bodyid, model.geom_type, model.geom_pos, model.geom_size]).round(9) + 0.0
     return sorted(range(model.ngeom), key=lambda g: tuple(keys[g]))

@@ -1,4 +1,4 @@
-"""Environments as users have them: small, exact, and of every shape that Gymnasium allows."""
+"""Small external environments, with all kinds of spaces that Gymnasium allows."""
 
 import gymnasium
 import mujoco
@@ -11,7 +11,7 @@ MAX_STEPS = 7
 
 
 class Car(gymnasium.Env):
-    """Goes where it is pushed, and turns. How it ends, or fails, is in its arguments."""
+    """A car that moves and turns as it is pushed. Its arguments say how it ends or fails."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 20}  # noqa: RUF012 - Gymnasium's own
     action_space = Box(np.array([-2, 0, -1], np.float32), np.array([2, 4, 1], np.float32))
@@ -58,7 +58,7 @@ class Car(gymnasium.Env):
         return self._fail(self._observe(), reward, terminated, truncated, self._info())
 
     def _fail(self, observation, reward, terminated, truncated, info):
-        """Return something else than was said, from the second step on."""
+        """Return the arguments, or from the second step on what `fault` asks for."""
         if self.age < 2:
             return observation, reward, terminated, truncated, info
         if self.fault == "step":
@@ -82,7 +82,7 @@ class Car(gymnasium.Env):
 
 
 class Silent(Car):
-    """Has no pictures, and reports nothing."""
+    """A car without pictures and with an empty `info`."""
 
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own
 
@@ -91,14 +91,14 @@ class Silent(Car):
 
 
 class Late(Car):
-    """Reports success where an episode ends, and there alone."""
+    """A car that reports success only at the end of an episode."""
 
     def _info(self):
         return {"success": bool(self.place[0] > self.target[0])} if 0 < self.ends[0] <= self.age else {}
 
 
 class Stepper(Car):
-    """Is steered by four buttons, the first of which is number 3: right, up, left, down."""
+    """A car with four discrete actions, starting at 3: right, up, left, down."""
 
     action_space = Discrete(4, start=3)
 
@@ -110,19 +110,19 @@ class Stepper(Car):
 
 
 class Unbounded(Car):
-    """Knows no limit."""
+    """A car with an unbounded action space."""
 
     action_space = Box(-np.inf, np.inf, (3,))
 
 
 class Growing(Car):
-    """Shows a sequence."""
+    """A car whose observation is a sequence."""
 
     observation_space = gymnasium.spaces.Sequence(Box(-1, 1, (2,)))
 
 
 class Body(gymnasium.Env):
-    """A MuJoCo body with joints `joints`; the observation does not say where it is."""
+    """A MuJoCo body with joints `joints`; its position is not observed."""
 
     action_space = Box(-1, 1, (1,))
     observation_space = Box(-1, 1, (1,))
@@ -144,7 +144,7 @@ class Body(gymnasium.Env):
 
 
 class Holder(gymnasium.Env):
-    """Holds the environment that has the physics, as those of Gymnasium-Robotics do."""
+    """An environment that holds the one with the physics, as in Gymnasium-Robotics."""
 
     action_space, observation_space = Body.action_space, Body.observation_space
 
@@ -162,16 +162,16 @@ CLASSES = (Car, Silent, Late, Stepper, Unbounded, Growing, Body, Holder)
 
 
 def locate_car(observation, info):
-    """Return the place of the car, by its observation."""
+    """Return the pose of the car, from its observation."""
     return tuple(observation["pose"])
 
 
 def locate_by_info(observation, info):
-    """Return the place of the car, by what it reports."""
+    """Return the pose of the car, from its `info`."""
     return *info["where"], info["yaw"]
 
 
 def register():
-    """Let Gymnasium know the classes."""
+    """Register the classes in Gymnasium."""
     for cls in CLASSES:
         gymnasium.register(f"tests/{cls.__name__}-v0", entry_point=cls, max_episode_steps=MAX_STEPS)

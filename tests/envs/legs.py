@@ -1,8 +1,8 @@
-"""Images of an ant in a turned or mirrored world: from its model's geometry alone, not from the tables it comes with.
+"""Images of an ant in a rotated or reflected world, from its model's geometry alone, not from the body's tables.
 
-A world is turned about the vertical, or mirrored (y -> -y), by an orthogonal matrix S. The ant's own symmetry T maps
-its body to itself, every leg to another one: an ant of pose R in the first world looks like one of pose S R T^-1 in the
-second one, whose legs have each other's names.
+A world is rotated about the vertical, or reflected (y -> -y), by an orthogonal matrix S. The ant's symmetry T maps its
+body onto itself and every leg onto another: an ant of pose R in the first world looks like one of pose S R T^-1, with
+permuted legs, in the second.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ def turned(angle):
 
 
 def quarters(number):
-    """Return the rotation by a `number` of quarter turns to the left: exact."""
+    """Return the exact rotation by `number` quarter turns to the left."""
     return np.rint(turned(number * np.pi / 2))
 
 
@@ -29,7 +29,7 @@ ELEMENTS = tuple(quarters(k) @ mirror for mirror in (np.eye(3), MIRROR) for k in
 
 @dataclass(frozen=True)
 class Hinges:
-    """What becomes of a model's hinges under one element of its symmetry."""
+    """The action of one group element on a model's hinges."""
 
     source: np.ndarray
     """Which hinge each one is the image of."""
@@ -38,7 +38,7 @@ class Hinges:
 
 
 def images_of_hinges(model, element):
-    """Return what `element` makes of the hinges of `model`: places and axes of the legs say it."""
+    """Return the action of `element` on the hinges of `model`, from the positions and axes of its legs."""
     hinges = [joint for joint in range(model.njnt) if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE]
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)  # all legs stretched, the torso upright: places and axes are the torso's
@@ -57,10 +57,10 @@ def images_of_hinges(model, element):
 
 
 class Images:
-    """Images of states, controls and goals of `model`, a floating ant whose hinges come after it in qpos and qvel."""
+    """Images of states, controls and goals of `model`, an ant whose hinges follow its free joint in qpos and qvel."""
 
     def __init__(self, model, world, element):
-        """Look at `world` [3, 3] through the body's `element` [3, 3]: both turn, or both mirror."""
+        """Map by `world` [3, 3] and the body's `element` [3, 3]: both rotations or both reflections."""
         assert np.isclose(np.linalg.det(world), np.linalg.det(element))
         self.model, self.world, self.element = model, world, element
         self.hinges = images_of_hinges(model, element)
@@ -73,7 +73,7 @@ class Images:
         return np.concatenate([self.world @ qpos[:3], quaternion, self._hinge(qpos[7:])])
 
     def qvel(self, qvel):
-        """Return the image of velocities, or of accelerations."""
+        """Return the image of velocities or accelerations."""
         # MuJoCo gives the torso's rotation about its own axes: a pseudovector.
         spin = np.linalg.det(self.element) * self.element @ qvel[3:6]
         return np.concatenate([self.world @ qvel[:3], spin, self._hinge(qvel[6:])])
@@ -85,7 +85,7 @@ class Images:
         return self._hinge(by_hinge)[joints]
 
     def point(self, place):
-        """Return the image of a place or direction on the ground [2]."""
+        """Return the image of a position or direction on the ground [2]."""
         return self.world[:2, :2] @ place
 
     def _hinge(self, values):

@@ -1,7 +1,7 @@
-"""Plain reference of Ant Gather and Point Gather (spec "shes"), written apart from the package, for its tests.
+"""Plain reference of Ant Gather and Point Gather (spec "shes"), written independently of the package, for its tests.
 
-Sources: shared/spec/environments.md, and where that is silent sash-a/HrlMuJoCoEnvs.jl (assets/easier_ant.xml,
-src/Gather, src/WorldStructure.jl). One environment, one object at a time, float64: obviously right, not fast.
+Sources: docs/environments/index.md, and where it is silent sash-a/HrlMuJoCoEnvs.jl (assets/easier_ant.xml,
+src/Gather, src/WorldStructure.jl). One environment, one object at a time, float64: simple, not fast.
 """
 
 import math
@@ -137,12 +137,12 @@ WALLS
 
 
 def ant_gather_xml() -> str:
-    """The ant in the Gather world (environments.md, Ant body and Worlds; assets/easier_ant.xml)."""
+    """The ant in the Gather world (assets/easier_ant.xml)."""
     return ANT_GATHER.replace("WALLS", WALLS)
 
 
 def point_gather_xml(gear: float = 3.0, damping: float = 0.4, armature: float = 0.0) -> str:
-    """The point in the Gather world (environments.md, Point body and Worlds)."""
+    """The point in the Gather world."""
     text = POINT_GATHER.replace("WALLS", WALLS)
     text = text.replace("GEAR", repr(float(gear)))
     text = text.replace("DAMPING", repr(float(damping)))
@@ -150,7 +150,7 @@ def point_gather_xml(gear: float = 3.0, damping: float = 0.4, armature: float = 
 
 
 def yaw(quaternion: ArrayLike) -> float:
-    """Direction in the xy plane of the rotated x axis (environments.md, Ant body); quaternion is w x y z."""
+    """Direction in the xy plane of the rotated x axis; the quaternion is w x y z."""
     w, x, y, z = (float(value) for value in np.asarray(quaternion, dtype=np.float64))
     length_squared = w * w + x * x + y * y + z * z
     rotation = (
@@ -174,7 +174,7 @@ def readings(
     bins: int = NUMBER_OF_BINS,
     sensor_range: float = SENSOR_RANGE,
 ) -> Array:
-    """Readings of one kind of object (environments.md, Tasks; `_sensor_readings` in src/Gather/GatherBase.jl).
+    """Readings of one kind of object (`_sensor_readings` in src/Gather/GatherBase.jl).
 
     Bin b covers bearings from -pi + b * 2 pi / bins (included) to the next bin's start (excluded).
     """
@@ -201,7 +201,7 @@ def readings(
 
 
 class ReferenceGather:
-    """One Gather environment on one MjData (environments.md, Tasks and Gather details; src/Gather/AntGather.jl).
+    """One Gather environment on one MjData (src/Gather/AntGather.jl).
 
     The time limit is the caller's. Objects are picked up by a step only, never by a reset.
     """

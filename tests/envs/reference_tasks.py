@@ -1,9 +1,9 @@
-"""Plain reference of Maze, Push, Fall, Flagrun and the hiro Gather, written apart from the package, for its tests.
+"""Plain reference of Maze, Push, Fall, Flagrun and the hiro Gather, written independently of the package for tests.
 
-Sources: shared/spec/environments.md (it decides) and algorithm.md sections 2, 3, 6; then sash-a/HrlMuJoCoEnvs.jl (JR)
+Sources: docs/environments/index.md and docs/algorithm.md (they decide); then sash-a/HrlMuJoCoEnvs.jl (JR)
 for `shes`, Nachum et al. 2018's efficient-hrl and rllab's GatherEnv for `hiro`. One episode, one `MjData`, plain loops.
 
-What the specification leaves open about tasks, and how it is read here (worlds: see reference_worlds.py):
+What these leave open about tasks, and how it is decided here (worlds: see reference_worlds.py):
  1. hiro Maze, Push, Fall: "target raw to the high level only". The observation returned is the 30 numbers and then the
     raw target (32, 32, 33); `low_level_observation()` is the first 30. qvel is unclipped in every hiro task.
  2. hiro Gather's "t" is read as it stands: control steps, where the others have t * 0.001; option `time_scale`. It
@@ -29,7 +29,7 @@ What the specification leaves open about tasks, and how it is read here (worlds:
 12. hiro's evaluation of Maze in the official code has three targets, (16, 0), (16, 16), (0, 16); here only (0, 16).
 13. Time is counted in control steps from 0; the horizon is the caller's.
 
-Arithmetic, for comparison to the bit: every distance is sqrt(dx * dx + dy * dy [+ dz * dz]), summed in this order;
+Arithmetic, for bit-identical comparison: every distance is sqrt(dx * dx + dy * dy [+ dz * dz]), summed in this order;
 rewards are -distance, or 1 - distance / d_c [+ 1]; sin, cos and atan2 are NumPy's, and compare with a tolerance.
 
 Random draws: one generator per episode, `PCG64(SeedSequence(seed, spawn_key=(0,)))`. Every reset makes, in this order,

@@ -1,9 +1,9 @@
-"""Worlds of Maze, Push, Fall, Flagrun and Gather as MJCF text, written apart from the package, for its tests.
+"""Worlds of Maze, Push, Fall, Flagrun and Gather as MJCF text, written independently of the package, for its tests.
 
-Sources: shared/spec/environments.md (it decides), then sash-a/HrlMuJoCoEnvs.jl (src/WorldStructure.jl), then
+Sources: docs/environments/index.md (it decides), then sash-a/HrlMuJoCoEnvs.jl (src/WorldStructure.jl), then
 Nachum et al. 2018, efficient-hrl's maze_env.py. The ant itself is the text in reference_gather.py.
 
-What the specification leaves open about worlds, and how it is read here:
+What these leave open about worlds, and how it is decided here:
 - Unmerged boxes, one per cell, are the base; `merged=True` joins runs along a row, then equal runs of rows that follow
   each other. Platforms and the walls on them are two layers, and stay two boxes.
 - In a world with a chasm every cell but the chasm is a platform, the walls' and the block's too; walls stand on it, at

@@ -1,7 +1,6 @@
-"""What users of such environments complained about, a test each, over all tasks that it concerns.
+"""Known complaints of users of such environments: one test for each, over all tasks concerned.
 
-Source: environment specification, "What users of such environments complained about". Mostly as a user sees it, through
-Gymnasium; other tests look at the same things from nearer.
+Most tests use the environment through Gymnasium, as users do. Other tests check the same properties in detail.
 """
 
 import re
@@ -31,7 +30,7 @@ NUM_ENVS = 50
 
 
 def over(choose=None, slow=None):
-    """Return a parametrization over the variants whose name is chosen, all without a choice; some of them are slow."""
+    """Return a parametrization over the variants with the chosen names, by default all; some are marked slow."""
     return pytest.mark.parametrize(
         "variant",
         [
@@ -51,12 +50,12 @@ def has_target(name):
 
 
 def task_of(env):
-    """Return the task behind an environment of Gymnasium."""
+    """Return the task of a Gymnasium environment."""
     return env.unwrapped._adapter.task
 
 
 def start(variant, **options):
-    """Return a begun environment and its task."""
+    """Return an environment after its reset, and its task."""
     env = variant.make_env(**options)
     env.reset(seed=0)
     return env, task_of(env)
@@ -68,13 +67,13 @@ def still(env):
 
 
 def put(task, place):
-    """Put the robot to (x, y) or (x, y, z), at rest."""
+    """Place the robot at (x, y) or (x, y, z), at rest."""
     task.sim.qpos[0, : len(place)] = place
     task.sim.qvel[0] = 0
 
 
 def seen(task, observation, *names):
-    """Return the observed values of these names."""
+    """Return the observed values with these names."""
     places = [element.name for element in task.observation_spec]
     return np.array([observation[..., places.index(name)] for name in names]).T
 
@@ -105,7 +104,7 @@ def test_the_sparse_reward_of_gather_comes_with_what_is_collected(variant):
 
 
 def test_a_random_point_finds_food_and_poison():
-    """So that evolution has something to begin with."""
+    """Otherwise evolution has no signal at the start."""
     for variant in (each for each in VARIANTS if each.name == "point-gather"):
         env = variant.make_vector(NUM_ENVS)
         env.reset(seed=0)
@@ -160,7 +159,7 @@ def test_no_reset_of_evaluation_is_inside_the_goal_radius(variant):
 
 @over(has_target)
 def test_a_target_that_is_drawn_near_the_start_scores_at_the_end_alone(variant):
-    """Training's targets in Maze are anywhere, by both specifications: success there is where the episode ends."""
+    """In both specifications Maze's training targets are anywhere; success refers to the end of the episode."""
     env, task = start(variant, reset_noise=0.0)
     task.target[0] = [*task.sim.qpos[0, : task.target.shape[1]]]
     assert env.step(still(env))[4]["success"]
@@ -415,7 +414,7 @@ def test_the_pinned_mujoco_is_the_one_of_the_golden_trajectories():
 
 @over()
 def test_a_change_of_the_physics_fails_with_advice(variant, monkeypatch):
-    """As an upgrade would: here every physics step is one per cent shorter, and the stored version is another."""
+    """Imitates an upgrade: a physics step is one per cent shorter, and the stored version differs."""
     check_golden(variant)
     kind = type(variant.make_task(1))
     build = kind.build_world

@@ -1,6 +1,6 @@
-"""Tasks whose simulator's arrays lie on a device: the same numbers, and nobody waits.
+"""Tasks on a simulator with device arrays: the results are the same, and the device is never waited for.
 
-The device is a stand-in, `strict_arrays`: it computes with NumPy, so that equality is to the bit, and refuses what CuPy
+The device is a stand-in, `strict_arrays`: it computes with NumPy, so results are bit-identical, and refuses what CuPy
 refuses.
 """
 
@@ -23,7 +23,7 @@ SHOWN = (
 
 
 def make_pair(variant):
-    """Return a task with NumPy's arrays and the same on the device."""
+    """Return a task with NumPy arrays, and the same task on the device."""
     interval = {"controller_interval": GOAL_INTERVAL} if variant.name.endswith("-flagrun") else {}
     return [
         make_task(variant.name, NUM_EPISODES, variant.options(**interval), simulator)
@@ -32,13 +32,13 @@ def make_pair(variant):
 
 
 def look(task):
-    """Return everything that is to be seen of a task, by name."""
+    """Return every public array of a task, by name."""
     seen = {name: getattr(task, name) for name in SHOWN}
     return {name: array for name, array in seen.items() if array is not None} | task.counts | {"seen": task.observe()}
 
 
 def assert_same(pair):
-    """Hold what the two show against each other, to the bit."""
+    """Check that the arrays of two tasks are bit-identical."""
     waits = strict_xp.waits
     shown = look(pair[1])
     assert strict_xp.waits == waits, "a task waited for the device to show something"
@@ -56,7 +56,7 @@ def reset(pair, ids, seeds):
 
 
 def play(pair, steps, ids=tuple(range(NUM_EPISODES))):
-    """Step both with the same actions; the device must not be waited for."""
+    """Step both tasks with the same actions, without waiting for the device."""
     rng = np.random.default_rng(len(ids))
     for _ in range(steps):
         action = rng.uniform(-1, 1, (NUM_EPISODES, pair[0].action_size)) * pair[0].control_limit

@@ -1,4 +1,4 @@
-"""External environments: an episode is the environment's own, its robot is where it says, its actions are its own."""
+"""External environments: episodes, actions and the robot's pose are those of the Gymnasium environment."""
 
 import sys
 
@@ -39,7 +39,7 @@ ANT_MAZE = "robotics-ant-maze"
 
 @pytest.fixture(autouse=True)
 def registries(monkeypatch):
-    """The registries with the environments of the tests in them; what a test adds is forgotten afterwards."""
+    """Register the environments of the tests; restore the registries afterwards."""
     monkeypatch.setattr("gymnasium.envs.registration.registry", dict(gymnasium.registry))
     monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
     register()
@@ -81,7 +81,7 @@ def play(task, actions, ids=None):
     return view(task)
 
 
-# What is observed, and where the robot is.
+# Observations, and the pose of the robot.
 
 
 def test_our_own_point_maze_is_the_same_from_outside():
@@ -130,7 +130,7 @@ SLIDES = "<joint type='slide' axis='1 0 0'/><joint type='slide' axis='0 1 0'/>"
     ],
 )
 def test_the_joints_of_a_mujoco_body_say_where_it_is(make, joints):
-    """The body's own frame, which MuJoCo computes from qpos, must be where the joints say."""
+    """The body's frame, which MuJoCo computes from qpos, must have the pose that the joints determine."""
     task = start(3, make=make, locate=None, joints=joints)
     for i, env in enumerate(task._envs):
         data = getattr(env, "inner", env).data
@@ -154,7 +154,7 @@ def test_the_joints_of_a_mujoco_body_say_where_it_is(make, joints):
 def test_other_joints_do_not_say_where_a_robot_is(joints):
     task = start(2, make=Body, locate=None, joints=joints)
     assert not task.position.any()
-    message = r"where the robot of tested is.*register_external\(name, make, locate=\.\.\.\), or set --algorithm es"
+    message = r"the robot of tested is unknown.*register_external\(name, make, locate=\.\.\.\), or set --algorithm es"
     with pytest.raises(ConfigError, match=message):
         task.check_position()
     start(1).check_position()
@@ -224,6 +224,23 @@ def test_an_episode_ends_by_the_environments_own_rule(kind):
     assert not task.diverged.any()
 
 
+def test_only_a_termination_without_success_is_a_fall():
+    for kind in ("terminates_after", "truncates_after"):
+        task = start(30, **{kind: 3})
+        actions = draw_actions(task, 3)
+        play(task, actions[:2])
+        assert not task.fallen.any()
+        play(task, actions[2:])
+        assert task.terminated.all()
+        assert 0 < task.success.sum() < 30
+        assert_array_equal(task.fallen, ~task.success & (kind == "terminates_after"))
+        task.reset(np.arange(30), range(30))
+        assert not task.fallen.any()
+    silent = start(2, make=Silent, terminates_after=3)  # reports no success: its ends are falls
+    play(silent, np.zeros((3, 3)))
+    assert silent.fallen.all()
+
+
 @pytest.mark.parametrize("kind", ["nan_after", "bad_reward_after"])
 @pytest.mark.parametrize("score", ["return", "success"])
 def test_what_is_not_finite_diverges_and_neither_pays_nor_scores(kind, score):
@@ -285,7 +302,7 @@ def test_an_episode_that_ends_without_a_word_of_success_is_refused_if_it_is_the_
     task = start(2, make=Silent, score="success", **{kind: 3})
     assert not play(task, np.zeros((2, 3)))["score"].any()
     with pytest.raises(
-        ConfigError, match=r"^tested cannot step: its score is success, but the last info has none: nothing"
+        ConfigError, match=r"^tested cannot step: its score is success, but the last info does not report it: empty"
     ):
         play(task, np.zeros((1, 3)))
 
@@ -328,7 +345,7 @@ def test_an_episode_may_be_longer_than_the_registration_says_but_not_than_the_en
     assert play(task, actions[4:])["terminated"].all()
 
 
-# What fails.
+# Failures.
 
 
 @pytest.mark.parametrize(
@@ -361,19 +378,23 @@ def run_out(make, **settings):
 @pytest.mark.parametrize(
     ("make", "settings", "message"),
     [
-        ("tests/Unbounded-v0", {}, r"wrong cannot be used: its actions must be Discrete or a bounded Box of floats"),
-        ("tests/Growing-v0", {}, r"its observation space must have a fixed size, and is Sequence"),
+        (
+            "tests/Unbounded-v0",
+            {},
+            r"wrong cannot be used: its action space must be Discrete or a bounded Box of floats",
+        ),
+        ("tests/Growing-v0", {}, r"its observation space must have a fixed size, got Sequence"),
         ("tests/Cra-v0", {}, r"unknown Gymnasium environment 'tests/Cra-v0'\. Did you mean 'tests/Car-v0'.*--import"),
         ("zzzzzz", {}, r"'zzzzzz'\. Known: none like it\. Import its package"),
         ("os:Car-v0", {}, r"unknown Gymnasium environment 'os:Car-v0'"),
         (lambda: Car(fuel=1), {}, r"wrong cannot be made: TypeError: .*fuel"),
         (lambda: 3, {}, r"its function must return a gymnasium\.Env, got 3"),
         (lambda: Car(fault="reset"), {}, r"wrong cannot reset: RuntimeError: no fuel"),
-        (3, {}, r"make must be an id of Gymnasium or a function that returns an environment, got 3"),
+        (3, {}, r"make must be a Gymnasium id or a function that returns an environment, got 3"),
         (Car, {"locate": "pose"}, r"locate must be a function of an observation and its info, got 'pose'"),
         (Car, {"locate": lambda *_: (0, 0)}, r"locate must return \(x, y, heading\), got \(0, 0\)"),
-        (Car, {"primitive_view": [0, 8]}, r"primitive_view must be indices below 8, each once, got \(0, 8\)"),
-        (Car, {"primitive_view": [1, 1]}, r"primitive_view must be indices below 8, each once, got \(1, 1\)"),
+        (Car, {"primitive_view": [0, 8]}, r"primitive_view must be distinct indices from 0 to 7, got \(0, 8\)"),
+        (Car, {"primitive_view": [1, 1]}, r"primitive_view must be distinct indices from 0 to 7, got \(1, 1\)"),
         (Car, {"primitive_view": "pose"}, r"primitive_view must be indices in the flat observation, got 'pose'"),
         (Car, {"score": "best"}, r"unknown score 'best'\. Known: return, success"),
     ],
@@ -389,7 +410,7 @@ def test_what_does_not_fit_is_refused(make, settings, message):
 )
 def test_options_of_our_own_environments_are_refused(option, flag):
     environment = find_environment("gymnasium:tests/Car-v0")
-    with pytest.raises(ConfigError, match=rf"tests/Car-v0 has no \w+\. Leave {flag} away"):
+    with pytest.raises(ConfigError, match=rf"tests/Car-v0 has no \w+\. Omit {flag}"):
         environment.make(1, TaskOptions(**option))
     environment.make(1, TaskOptions(reset_noise=0.0, evaluation=True))
 
@@ -441,7 +462,7 @@ def test_a_missing_package_names_the_extra_that_brings_it(name, missing, extra, 
         environment.make(1)
 
 
-# What an agent needs.
+# The reader.
 
 
 def test_an_agent_may_give_observations_of_one_environment_or_of_several():
@@ -468,7 +489,7 @@ def test_an_agent_may_give_observations_of_one_environment_or_of_several():
 
 @pytest.mark.parametrize("wrong", [np.zeros(11), np.zeros((2, 8)), {"pose": np.zeros(3)}, None, "car"])
 def test_what_is_no_observation_is_refused(wrong):
-    with pytest.raises(ShapeError, match=r"this is no observation of Dict"):
+    with pytest.raises(ShapeError, match=r"not an observation of 1 times Dict"):
         start(1).reader.rows(wrong, 1)
 
 
@@ -478,10 +499,10 @@ def test_what_is_no_observation_is_refused(wrong):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("tests/Car-v0", r"'tests/Car-v0' is an id of Gymnasium\. Write gymnasium:tests/Car-v0\.$"),
-        ("cartpole", r"'cartpole' is an id of Gymnasium\. Write gymnasium:CartPole-v1\.$"),
-        ("shes/PointGather-v0", r"'shes/PointGather-v0' is an id of Gymnasium\. Here it is called point-gather\.$"),
-        ("shes/AntMazeHiro-v0", r"is an id of Gymnasium\. Here it is called ant-maze --spec hiro\.$"),
+        ("tests/Car-v0", r"'tests/Car-v0' is a Gymnasium id\. Write gymnasium:tests/Car-v0\.$"),
+        ("cartpole", r"'cartpole' is a Gymnasium id\. Write gymnasium:CartPole-v1\.$"),
+        ("shes/PointGather-v0", r"'shes/PointGather-v0' is a Gymnasium id\. Write point-gather\.$"),
+        ("shes/AntMazeHiro-v0", r"is a Gymnasium id\. Write ant-maze --spec hiro\.$"),
         ("ant-gathr", r"unknown environment 'ant-gathr'\. Did you mean 'ant-gather'.*gymnasium:ID"),
     ],
 )
@@ -499,7 +520,7 @@ def test_a_name_may_be_registered_again_but_not_that_of_our_own():
     register_external("point-corner", Car)
     register_external("point-corner", "gymnasium:tests/Car-v0")
     assert find_environment("point-corner").source == "tests/Car-v0"
-    with pytest.raises(ConfigError, match=r"'point-corner' is one of Gymnasium already\. Choose another"):
+    with pytest.raises(ConfigError, match=r"'point-corner' is already an external environment\. Choose another"):
         register_environment("point-corner", Point, Corner)
 
 

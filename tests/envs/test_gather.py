@@ -1,4 +1,4 @@
-"""Gather: its rules by hand on a point that stands where the test puts it."""
+"""The rules of Gather, on a point that the test places."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ REST = np.zeros((1, 2))
 
 
 def start(name="point-gather", food=(), poison=()):
-    """Return one episode at rest at the origin with the objects given; the others lie far away."""
+    """Return one episode, at rest at the origin, with the given objects; the others are far away."""
     task = make_task(name, 1, TaskOptions(reset_noise=0))
     task.reset(np.arange(1), [0])
     put(task, food, poison)
@@ -22,7 +22,7 @@ def start(name="point-gather", food=(), poison=()):
 
 
 def put(task, food=(), poison=()):
-    """Lay the objects of episode 0 where the test wants them."""
+    """Place the objects of episode 0."""
     task.objects[0] = FAR_AWAY
     for kind, places in enumerate((food, poison)):
         for number, place in enumerate(places):
@@ -62,7 +62,7 @@ def test_eight_pieces_of_food_and_eight_of_poison():
 
 @pytest.fixture(scope="module")
 def many_objects():
-    """Places [1500, kind, object, xy] of the objects of 1500 episodes."""
+    """Positions [1500, kind, object, xy] of the objects of 1500 episodes."""
     task = make_task("point-gather", 1500)
     task.reset(np.arange(1500), range(1500))
     return task.objects.copy()

@@ -1,6 +1,6 @@
-"""Gather against the plain reference, which steps its own `MjData` of the same model: equal to the bit.
+"""Gather is bit-identical to the plain reference, which steps its own `MjData` of the same model.
 
-`shes` steps all episodes at once; the reference takes one episode and one object at a time.
+The task steps all episodes at once; the reference handles one episode and one object at a time.
 """
 
 import numpy as np
@@ -15,13 +15,13 @@ pytestmark = pytest.mark.extras  # the fast tests have three minutes
 
 
 def draw_independent(rng, num_episodes, size):
-    """Yield actions in [-1, 1] that are drawn anew for every step."""
+    """Yield actions in [-1, 1] that are drawn for every step."""
     while True:
         yield rng.uniform(-1, 1, (num_episodes, size))
 
 
 def draw_lasting(rng, num_episodes, size):
-    """Yield actions of -1, 0 or 1 that each episode keeps for about ten steps, so that it gets somewhere."""
+    """Yield actions of -1, 0 or 1 that each episode keeps for about ten steps, so that it travels."""
     actions = rng.integers(-1, 2, (num_episodes, size)).astype(float)
     while True:
         yield actions
@@ -30,7 +30,7 @@ def draw_lasting(rng, num_episodes, size):
 
 
 def compare(name, num_episodes, steps, draw, arrange=None, integrator="euler"):
-    """Play `steps` in both, compare all there is after each, and return food, poison and falls of all episodes."""
+    """Play `steps` in both, compare every array after each, and return food, poison and falls of all episodes."""
     task = make_task(name, num_episodes, TaskOptions(integrator=integrator))
     ids = np.arange(num_episodes)
     task.reset(ids, ids)
@@ -63,7 +63,7 @@ def compare(name, num_episodes, steps, draw, arrange=None, integrator="euler"):
 
 
 def launch_among_objects(task, rng):
-    """Let every ant fly off at up to 6 m/s, some of them upward, and lay its objects around the way ahead."""
+    """Launch every ant at up to 6 m/s, some upwards, and place its objects around the path ahead."""
     n = task.num_episodes
     direction = rng.uniform(-np.pi, np.pi, n)
     unit = np.stack([np.cos(direction), np.sin(direction)], axis=1)

@@ -1,10 +1,9 @@
-"""Nothing passes through a wall, a platform or the block, and the block enters neither walls nor platforms.
+"""Robots do not pass through walls, platforms or the block, and the block does not enter walls or platforms.
 
-Robots start right before a wall, the block, a corner or an edge, fly at it at up to 10 units per second and act at the
-limit. Where everything is then is measured after every physics step by geometry alone, apart from MuJoCo's contacts:
-all boxes are parallel to the axes, so how deep a point or a box is inside another is a subtraction. Of the ant the
-torso's centre and its feet, which reach furthest, are such points. (At 11 m/s nothing
-crosses a box of 8 m unseen within 0.02 s.)
+Robots start close to a wall, the block, a corner or an edge, move towards it at up to 10 units per second and act at
+the limit. The penetration is measured after every physics step by geometry alone, independently of MuJoCo's contacts:
+all boxes are axis-aligned, so the depth of a point or box in another is a subtraction. The ant is represented by its
+torso's centre and its feet, which reach furthest. (At 11 m/s a robot cannot cross a box of 8 m within 0.02 s.)
 """
 
 from dataclasses import dataclass
@@ -45,17 +44,17 @@ DEEPEST_FOOT_IN_BLOCK_M = 0.8
 
 @dataclass
 class Boxes:
-    """Boxes parallel to the axes: centres and half sizes [B, 3]."""
+    """Axis-aligned boxes: centres and half sizes [B, 3]."""
 
     center: np.ndarray
     half: np.ndarray
 
     def depth(self, center, half=0.0):
-        """Return how deep the point or the box at each of `center` [N, 3] is in the box that holds it deepest [N]."""
+        """Return the largest depth [N] of the points or boxes at `center` [N, 3] in these boxes."""
         return (self.half + half - np.abs(center[:, None] - self.center)).min(axis=2).max(axis=1)
 
     def up_to_the_sky(self):
-        """Return these boxes with what is over them."""
+        """Return these boxes extended upwards."""
         return Boxes(self.center, self.half + np.array([0.0, 0.0, 100.0]))
 
 
@@ -74,7 +73,7 @@ def robot_center(task):
 
 
 class Legs:
-    """Finds the ends of the ant's legs, its feet: the centres of the balls, of 0.08 m, that its capsules end in."""
+    """Finds the ant's feet: the centres of the spheres, of radius 0.08 m, at the ends of its capsules."""
 
     def __init__(self, model):
         self.model, self.data = model, mujoco.MjData(model)
@@ -92,7 +91,7 @@ class Legs:
 
 
 def block_axes(task):
-    """Return the axes that the task's block moves along, as numbers; none without a block."""
+    """Return the indices of the axes along which the task's block moves; empty without a block."""
     return ["xyz".index(axis) for axis in getattr(task, "block_axes", "")]
 
 
@@ -105,14 +104,14 @@ def block_center(task):
 
 
 def deepest_foot(boxes, feet):
-    """Return how deep the deepest of each ant's `feet` [N, 4, 3] is in any of `boxes` [N]."""
+    """Return the largest depth [N] of each ant's `feet` [N, 4, 3] in any of `boxes`."""
     return boxes.depth(feet.reshape(-1, 3)).reshape(feet.shape[:2]).max(axis=1)
 
 
 def depths(task, legs=None):
-    """Return how deep everything is in everything now: positive means inside, in metres [N].
+    """Return the current depths in metres by name, each [N]; positive is inside.
 
-    `legs` finds the ant's feet, which are looked at then, too.
+    `legs`, if given, finds the ant's feet, which are then measured too.
     """
     model, robot = task.sim.model, robot_center(task)
     walls, platforms = find_boxes(model, "wall"), find_boxes(model, "platform")
@@ -159,10 +158,10 @@ ALLOWED_AT_REST_M = {"robot in block": 0.0, "foot in block": 0.1, "foot in wall"
 
 
 def choose_starts(task, rng):
-    """Return where each robot starts and the direction in which what it is to hit is, [N, 2] each.
+    """Return each robot's start and the direction of its obstacle, each [N, 2].
 
-    A third aims at a corner or edge, the others at any place of a face. All start on free ground: within the outer
-    walls, not in any wall.
+    A third of them aim at a corner or edge, the others at a point of a face. All start on free ground within the outer
+    walls.
     """
     model = task.sim.model
     walls = find_boxes(model, "wall")
@@ -192,7 +191,7 @@ def choose_starts(task, rng):
 
 
 def is_on_ground(task, place):
-    """Tell whether there is ground at the robot's height under (x, y) `place`."""
+    """Return whether there is ground at the robot's height at (x, y) `place`."""
     platforms = find_boxes(task.sim.model, "platform")
     if not len(platforms.center):
         return True
@@ -205,12 +204,12 @@ def draw_action(task, rng):
 
 
 def crash(name, num_episodes, steps, seed, *, change=None, **options):
-    """Let robots of environment `name` hit what is in their world.
+    """Make robots of environment `name` hit the obstacles of their world.
 
-    They first act in the direction of what they are to hit, then anyhow, each action lasting for some steps; at the end
-    they do nothing for a second. `change` is given the model beforehand.
+    They first act towards their obstacle, then at random, with each action held for some steps; at the end they rest
+    for a second. `change` is called with the model beforehand.
 
-    Returns the greatest depths [N] by name, the last ones, whether each robot touched anything [N] and whether its
+    Returns the largest depths [N] by name, the final ones, whether each robot touched an obstacle [N] and whether its
     simulation diverged [N].
     """
 
@@ -251,7 +250,7 @@ def crash(name, num_episodes, steps, seed, *, change=None, **options):
 
 
 class Touch:
-    """Notices which robots have touched a wall or the block, by MuJoCo's contacts."""
+    """Records which robots have touched a wall or the block, from MuJoCo's contacts."""
 
     def __init__(self, task):
         self.task, self.model = task, task.sim.model
@@ -263,7 +262,7 @@ class Touch:
         self.robot = [i for i, name in enumerate(names) if moving[i] and name != "block"]
 
     def look(self):
-        """Look at those that have touched nothing yet."""
+        """Check the robots that have not touched anything yet."""
         for i in np.flatnonzero(~self.has_touched):
             self.data.qpos[:] = self.task.sim.qpos[i]
             mujoco.mj_fwdPosition(self.model, self.data)
@@ -323,9 +322,9 @@ def test_the_measurement_sees_what_passes_through(name, prefix):
 
 
 def play_randomly(name, num_episodes, steps, seed, **options):
-    """Let robots act at the limit, each action lasting for about three steps, some of them from right before the block.
+    """Make robots act at the limit, with each action held for about three steps; some start next to the block.
 
-    Returns the task and how long each episode was: to its end, or to a divergence, or all of it.
+    Returns the task and the length of each episode: to its end, to a divergence, or all steps.
     """
     task = make_task(name, num_episodes, find_environment(name).options(**options))
     ids, rng = np.arange(num_episodes), np.random.default_rng(seed)

@@ -92,7 +92,7 @@ def test_a_task_uses_the_simulator_it_is_given():
 
 @pytest.fixture
 def registry():
-    """The registry; what a test adds to it is forgotten afterwards."""
+    """The registry, which is restored after the test."""
     before = dict(ENVIRONMENTS)
     yield ENVIRONMENTS
     ENVIRONMENTS.clear()

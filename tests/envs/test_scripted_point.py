@@ -1,7 +1,7 @@
-"""Short scripts solve the point's tasks, and do not where they should not: the worlds are what they are meant to be.
+"""Short scripts solve the point's tasks, and wrong scripts do not, so the worlds are as intended.
 
-A script is a list of places to steer to, one after the other: x, y, and where it may never be reached, after how many
-steps the point gives up and goes on with the next.
+A script is a list of waypoints: x, y, and for a waypoint that may be out of reach the number of steps after which the
+point continues with the next.
 """
 
 import numpy as np
@@ -28,12 +28,12 @@ REACHED_M = 0.6
 
 
 def steer(task, places):
-    """Return full thrust towards `places` [N, 2], less near them and against speed [N, A]."""
+    """Return thrust towards `places` [N, 2]: less near them, and damped [N, A]."""
     return np.clip(1.5 * (places - task.position) - 0.3 * task.sim.qvel[:, :2], -1, 1) * task.control_limit
 
 
 def follow(name, script, steps, **options):
-    """Let five episodes follow `script`; return the task, and the step of the first success of each (0: none)."""
+    """Follow `script` in five episodes; return the task and the step of each episode's first success (0: none)."""
     task = make_task(name, NUM_EPISODES, find_environment(name).options(evaluation=True, **options))
     ids = np.arange(NUM_EPISODES)
     task.reset(ids, ids)
@@ -112,7 +112,7 @@ def test_whoever_pushes_the_block_into_the_chasm_and_steps_back_crosses_over_it(
 
 
 def test_pressing_holds_the_block_over_the_chasm():
-    """It is as light as a leaf: friction with the platform's edge carries it. Letting go is a part of the task."""
+    """The block is so light that friction with the platform's edge carries it: releasing it is part of the task."""
     task, solved_at = follow("point-fall", KEEP_PUSHING, 300)
     assert not solved_at.any()
     assert (np.abs(task.sim.qpos[:, 3] - 8) < 0.1).all()

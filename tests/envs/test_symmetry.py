@@ -1,10 +1,10 @@
-"""The symmetry of bodies: laws of groups, and the same motion in C physics in a turned or mirrored world.
+"""The symmetry of bodies: group laws, and equal motion in MuJoCo in a rotated or reflected world.
 
-Rounding: MuJoCo takes the contacts of an image in another order, adds in another order, and its solver stops anywhere
-within its tolerance: the first step's motions are some 1e-15 apart. Ten control steps (fifty of physics) later they are
-1e-13 apart, in unlucky states 1e-11. After that they part by themselves: whether a foot touches the ground in this step
-or the next one is decided by a rounding sooner or later, and contacts amplify. That is chaos, not a broken symmetry: a
-wrong sign shows in the first step, by a hundredth or more.
+Rounding: MuJoCo processes the contacts of an image in another order, sums in another order, and its solver stops within
+a tolerance, so the motions differ by about 1e-15 after the first step. After ten control steps (fifty physics steps)
+they differ by 1e-13, in unlucky states by 1e-11. Later they diverge: rounding decides whether a foot touches the ground
+in one step or the next, and contacts amplify the difference. This is chaos, not a broken symmetry: a wrong sign shows
+in the first step, by a hundredth or more.
 """
 
 import itertools
@@ -56,7 +56,7 @@ def _matrices(index, sign):
 
 
 def _directions(group):
-    """Return what each element makes of a vector ahead and left [G, 2, 2]."""
+    """Return the matrix [G, 2, 2] of each element for vectors (ahead, left)."""
     return np.array([[[c, s], [-m * s, m * c]] for c, s, m in zip(*group.direction(), strict=True)])
 
 
@@ -123,7 +123,7 @@ def test_a_signed_permutation_after_its_inverse_changes_nothing():
 
 @over_groups
 def test_controls_that_a_frame_chose_come_back_to_the_robot(group):
-    """What the robot's controls look like from a frame, chosen in that frame, are these controls."""
+    """Mapping controls into an element's frame and back returns them."""
     rng = np.random.default_rng(1)
     frames = Frames(group, group.num_elements)
     frames.set(slice(None), np.arange(group.num_elements))
@@ -136,7 +136,7 @@ def test_controls_that_a_frame_chose_come_back_to_the_robot(group):
 
 
 def _goals():
-    """Return goals all around [N, 2] with their angles in degrees, the borders between frames among them."""
+    """Return goals in all directions [N, 2] and their angles in degrees, with the borders between frames."""
     angles = np.concatenate([np.arange(-180, 181, 1.5), np.arange(-180, 181, 45.0)])
     radius = np.random.default_rng(2).uniform(0.01, 9, len(angles))
     return np.stack([radius * np.cos(np.deg2rad(angles)), radius * np.sin(np.deg2rad(angles))], axis=1), radius
@@ -182,7 +182,7 @@ def test_frames_are_chosen_for_the_robots_asked_for_and_stay_for_the_others(grou
 
 @cache
 def _model(integrator="euler"):
-    """Return an ant on a floor without end."""
+    """Return an ant on an infinite floor."""
     spec = empty_world("ant", integrator)
     Ant().add_to(spec)
     return spec.compile()
@@ -195,7 +195,7 @@ def _policy(seed):
 
 
 def _view(qpos, qvel):
-    """Return what the ant's own frame shows [25]."""
+    """Return the ant's egocentric view [25]."""
     out = np.zeros((1, len(Ant.egocentric)))
     Ant().write_egocentric(qpos[None], qvel[None], Ant().frame_angle(qpos[None]), out)
     return out[0]
@@ -208,7 +208,7 @@ def _step(data, control):
 
 
 def _settled(model, seed):
-    """Return an ant that has come down and crawls, at least three feet on the ground, its axes somewhere."""
+    """Return an ant that has landed and crawls, with at least three feet on the ground and any heading."""
     data, rng, act = mujoco.MjData(model), np.random.default_rng(seed), _policy([seed, 1])
     data.qpos[:3] = model.qpos0[:3]
     half = rng.uniform(-np.pi, np.pi) / 2
@@ -225,7 +225,7 @@ def _settled(model, seed):
 
 
 class Motion(NamedTuple):
-    """What an ant does in some control steps, from a state with feet on the ground on."""
+    """The motion of an ant in some control steps, from a state with feet on the ground."""
 
     model: mujoco.MjModel
     warmstart: np.ndarray
@@ -254,10 +254,10 @@ def _motion(integrator, seed, steps=CONTROL_STEPS):
 
 
 def _gaps(motion, group, element, images, steps=CONTROL_STEPS):
-    """Return how far an ant is from being the image of the one in `motion`, after each control step.
+    """Return the distance between an ant and the image of the one in `motion`, after each control step.
 
-    It begins as its image, and its controls are those of the motion, as an agent gives them that acts from the frame of
-    this element.
+    The ant starts as the image. Its controls are those of the motion, mapped by an agent that acts in the frame of this
+    element.
     """
     data = mujoco.MjData(motion.model)
     data.qpos[:], data.qvel[:] = images.qpos(motion.qpos[0]), images.qvel(motion.qvel[0])
@@ -274,7 +274,7 @@ def _gaps(motion, group, element, images, steps=CONTROL_STEPS):
 @pytest.mark.parametrize("element", range(len(ELEMENTS)))
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
 def test_the_motion_in_a_turned_or_mirrored_world_is_the_same_turned_or_mirrored(integrator, element):
-    """In a world as the body's element turns it, and in one a quarter further: the robot then looks elsewhere."""
+    """In the world rotated like the body's element, and in one rotated by a further quarter turn."""
     for seed, further in itertools.product(range(STARTS), (0, 1)):
         motion = _motion(integrator, seed)
         images = Images(motion.model, quarters(further) @ ELEMENTS[element], ELEMENTS[element])
@@ -306,13 +306,13 @@ def test_a_wrong_sign_of_one_control_shows_at_once(control):
 
 @pytest.fixture(scope="module")
 def states():
-    """Return states of an ant that crawls, step by step [T, 15] and [T, 14]: three goals' intervals."""
+    """Return the states of a crawling ant after each step, [T, 15] and [T, 14], for three goals' intervals."""
     motion = _motion("euler", 4, steps=12)
     return motion.qpos[:-1], motion.qvel[:-1]
 
 
 def _all_images():
-    """Return the eight images in worlds turned by any angle: for what is seen no floor has a grain."""
+    """Return the eight images in worlds rotated by any angle, which the egocentric view does not depend on."""
     angles = np.random.default_rng(5).uniform(-np.pi, np.pi, len(ELEMENTS))
     mirrors = [np.eye(3)] * 4 + [MIRROR] * 4
     return [
@@ -322,7 +322,7 @@ def _all_images():
 
 
 def _seen_by_elements(group, images, qpos, qvel):
-    """Return the egocentric views [G, 25] of the images, each through the frame of its element."""
+    """Return the egocentric views [G, 25] of the images, each in the frame of its element."""
     own = np.array([_view(each.qpos(qpos), each.qvel(qvel)) for each in images])
     frames, seen = Frames(group, len(images)), np.zeros_like(own)
     frames.set(slice(None), np.arange(len(images)))
@@ -350,7 +350,7 @@ def test_a_wrong_sign_of_one_value_seen_shows(states, value):
 
 @pytest.mark.parametrize("body", [body for body in BODIES.values() if body.quaternion is not None])
 def test_the_angle_of_the_frame_is_one_that_no_element_tells_from_another(states, body):
-    """The heading is none: its axis is one of two, which a tilted torso does not show a quarter turn apart."""
+    """The heading is not such an angle: seen from above, a tilted torso's axes are not a quarter turn apart."""
     tilted = states[0][:1].copy()
     tilted[0, 3:7] = [np.cos(0.3), 0.8 * np.sin(0.3), 0.6 * np.sin(0.3), 0]
 
@@ -379,7 +379,7 @@ def _design(group):
 
 
 def _controls(group, images, states, goals):
-    """Return the controls [T, N, 8] that one random network chooses for all images of an ant, step by step."""
+    """Return the controls [T, N, 8] that one random network chooses for all images of an ant, in each step."""
     design = _design(group)
     agent = design.make(1, len(images))
     theta = design.primitive.initial(np.random.default_rng(6), "glorot_normal") * 2
@@ -411,7 +411,7 @@ def test_a_primitive_acts_in_the_image_of_a_world_as_in_the_world(states, kind, 
 
 @pytest.mark.parametrize(("kind", "first"), [(None, 1), ("rotation", 4)])
 def test_a_primitive_without_the_elements_does_not(states, kind, first):
-    """Neither without a symmetry, nor in a mirror with the turns alone."""
+    """Not without a symmetry, and not for reflections with the rotations only."""
     images = _all_images()[first:]
     goals = states[0][::4, :2] + np.random.default_rng(0).uniform(-4, 4, (3, 2))
     group = GROUPS.get(f"ant, {kind}")

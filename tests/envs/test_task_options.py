@@ -1,4 +1,4 @@
-"""The options of a task, as Python gives them: those that the task has, or an error. Kinds of values: test_settings."""
+"""The options of a task as Python arguments: they are applied, or raise. `test_settings` tests kinds of values."""
 
 import gymnasium
 import numpy as np
@@ -97,11 +97,11 @@ def test_options_that_were_checked_are_checked_again_without_a_change(options):
 @pytest.mark.parametrize(
     ("kind", "options", "message"),
     [
-        (GatherOptions, {"fall_penalty": False}, "penalty for falls in specification hiro alone.*--spec hiro"),
+        (GatherOptions, {"fall_penalty": False}, "penalty for falls only with specification hiro.*--spec hiro"),
         (
             MazeOptions,
             {"target": (1, 2), "target_sampling": "free_cells"},
-            r"target \(1.0, 2.0\) fixes training's target, so target_sampling 'free_cells' does nothing.*Leave --t",
+            r"target \(1.0, 2.0\) fixes training's target, so target_sampling 'free_cells' has no effect.*Omit --t",
         ),
     ],
 )

@@ -1,7 +1,7 @@
 """Every task against the plain reference, which steps its own `MjData` of the same model and draws from the same seeds.
 
-Ours steps all episodes at once; the reference takes one episode and one number at a time. Equal to the bit, but for
-Flagrun's three features of the goal. The shes Gather has its own reference and test, `test_gather_reference.py`.
+The task steps all episodes at once; the reference handles one episode and one number at a time. They are bit-identical,
+except for Flagrun's three features of the goal. The shes Gather has its own test, `test_gather_reference.py`.
 """
 
 from itertools import count
@@ -45,13 +45,13 @@ def make_reference(task, **options):
 
 
 def aim(reference, target):
-    """Give `reference` this target in place of its own and of any it would draw."""
+    """Set the target of `reference`, instead of its own or a drawn one."""
     reference.fixed_target, reference.target, reference.evaluation = target, np.array(target), True
     return reference
 
 
 def observe_otherwise(reference):
-    """Return the observation of Push and Fall with the block where their specification hides it, and without else."""
+    """Return the observation of Push and Fall with the block if their specification hides it, else without it."""
     nq, nv = reference.num_robot
     qpos, qvel = reference.data.qpos, reference.data.qvel
     if reference.spec == "shes":
@@ -60,7 +60,7 @@ def observe_otherwise(reference):
 
 
 def assert_same(task, ids, references, observe, step):
-    """Compare all that is to be seen of episodes `ids`."""
+    """Compare every array of episodes `ids`."""
     seen = task.observe()[ids]
     expected = np.array([observe(references[i]) for i in ids])
     tolerated = 3 if task.name == "flagrun" else 0  # sine and cosine; the distance is times 0.001 there, / 1000 here
@@ -76,10 +76,10 @@ def assert_same(task, ids, references, observe, step):
 
 
 def compare(task, references, steps, draw, *, arrange=None, observe=None, seed=12):
-    """Play `steps` in both and compare all there is after each; return how often an episode ended by itself.
+    """Play `steps` in both and compare every array after each; return how often an episode terminated.
 
-    An episode that has ended, or is long enough under way, rests for some steps while the others go on, and then begins
-    anew with a new seed: after a while every episode of the batch is at another step.
+    An episode that has terminated, or has lasted long enough, rests for some steps while the others continue, and is
+    then reset with a new seed, so that the episodes of the batch are soon at different steps.
     """
     observe = observe or (lambda reference: reference.observation())
     n, rng, seeds, num_ends = task.num_episodes, np.random.default_rng(seed), count(), 0
@@ -123,7 +123,7 @@ def play(name, num_episodes, steps, draw=draw_lasting, *, arrange=None, observe=
 
 
 def launch(task, rng):
-    """Put every robot somewhere in its world at up to 8 m/s: some fly, some hit walls, block or chasm at once."""
+    """Place every robot in its world at up to 8 m/s: some fly, some hit walls, block or chasm at once."""
     n = task.num_episodes
     task.sim.qpos[:, :2] += rng.uniform(-2, 2, (n, 2))
     task.sim.qvel[:, :2] = rng.uniform(-8, 8, (n, 2))
@@ -255,7 +255,7 @@ def test_a_diverged_episode_equals_the_references():
 
 
 def reference_model(name, spec, integrator):
-    """Return the reference's own model of environment `name`, with what we deviate in."""
+    """Return the reference's own model of environment `name`, with the package's deviations."""
     body, task = name.split("-")
     if task == "gather":
         more = {}

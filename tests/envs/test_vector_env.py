@@ -1,4 +1,4 @@
-"""What the vector environment is given: limits, threads, seeds."""
+"""Arguments of the vector environment: limits, threads, seeds."""
 
 import re
 

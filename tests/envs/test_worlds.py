@@ -1,4 +1,4 @@
-"""Worlds: the boxes of a grid cover its wall cells, all of them, once, and nothing else."""
+"""Worlds: the boxes of a grid cover each of its wall cells once, and no other cell."""
 
 import mujoco
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.envs.worlds import CELL_SIZE_M, GATHER, INTEGRATORS, add_grid, empty_world, merged_boxes
+from shes.envs.worlds import ARENA, CELL_SIZE_M, INTEGRATORS, add_grid, empty_world, merged_boxes
 from shes.errors import UnknownNameError
 
 INNER_WALLS = (
@@ -40,7 +40,7 @@ def assert_boxes_are_the_walls(grid, boxes):
                 assert inside == (cell == "#"), (cell, x + dx, y + dy)
 
 
-@pytest.mark.parametrize("grid", [GATHER, MAZE, INNER_WALLS, ("r",), ("#r#",), ("..#", "r#.", "#..")])
+@pytest.mark.parametrize("grid", [ARENA, MAZE, INNER_WALLS, ("r",), ("#r#",), ("..#", "r#.", "#..")])
 def test_boxes_cover_exactly_the_wall_cells(grid):
     assert_boxes_are_the_walls(grid, merged_boxes(grid, "#"))
 
@@ -55,7 +55,7 @@ def test_boxes_cover_exactly_the_wall_cells_of_any_grid(data):
 
 
 def test_the_walls_of_gather_are_four_boxes_12_m_from_the_origin():
-    boxes = merged_boxes(GATHER, "#")
+    boxes = merged_boxes(ARENA, "#")
     assert sorted(boxes) == [(-16, 0, 4, 12), (0, -16, 20, 4), (0, 16, 20, 4), (16, 0, 4, 12)]
 
 

@@ -1,4 +1,4 @@
-"""The CPU simulator against a plain loop over `mj_step`, and what it does when the physics blows up."""
+"""The CPU simulator against a plain loop over `mj_step`, and its behaviour when the physics diverges."""
 
 import logging
 import os
@@ -22,14 +22,14 @@ BAD_VALUES = {"huge": 1e12, "nan": np.nan, "infinite": np.inf}
 
 
 def make_model(integrator="euler"):
-    """The ant: free joint, contacts, limits, so that the solver's warm start matters."""
+    """The ant, whose contacts and limits make the solver's warm start matter."""
     model = mujoco.MjModel.from_xml_string(ant_gather_xml())
     model.opt.integrator = INTEGRATORS[integrator]
     return model
 
 
 def disturb(simulator, rng):
-    """Write another start and other controls into every simulation."""
+    """Give every simulation a different state and different controls."""
     simulator.qpos[:, :3] += rng.uniform(-0.1, 0.1, (simulator.num_sims, 3))
     simulator.qvel[:] += rng.normal(0, 0.5, simulator.qvel.shape)
     simulator.ctrl[:] = rng.uniform(-30, 30, simulator.ctrl.shape)
@@ -37,7 +37,7 @@ def disturb(simulator, rng):
 
 @pytest.fixture
 def records():
-    """Records of the logger `shes.mujoco`; caplog would miss them once a worker has stopped their propagation."""
+    """Records of the logger `shes.mujoco`; caplog misses them after a worker has turned off propagation."""
     kept = []
     handler = logging.Handler()
     handler.emit = kept.append
@@ -49,7 +49,7 @@ def records():
 
 @pytest.fixture
 def warning_handler():
-    """Put MuJoCo's warning handler back after the test."""
+    """Restore MuJoCo's warning handler after the test."""
     before = mujoco.get_mju_user_warning()
     yield
     mujoco.set_mju_user_warning(before)
@@ -162,7 +162,7 @@ def test_a_divergence_is_remembered_until_the_reset_of_that_simulation():
 
 @pytest.mark.parametrize("field", ["qpos", "qvel", "ctrl"])
 def test_every_divergence_of_one_simulation_is_noticed_not_only_its_first(field):
-    """MuJoCo's own reset zeroes the counters before it counts, so they read 1 after every divergence."""
+    """MuJoCo's reset within a step zeroes the counters before it counts, so they read 1 after a divergence."""
     simulator = CpuSimulator(make_model(), 2)
     ids = np.arange(2)
     for _ in range(3):
@@ -206,7 +206,7 @@ def test_physics_warnings_go_to_the_logger(records, warning_handler, capfd, tmp_
 
 
 def test_every_divergence_is_logged(records, warning_handler):
-    """MuJoCo is silent about a warning whose counter is not 0."""
+    """MuJoCo does not repeat a warning whose counter is not 0."""
     mujoco.set_mju_user_warning(None)
     simulator = CpuSimulator(make_model(), 1)
     for _ in range(3):
@@ -251,7 +251,7 @@ def test_a_warning_handler_that_the_caller_installed_stays(warning_handler):
 
 
 def test_a_whole_state_is_poses_velocities_warm_start_and_time():
-    """The layout of every simulator, so that a run may go on with another one; controls are written before a step."""
+    """All simulators share this layout, so a run may continue with another one. Controls are set before a step."""
     model = make_model()
     simulator = CpuSimulator(model, 1)
     disturb(simulator, np.random.default_rng(3))
@@ -261,7 +261,7 @@ def test_a_whole_state_is_poses_velocities_warm_start_and_time():
     full = simulator._batch.state[0].copy()
     mujoco.mj_setState(model, data, full, mujoco.mjtState.mjSTATE_INTEGRATION)
     assert_array_equal(kept, [*data.qpos, *data.qvel, *data.qacc_warmstart, data.time])
-    assert len(kept) == simulator.state_size == model.nq + 2 * model.nv + 1
+    assert len(kept) == model.nq + 2 * model.nv + 1
     assert data.qacc_warmstart.any()
     assert data.time == pytest.approx(40 * model.opt.timestep)
     simulator.set_states(np.arange(1), kept[None])

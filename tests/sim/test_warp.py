@@ -1,4 +1,4 @@
-"""The Warp simulator on the CPU: the simulator contract, C MuJoCo beside it, and what only it can get wrong."""
+"""The Warp simulator on the CPU: the simulator contract, comparison with MuJoCo in C, and its own failure modes."""
 
 import importlib.util
 import re
@@ -52,7 +52,7 @@ def ant_model(integrator="euler"):
 
 @pytest.fixture
 def make():
-    """What the contract's tests ask for: a new simulator of the ant."""
+    """Return a new simulator of the ant, as the contract's tests expect."""
     model = ant_model()
 
     def build(num_sims=contract.NUM_SIMS):
@@ -67,7 +67,7 @@ def task_model(name, spec, **options):
 
 
 def in_the_air(model, rng):
-    """Return positions and velocities with nothing near anything else, limits of joints kept."""
+    """Return positions and velocities without contacts, within the joint limits."""
     data = mujoco.MjData(model)
     for _ in range(200):
         mujoco.mj_resetData(model, data)
@@ -88,7 +88,7 @@ def in_the_air(model, rng):
 
 
 def without_contacts(model):
-    """Switch contacts off, for worlds where a block always touches the walls: the rest of the physics is compared."""
+    """Turn contacts off, for worlds in which a block always touches the walls, to compare the rest of the physics."""
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
 
@@ -117,7 +117,7 @@ def test_a_substep_where_nothing_touches_is_that_of_mujoco_in_c(name, spec, inte
 
 
 def stir(simulators, rng, speed=0.5):
-    """Write the same other start and other controls into every simulation of each of `simulators`."""
+    """Give the simulations of all `simulators` the same new states and controls."""
     first = simulators[0]
     place = rng.uniform(-0.1, 0.1, (first.num_sims, 3)).astype(np.float32)
     velocity = rng.normal(0, speed, first.qvel.shape).astype(np.float32)
@@ -244,7 +244,7 @@ def test_a_bad_value_where_no_step_is_asked_for_is_no_divergence_yet(field):
 
 @pytest.mark.parametrize("speed", [1e6, 1e8, 9e9])
 def test_physics_that_blow_up_within_a_step_are_noticed_and_left_finite(speed):
-    """The velocity alone is still allowed; what it does in the step is not."""
+    """The velocity is still allowed; its effect in the step is not."""
     warp, cpu = (make(ant_model(), 3) for make in (WarpCpu, CpuSimulator))
     for simulator in (warp, cpu):
         simulator.qvel[1] = speed
@@ -273,7 +273,7 @@ def test_a_buffer_that_is_too_small_is_an_error_with_a_size_that_does(setting, i
 
 @pytest.mark.parametrize(("name", "spec"), MODELS)
 def test_a_task_needs_no_more_than_the_default_buffers(name, spec):
-    """C MuJoCo, robots thrown about at walls and blocks: its contacts are as many as mujoco-warp's, a few."""
+    """Robots thrown at walls and blocks in MuJoCo in C, which has as many contacts as mujoco-warp."""
     model = task_model(name, spec)
     sizes = default_sizes(model)
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
@@ -307,7 +307,7 @@ def test_a_task_runs_on_it(name):
 
 @pytest.mark.parametrize("name", ["point-push", "point-fall"])
 def test_a_block_between_walls_stands_where_it_stands_in_c(name):
-    """Contacts of boxes with boxes at a gap of zero: it moves by a margin and stays there."""
+    """Box-box contacts without a gap: the block moves by a margin and stays there."""
     model = task_model(name, "shes")
     warp, cpu = WarpCpu(model, 1), CpuSimulator(model, 1)
     for _ in range(40):
@@ -333,7 +333,7 @@ def test_a_block_can_be_pushed_and_holds_the_robot_off():
 
 @pytest.mark.parametrize("cone", ["pyramid", "ellipse"])
 def test_a_substep_with_feet_on_the_ground_is_nearly_that_of_c(cone):
-    """Capsules have the tangents of C; without them a substep is off by up to 0.6 m/s with the pyramidal cone."""
+    """Capsule contacts have the tangents of MuJoCo in C; else a substep is off by up to 0.6 m/s."""
     model, num_sims, ids = ant_model(), 32, np.arange(32)
     model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL if cone == "pyramid" else mujoco.mjtCone.mjCONE_ELLIPTIC
     rng = np.random.default_rng(0)
@@ -357,7 +357,7 @@ def test_a_substep_with_feet_on_the_ground_is_nearly_that_of_c(cone):
 
 
 def test_walks_of_two_seconds_are_those_of_c():
-    """The median is 2e-6 m off; with the tangents that mujoco-warp gives capsules it would be 0.2 m."""
+    """The median error is 2e-6 m; with mujoco-warp's own tangents it would be 0.2 m."""
     num_episodes, ids = 32, np.arange(32)
     places = []
     for simulator in (WarpCpu, CpuSimulator):
@@ -384,7 +384,7 @@ def test_cuda_without_a_card_is_a_clear_error(monkeypatch):
     import warp
 
     monkeypatch.setattr(warp, "get_cuda_device_count", lambda: 0)
-    with pytest.raises(ConfigError, match=r"device cuda needs an NVIDIA card.*--device cpu"):
+    with pytest.raises(ConfigError, match=r"device cuda needs an NVIDIA GPU.*--device cpu"):
         WarpSimulator(ant_model(), 1, device="cuda")
 
 
@@ -418,7 +418,7 @@ def test_a_model_with_more_state_than_positions_and_velocities_is_refused():
 
 
 def test_it_says_nothing_on_stdout(tmp_path):
-    """Warp announces itself and every kernel there, where the command line puts its results."""
+    """By default Warp prints messages to stdout, where the command line prints its results."""
     program = """
 import mujoco, numpy as np
 from shes.sim.warp import WarpSimulator

@@ -1,4 +1,4 @@
-"""Devices of Warp without Warp: what is missing, too old or too small is one clear error. Cards are stand-ins here."""
+"""Warp devices with a stand-in for Warp: a GPU, driver or package that is missing or too old is a clear error."""
 
 import os
 import sys
@@ -23,7 +23,7 @@ NEEDS = {
 
 @pytest.fixture
 def versions(monkeypatch):
-    """What is installed, to be changed."""
+    """The installed versions, which tests change."""
     installed = dict(VERSIONS)
 
     def version(name):
@@ -46,7 +46,7 @@ class Pool:
 
 @pytest.fixture
 def machine(monkeypatch, versions):
-    """A machine with a card: its Warp and its CuPy."""
+    """A machine with a GPU: its Warp and its CuPy."""
     device = SimpleNamespace(name="Card 1", ordinal=0, stream=SimpleNamespace(cuda_stream=7))
     warp = SimpleNamespace(
         config=SimpleNamespace(log_level=20),
@@ -113,7 +113,7 @@ def test_a_version_before_its_release_counts(machine, versions):
 def test_without_a_card_the_error_says_what_warp_says(machine, monkeypatch):
     monkeypatch.setattr(machine.warp, "get_cuda_device_count", lambda: 0)
     monkeypatch.setattr(shes.sim.warp_device, "_start", lambda: "Could not find the NVIDIA CUDA driver.")
-    message = r"needs an NVIDIA card .*Warp sees none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\."
+    message = r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\."
     with pytest.raises(ConfigError, match=message):
         WarpDevice("cuda")
 

@@ -1,4 +1,4 @@
-"""Learning curves: what is drawn for runs alone and for repetitions."""
+"""Learning curves of single runs and of repetitions."""
 
 import shutil
 
@@ -18,14 +18,14 @@ pytestmark = pytest.mark.extras  # the fast tests have three minutes
 
 @pytest.fixture(scope="module")
 def seeds(tmp_path_factory):
-    """Three runs that differ in the seed alone."""
+    """Three runs that differ only in the seed."""
     folder = tmp_path_factory.mktemp("seeds")
     return [runs.train_tiny(folder / str(seed), seed=seed) for seed in (5, 6, 7)]
 
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """Figures that were drawn, still to be looked at."""
+    """The figures that were drawn, still open."""
     figures, close = [], plt.close
     monkeypatch.setattr(plt, "close", figures.append)
     yield figures
@@ -124,7 +124,7 @@ def test_runs_of_other_levels_share_a_picture_and_each_is_drawn_where_it_has_som
 
 @pytest.mark.slow
 def test_a_curve_has_the_same_colour_in_every_panel(seeds, flat, alone, tmp_path, drawn):
-    """The legend is in the first panel alone, and speaks for all."""
+    """The legend is only in the first panel and holds for all."""
     plot([flat, seeds[0], alone], tmp_path / "a.png")
     score, _, controller, primitive = drawn[0].axes
     colours = {line.get_label(): line.get_color() for line in score.lines}

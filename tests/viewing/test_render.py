@@ -1,4 +1,4 @@
-"""Videos: what they show, how long they are, and that nothing half-written is left."""
+"""Videos: their content and length, and that no partial file is left."""
 
 import io
 import subprocess
@@ -21,7 +21,7 @@ HELD_FRAMES = 14
 
 @pytest.fixture(autouse=True)
 def flat(request, monkeypatch):
-    """Draw without OpenGL, which is quick and there on every machine."""
+    """Draw without OpenGL, which is fast and works on every machine."""
     if "render" not in request.keywords:
         monkeypatch.setenv("MUJOCO_GL", "off")
     opengl.find_opengl.cache_clear()
@@ -101,7 +101,7 @@ def test_the_goal_and_the_trail_are_shown(tiny_run):
 
 
 def test_of_a_flat_agent_there_is_a_trail_but_no_goal(tmp_path):
-    """The spot under the robot comes last: no line leads from it, and no disc lies where nobody goes."""
+    """The disc under the robot is the last marker: there is no goal and no line to one."""
     playback = Playback(runs.train_tiny(tmp_path / "run", algorithm="es", generations=1), "best", steps=5)
     moments = list(playback.play(playback.seed_of(0)))
     assert [len(moment.markers) for moment in moments] == [16 + 1 + trail for trail in range(6)]
@@ -119,7 +119,7 @@ def test_of_a_primitive_alone_the_goal_is_where_its_flag_is(tmp_path):
 
 def test_the_caption_says_how_the_episode_ended(tiny_run, monkeypatch):
     playback = Playback(tiny_run, "0", steps=20)
-    task = playback._task
+    task = playback.task
     shown = []
     for moment in playback.play(3):
         shown.append(moment.caption)
@@ -187,7 +187,7 @@ def test_an_encoder_that_fails_is_an_error_of_storage(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
 def test_a_file_that_the_encoder_did_not_finish_takes_no_place(tmp_path, monkeypatch, suffix):
-    """As on a full disk: ffmpeg writes a part of the file, then fails."""
+    """As on a full disk: ffmpeg writes part of the file, then fails."""
     ffmpeg = tmp_path / "ffmpeg"
     ffmpeg.write_text('#!/bin/sh\nfor last; do :; done\necho part > "$last"\ncat > /dev/null\necho full >&2\nexit 1\n')
     ffmpeg.chmod(0o755)

@@ -1,4 +1,4 @@
-"""The viewer's loop: episode after episode until the window is closed."""
+"""`watch` shows one episode after another until the window is closed."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from shes.viewing.watch import watch
 
 
 class FakeViewer:
-    """A window that somebody closes after some poses."""
+    """A window that is closed after 45 poses."""
 
     def __init__(self, spec, step_s):
         self.shown, self.is_closed = [], False

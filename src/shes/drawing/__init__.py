@@ -1,1 +1,1 @@
-"""Drawing: pictures of a simulation with MuJoCo's renderer, or flat ones where there is no OpenGL."""
+"""Drawing: pictures of episodes by MuJoCo's renderer, or flat pictures without OpenGL."""

@@ -1,4 +1,4 @@
-"""What makes poses visible: a drawer makes pictures of them, a window shows them."""
+"""The contracts of drawing: a drawer makes pictures of poses, a window shows poses in real time."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Picture = NDArray[np.uint8]
 
 
 class Drawer(ABC):
-    """Makes pictures of the poses of one environment, all of one size."""
+    """Makes pictures, of one size, of the poses of one environment."""
 
     cameras: Sequence[str]
-    """Where it can look from."""
+    """Names of its cameras."""
 
     @abstractmethod
     def draw(self, pose: Any, /, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
-        """Return a picture [H, W, 3] of `pose`, with `markers` in it."""
+        """Return a picture [H, W, 3] of `pose` with `markers`."""
 
     @abstractmethod
     def between(self, start: Any, end: Any, fraction: float) -> Any:
@@ -33,7 +33,7 @@ class Drawer(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Give back what it holds."""
+        """Release its resources."""
 
 
 class Window(Protocol):
@@ -41,13 +41,13 @@ class Window(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether it has not been closed."""
+        """Whether the window is open."""
         ...
 
     def show(self, pose: Any, /, markers: Sequence[Marker] = (), *, is_new_episode: bool = False) -> None:
-        """Move from the last pose to `pose`, with `markers` about, in the time of a control step."""
+        """Move from the last pose to `pose`, with `markers`, in the time of a control step."""
         ...
 
     def close(self) -> None:
-        """Close it."""
+        """Close the window."""
         ...

@@ -1,4 +1,4 @@
-"""Three-dimensional pictures, by MuJoCo's own renderer."""
+"""Three-dimensional pictures by MuJoCo's renderer."""
 
 from __future__ import annotations
 
@@ -7,28 +7,29 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from shes.drawing.drawer import Picture
 from shes.drawing.opengl import use_opengl
-from shes.drawing.renderer import Picture, Renderer, check_camera
+from shes.drawing.renderer import Renderer, check_camera
 from shes.drawing.scenery import FOLLOW_FIELD_OF_VIEW_DEG, decorate
 from shes.envs.markers import Marker
 from shes.types import F64Array
 
 __all__ = ["MujocoRenderer", "add_markers"]
 
-_FOLLOW = {"azimuth": 90.0, "elevation": -42.0, "distance": 11.0}
-_ROBOT_BODY = 1  # worlds begin with the robot
+_FOLLOW = (90.0, -42.0, 11.0)  # azimuth and elevation in degrees, distance in metres
+_ROBOT_BODY = 1  # the first body of every world
 _TOP_MARGIN = 1.02
-_TOP_DISTANCE_M = 120.0  # far away, and narrow: nearly no perspective, so that no wall hides what is behind it
+_TOP_DISTANCE_M = 120.0  # nearly no perspective, so that walls hide nothing
 _MAX_GEOMS = 4000
 _LINE = mujoco.mjtGeom.mjGEOM_LINE
 _LINE_PIXELS_PER_M = 80.0
 
 
 class MujocoRenderer(Renderer):
-    """Draws with OpenGL."""
+    """A renderer that uses OpenGL."""
 
     def __init__(self, spec: mujoco.MjSpec, width: int, height: int, opengl: str) -> None:
-        """Draw the world of `spec`, which gets its looks here, by OpenGL `opengl`."""
+        """Decorate the world of `spec` and draw it with OpenGL `opengl`."""
         super().__init__(decorate(spec).compile(), width, height)
         use_opengl(opengl)
         self._renderer = mujoco.Renderer(self.model, height, width, max_geom=_MAX_GEOMS)
@@ -40,27 +41,25 @@ class MujocoRenderer(Renderer):
         mujoco.mj_forward(self.model, self.data)
         self._aim(camera)
         self._renderer.update_scene(self.data, self._camera)
-        # From above a shadow hides more than it shows, and it is half the work.
+        # From above, shadows hide more than they show, and take half of the time.
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != "top"
         add_markers(self._renderer.scene, markers)
         return self._renderer.render()
 
     def _aim(self, name: str) -> None:
-        """Point the camera."""
+        """Point the camera; raise an UnknownNameError for an unknown `name`."""
         check_camera(name)
         camera = self._camera
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         if name == "follow":
             self.model.vis.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
-            camera.azimuth, camera.elevation = _FOLLOW["azimuth"], _FOLLOW["elevation"]
-            camera.distance = _FOLLOW["distance"]
+            camera.azimuth, camera.elevation, camera.distance = _FOLLOW
             camera.lookat[:] = self.data.xpos[_ROBOT_BODY]
             return
-        left, bottom, right, top = self.extent
-        half = max((top - bottom) / 2, (right - left) / 2 * self.height / self.width) * _TOP_MARGIN
-        self.model.vis.global_.fovy = np.rad2deg(2 * np.arctan2(half, _TOP_DISTANCE_M))
+        x, y, half = self.top_view
+        self.model.vis.global_.fovy = np.rad2deg(2 * np.arctan2(half * _TOP_MARGIN, _TOP_DISTANCE_M))
         camera.azimuth, camera.elevation, camera.distance = 90.0, -90.0, _TOP_DISTANCE_M
-        camera.lookat[:] = ((left + right) / 2, (bottom + top) / 2, 0)
+        camera.lookat[:] = (x, y, 0)
 
     def close(self) -> None:
         """Free the OpenGL context."""
@@ -68,14 +67,14 @@ class MujocoRenderer(Renderer):
 
 
 def add_markers(scene: mujoco.MjvScene, markers: Sequence[Marker]) -> None:
-    """Put `markers` into `scene`, as far as there is room."""
+    """Add `markers` to `scene`, up to its capacity."""
     for marker in markers:
         if scene.ngeom >= scene.maxgeom:
             return
         geom = scene.geoms[scene.ngeom]
         color = np.array(marker.color, dtype=np.float32)
         if marker.end is not None:
-            # Drawn as a line of pixels: a trail of capsules takes longer to draw than all else together.
+            # A line of pixels: a trail of capsules takes longer to draw than everything else.
             mujoco.mjv_initGeom(geom, _LINE, np.zeros(3), np.zeros(3), np.zeros(9), color)
             pixels = marker.radius * _LINE_PIXELS_PER_M
             mujoco.mjv_connector(geom, _LINE, pixels, np.array(marker.position), np.array(marker.end))

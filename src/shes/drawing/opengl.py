@@ -1,4 +1,4 @@
-"""Finds an OpenGL without a screen: EGL (drivers of graphics cards, or Mesa), then OSMesa, else none."""
+"""Finds an OpenGL for rendering without a screen: EGL (GPU drivers or Mesa), then OSMesa."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ HOW_TO_GET_OPENGL = (
 _PROBE_TIMEOUT_S = 60.0
 _OFF = ("disable", "disabled", "off", "false", "0")
 _ON = ("", "enable", "enabled", "on", "true", "1")
-# What a driver does wrong may kill the process: each is tried in another one.
+# A faulty driver may kill the process, so each is tried in a subprocess.
 _PROBE = "from mujoco.{0} import GLContext; c = GLContext(8, 8); c.make_current(); c.free()"
 
 
 @functools.cache
 def find_opengl() -> str | None:
-    """Return what MuJoCo can draw with on this machine: `egl`, `osmesa`, another name from MUJOCO_GL, or None.
+    """Return the OpenGL of this machine: `egl`, `osmesa`, another name from MUJOCO_GL, or None.
 
-    The environment variable MUJOCO_GL decides where it is set (`off` for none); else EGL and OSMesa are tried. On macOS
-    the system's own OpenGL serves.
+    The environment variable MUJOCO_GL takes precedence (`off` is None). Otherwise EGL and OSMesa are tried; macOS has
+    its own OpenGL.
 
     Raises:
-        ConfigError: MUJOCO_GL asks for one that does not work here.
+        ConfigError: MUJOCO_GL names an OpenGL that does not work.
     """
     asked = os.environ.get("MUJOCO_GL", "").lower().strip()
     if is_switched_off():
@@ -51,19 +51,19 @@ def find_opengl() -> str | None:
 
 
 def offer_opengl() -> None:
-    """Let an environment that draws itself find OpenGL: those of Gymnasium look at MUJOCO_GL."""
+    """Set MUJOCO_GL, which Gymnasium's environments read, to the OpenGL found, unless it is set."""
     found = find_opengl()
     if found is not None and not os.environ.get("MUJOCO_GL"):
         os.environ["MUJOCO_GL"] = found
 
 
 def is_switched_off() -> bool:
-    """Tell whether MUJOCO_GL says that there is to be no OpenGL."""
+    """Return whether MUJOCO_GL turns OpenGL off."""
     return os.environ.get("MUJOCO_GL", "").lower().strip() in _OFF
 
 
 def _works(name: str) -> bool:
-    """Tell whether a process can make a context of this kind."""
+    """Return whether a subprocess can create a context of OpenGL `name`."""
     environment = {**os.environ, "MUJOCO_GL": "off"}
     environment.pop("PYOPENGL_PLATFORM", None)
     command = [sys.executable, "-c", _PROBE.format(name)]
@@ -75,10 +75,10 @@ def _works(name: str) -> bool:
 
 
 def use_opengl(name: str) -> None:
-    """Let `mujoco.Renderer` draw with OpenGL `name`.
+    """Make `mujoco.Renderer` use OpenGL `name`.
 
-    MuJoCo chooses by MUJOCO_GL when it is first imported, which is long past; the renderer looks the class up here.
+    MuJoCo reads MUJOCO_GL only when it is imported, so this replaces the context class that its renderer looks up.
     """
     if name in ("egl", "osmesa"):
-        os.environ["PYOPENGL_PLATFORM"] = name  # whatever it was: `find_opengl` has seen that this one works
+        os.environ["PYOPENGL_PLATFORM"] = name  # overrides the caller's: `find_opengl` has tried this one
         gl_context.GLContext = import_module(f"mujoco.{name}").GLContext

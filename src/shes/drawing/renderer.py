@@ -1,4 +1,4 @@
-"""Renderers: a pose of a world of our own becomes a picture."""
+"""The base of renderers, which make pictures of a MuJoCo world."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from shes.envs.markers import Marker
 from shes.errors import UnknownNameError
 from shes.types import F64Array
 
-__all__ = ["CAMERAS", "Picture", "Renderer", "between", "check_camera"]
+__all__ = ["CAMERAS", "Renderer", "between", "check_camera"]
 
 CAMERAS = ("follow", "top")
-"""Behind and above the robot, moving with it; or from above, showing the whole world."""
-
-
+"""`follow` is behind and above the robot and moves with it; `top` shows the whole world from above."""
 _RIM_M = 1.0
-_OPEN_HALF_M = 10.0  # without walls
+"""Visible part of the outer walls, seen from above."""
+_OPEN_HALF_M = 10.0
+"""Half width of what is shown of a world without walls."""
 
 
 class Renderer(Drawer):
-    """Draws one world at one size. A pose is its qpos [nq]."""
+    """A drawer of one world at one size. A pose is its qpos [nq]."""
 
     cameras = CAMERAS
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
-        """Draw `model` in pictures of `width` times `height` pixels."""
+        """Draw `model` in pictures of `width` x `height` pixels."""
         self.model = model
         self.width, self.height = width, height
         self.data = mujoco.MjData(model)
 
     @abstractmethod
     def draw(self, qpos: F64Array, /, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
-        """Return a picture [H, W, 3] of the world at `qpos`, with `markers` in it."""
+        """Return a picture [H, W, 3] of the world at `qpos` with `markers`."""
 
     def between(self, start: F64Array, end: F64Array, fraction: float) -> F64Array:
         """Return the pose [nq] a `fraction` of the way from `start` to `end`."""
@@ -45,37 +45,38 @@ class Renderer(Drawer):
 
     @cached_property
     def extent(self) -> tuple[float, float, float, float]:
-        """What there is to see from above: least x, least y, greatest x, greatest y, in metres.
-
-        Of the walls around, only the inner rim.
-        """
-        data = mujoco.MjData(self.model)  # not that of the pose being drawn
+        """Area shown from above, with the rim of the outer walls: least x and y, greatest x and y, in metres."""
+        data = mujoco.MjData(self.model)  # keeps the pose in self.data
         mujoco.mj_kinematics(self.model, data)
         boxes = self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
         if not boxes.any():
             return (-_OPEN_HALF_M, -_OPEN_HALF_M, _OPEN_HALF_M, _OPEN_HALF_M)
         center, half = data.geom_xpos[boxes, :2], self.model.geom_size[boxes, :2]
-        sides = [*(center - half).min(axis=0), *(center + half).max(axis=0)]
-        for i, side in enumerate(sides):
-            sign = -1 if i < 2 else 1
-            reaches = np.isclose((center + sign * half)[:, i % 2], side)
-            hidden = 2 * half[reaches, i % 2].min() - _RIM_M
-            sides[i] = float(side - sign * max(hidden, 0.0))
-        return (sides[0], sides[1], sides[2], sides[3])
+        corners: list[float] = []
+        for sign in (-1, 1):
+            sides = center + sign * half
+            outermost = sign * (sign * sides).max(axis=0)
+            thickness = np.where(np.isclose(sides, outermost), 2 * half, np.inf).min(axis=0)
+            corners += (outermost - sign * np.maximum(thickness - _RIM_M, 0.0)).tolist()
+        left, bottom, right, top = corners
+        return left, bottom, right, top
+
+    @property
+    def top_view(self) -> tuple[float, float, float]:
+        """Centre x and y, and half height, of the picture from above, in metres."""
+        left, bottom, right, top = self.extent
+        half = max((top - bottom) / 2, (right - left) / 2 * self.height / self.width)
+        return (left + right) / 2, (bottom + top) / 2, half
 
 
 def check_camera(name: str) -> None:
-    """Refuse a camera that there is not.
-
-    Raises:
-        UnknownNameError: `name` is not in `CAMERAS`.
-    """
+    """Raise an UnknownNameError if `name` is not in `CAMERAS`."""
     if name not in CAMERAS:
         raise UnknownNameError("camera", name, CAMERAS)
 
 
 def between(model: mujoco.MjModel, start: F64Array, end: F64Array, fraction: float) -> F64Array:
-    """Return the pose a `fraction` of the way from `start` [nq] to `end`: videos show more poses than control steps."""
+    """Return the pose a `fraction` of the way from `start` [nq] to `end` [nq]."""
     velocity = np.zeros(model.nv)
     mujoco.mj_differentiatePos(model, velocity, 1.0, start, end)
     pose = np.array(start, dtype=np.float64)

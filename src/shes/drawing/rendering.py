@@ -1,4 +1,4 @@
-"""What makes the episodes of a task visible: chosen by the environment, which may draw itself, and by the machine."""
+"""Makes drawers and windows that suit the environment, which may draw itself, and the machine."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import logging
 from collections.abc import Callable
 
 import mujoco
-import numpy as np
 
 from shes.drawing.drawer import Drawer, Window
 from shes.drawing.flat_renderer import FlatRenderer
-from shes.drawing.frames import FrameDrawer, FrameWindow
 from shes.drawing.mujoco_renderer import MujocoRenderer
 from shes.drawing.opengl import HOW_TO_GET_OPENGL, find_opengl, is_switched_off, offer_opengl
+from shes.drawing.passthrough import PassthroughDrawer, PassthroughWindow
 from shes.drawing.renderer import Renderer
 from shes.drawing.scenery import MAX_PIXELS
 from shes.drawing.viewer import Viewer
 from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError
 
 __all__ = ["make_drawer", "make_renderer", "open_window"]
@@ -25,49 +25,50 @@ logger = logging.getLogger("shes.drawing")
 
 
 def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
-    """Return what makes pictures of the poses of `batch`; ask for it before the first reset.
+    """Return a drawer of the poses of `batch`; call it before the first reset.
 
     Raises:
-        ConfigError: There are no pictures of this environment, or not of this size.
+        ConfigError: The environment has no pictures, or the size is not allowed.
     """
     if batch.draws_itself:
         batch.draw_by("rgb_array")
         offer_opengl()
-        return FrameDrawer(width, height)
+        return PassthroughDrawer(width, height)
     return make_renderer(batch.world_to_draw, width, height)
 
 
 def open_window(batch: EpisodeBatch) -> Window:
-    """Return a window that shows the poses of `batch`; ask for it before the first reset.
+    """Return a window that shows the poses of `batch`; call it before the first reset.
 
     Raises:
-        ConfigError: There is no screen, or no window of this environment.
+        ConfigError: There is no screen, or the environment has no window.
     """
     if batch.draws_itself:
         batch.draw_by("human")
-        return FrameWindow()
+        return PassthroughWindow()
     return Viewer(batch.world_to_draw(), batch.step_s)
 
 
 def make_renderer(make_spec: Callable[[], mujoco.MjSpec], width: int, height: int) -> Renderer:
-    """Return MuJoCo's renderer where there is OpenGL, else one that draws from above without it.
+    """Return MuJoCo's renderer or, without OpenGL, the flat renderer.
 
     Args:
-        make_spec: Returns the world, without looks.
-        width: Pixels of a picture.
-        height: Pixels of a picture.
+        make_spec: Returns the world, undecorated.
+        width: Width of a picture in pixels.
+        height: Height of a picture in pixels.
 
     Raises:
-        ConfigError: The size is not allowed, or MUJOCO_GL asks for what does not work here.
+        ConfigError: The size is not allowed, or MUJOCO_GL names an OpenGL that does not work.
     """
     for name, pixels in (("width", width), ("height", height)):
-        is_whole = isinstance(pixels, int | np.integer) and not isinstance(pixels, bool)
-        if not (is_whole and 16 <= pixels <= MAX_PIXELS):
+        if not (is_whole(pixels) and 16 <= pixels <= MAX_PIXELS):
             raise ConfigError(f"{name} of a picture must be 16 to {MAX_PIXELS} pixels, got {pixels!r}. Change {name}.")
     found = find_opengl()
     if found is None:
         if is_switched_off():
-            logger.warning("MUJOCO_GL is off: drawing flat pictures from above. Unset it for three-dimensional ones.")
+            logger.warning(
+                "MUJOCO_GL is off: drawing flat pictures from above. Unset it for three-dimensional pictures."
+            )
         else:
             logger.warning("No OpenGL here: drawing flat pictures from above. %s", HOW_TO_GET_OPENGL)
         return FlatRenderer(make_spec().compile(), width, height)

@@ -1,7 +1,4 @@
-"""How a world looks: sky, ground, light and colours are put on a copy of the world that only the eye sees.
-
-The physics never has them: the model that is stepped is compiled without.
-"""
+"""Decorates a world for drawing with sky, ground, light and colours. The simulated model is never decorated."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from shes.envs.markers import ROBOT
 __all__ = ["FOLLOW_FIELD_OF_VIEW_DEG", "MAX_PIXELS", "decorate"]
 
 MAX_PIXELS = 2048
-"""Longest side of a picture."""
+"""Largest width or height of a picture."""
 FOLLOW_FIELD_OF_VIEW_DEG = 45.0
 
 _SKY = ([0.62, 0.76, 0.90], [0.93, 0.96, 0.98])
@@ -27,7 +24,7 @@ _GROUND_SQUARES_M = 2.0
 
 
 def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Give the world of `spec` its looks, in place, and return it."""
+    """Decorate the world of `spec` in place and return it."""
     looks = spec.visual
     looks.global_.offwidth = looks.global_.offheight = MAX_PIXELS
     looks.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
@@ -53,7 +50,7 @@ def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         specular=[0.1, 0.1, 0.1],
         castshadow=True,
     )
-    _ground(spec)
+    _add_ground(spec)
     has_platforms = any(geom.name.startswith("platform") for geom in spec.geoms)
     for geom in spec.geoms:
         if geom.name.startswith(("floor", "platform")):
@@ -71,15 +68,15 @@ def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def _lower(wall: mujoco.MjsGeom) -> None:
-    """Cut a wall down, from above, so that it hides nothing behind it; its physics is elsewhere."""
+    """Lower the top of a wall, so that it hides nothing behind it."""
     position, size = np.array(wall.pos), np.array(wall.size)
     position[2] += _WALL_HALF_HEIGHT_M - size[2]
     size[2] = _WALL_HALF_HEIGHT_M
     wall.pos, wall.size = position, size
 
 
-def _ground(spec: mujoco.MjSpec) -> None:
-    """Add the material of the ground: squares, so that movement shows."""
+def _add_ground(spec: mujoco.MjSpec) -> None:
+    """Add the material of the ground: a checkerboard, which makes movement visible."""
     spec.add_texture(
         name="ground",
         type=mujoco.mjtTexture.mjTEXTURE_2D,

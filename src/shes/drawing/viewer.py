@@ -1,10 +1,11 @@
-"""An interactive window, by MuJoCo's viewer: drag to turn, scroll to come nearer, close it to end."""
+"""An interactive window by MuJoCo's viewer: drag to rotate, scroll to zoom, close it to stop."""
 
 from __future__ import annotations
 
 import atexit
 import sys
 import threading
+import warnings
 from collections.abc import Sequence
 from time import monotonic, sleep
 
@@ -24,13 +25,13 @@ _CLOSE_TIMEOUT_S = 10.0
 
 
 class Viewer:
-    """A window on one world, in real time."""
+    """A window that shows one world in real time."""
 
     def __init__(self, spec: mujoco.MjSpec, step_s: float) -> None:
-        """Open a window on the world of `spec`, which gets its looks here; `show` takes `step_s` seconds.
+        """Decorate the world of `spec` and open a window on it; a `show` takes `step_s` seconds.
 
         Raises:
-            ConfigError: There is no screen.
+            ConfigError: There is no screen, or the viewer cannot start.
         """
         _check_screen()
         from mujoco import viewer
@@ -41,8 +42,8 @@ class Viewer:
         before = set(threading.enumerate())
         try:
             self._window = viewer.launch_passive(self._model, self._data, show_left_ui=False, show_right_ui=False)
-        except RuntimeError as error:  # macOS, without mjpython
-            raise ConfigError(f"the viewer cannot start: {error}. On macOS run mjpython in place of python.") from error
+        except RuntimeError as error:  # macOS without mjpython
+            raise ConfigError(f"the viewer cannot start: {error}. On macOS run mjpython instead of python.") from error
         self._threads = set(threading.enumerate()) - before
         self._follow()
         self._qpos: F64Array | None = None
@@ -51,11 +52,11 @@ class Viewer:
 
     @property
     def is_open(self) -> bool:
-        """Whether the window has not been closed."""
+        """Whether the window is open."""
         return self._window.is_running()
 
     def _follow(self) -> None:
-        """Let the camera move with the robot."""
+        """Make the camera follow the robot."""
         with self._window.lock():
             camera = self._window.cam
             camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
@@ -63,7 +64,7 @@ class Viewer:
             camera.azimuth, camera.elevation, camera.distance = 90.0, -42.0, 13.0
 
     def show(self, qpos: F64Array, markers: Sequence[Marker] = (), *, is_new_episode: bool = False) -> None:
-        """Move from the last pose to `qpos` [nq], with `markers` about, in the time of a control step."""
+        """Move from the last pose to `qpos` [nq], with `markers`, in the time of a control step."""
         start = qpos if self._qpos is None or is_new_episode else self._qpos
         self._qpos = qpos.copy()
         self._due = max(self._due, monotonic() - self._step_s)
@@ -80,7 +81,7 @@ class Viewer:
             sleep(max(0.0, self._due - monotonic()))
 
     def close(self) -> None:
-        """Close the window; return when its thread has ended, because Python must not exit before it."""
+        """Close the window and wait for its threads, which must end before Python exits."""
         atexit.unregister(self.close)
         self._window.close()
         for thread in self._threads:
@@ -88,20 +89,14 @@ class Viewer:
 
 
 def _check_screen() -> None:
-    """Refuse to open a window where there is no screen: MuJoCo's viewer would wait for it for ever.
-
-    Raises:
-        ConfigError: There is none.
-    """
-    import warnings
-
+    """Raise a ConfigError if there is no screen, for which MuJoCo's viewer would wait forever."""
     import glfw
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # GLFW warns of what the error below says
+        warnings.simplefilter("ignore")  # GLFW warns about what the error below reports
         has_screen = bool(glfw.init())
     if not has_screen:
-        where = "" if sys.platform == "darwin" else " (neither DISPLAY nor WAYLAND_DISPLAY leads to one)"
+        where = "" if sys.platform == "darwin" else " (DISPLAY and WAYLAND_DISPLAY name none)"
         raise ConfigError(
             f"there is no screen to open a window on{where}. Make a video instead: shes render RUN --out walk.mp4, "
             'or render_mode="rgb_array".'

@@ -1,28 +1,27 @@
-"""Gymnasium's registry: every environment of ours, single and vector, under `shes/`.
+"""Registers every environment in Gymnasium, under `shes/`, as a single and as a vector environment.
 
-Entry points are strings, and so are the names below: `import shes` registers them without importing MuJoCo.
+Entry points are strings: `import shes` registers the environments without importing MuJoCo.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
+from shes.envs.builtin import BUILTIN_ENVIRONMENTS
 from shes.errors import UnknownNameError
 
 __all__ = ["MAX_EPISODE_STEPS", "SPECS_OF", "find_id", "gymnasium_id", "register_ids", "register_known"]
 
 MAX_EPISODE_STEPS = 500
-"""Control steps after which Gymnasium truncates an episode (Table I)."""
-SPECS_OF: dict[str, Collection[str]] = {
-    f"{body}-{task}": ("shes", "hiro")
-    for body in ("ant", "point")
-    for task in ("gather", "maze", "push", "fall", "flagrun")
-}
-"""Environments and their specifications: those of `shes.envs.registry`, and what is registered later."""
+"""Control steps after which Gymnasium truncates an episode (SHES paper, Table I)."""
+SPECS_OF: dict[str, Collection[str]] = {name: each.specs for name, each in BUILTIN_ENVIRONMENTS.items()}
+"""The specifications of every environment by name; `register_ids` adds to it."""
 
 
 def gymnasium_id(name: str, spec: str = "shes") -> str:
-    """Return the Gymnasium id of `name`: of `ant-gather`, `shes/AntGather-v0`, or `shes/AntGatherHiro-v0` for hiro.
+    """Return the Gymnasium id of environment `name`.
+
+    The id of `ant-gather` is `shes/AntGather-v0`, or `shes/AntGatherHiro-v0` with specification `hiro`.
 
     Raises:
         UnknownNameError: `name` is not registered.
@@ -34,7 +33,7 @@ def gymnasium_id(name: str, spec: str = "shes") -> str:
 
 
 def find_id(name: str) -> str | None:
-    """Return the id in Gymnasium that `name` spells in any case, with or without its version; None if there is none."""
+    """Return the Gymnasium id that equals `name` up to case and a missing version, or None if there is none."""
     import gymnasium
 
     ids: dict[str, str] = {}
@@ -44,8 +43,8 @@ def find_id(name: str) -> str | None:
 
 
 def register_ids(name: str, specs: Collection[str]) -> None:
-    """Register environment `name` in each of its `specs` that Gymnasium does not know yet."""
-    import gymnasium  # worker processes do without
+    """Register environment `name` in Gymnasium with each of `specs`; existing ids are left unchanged."""
+    import gymnasium  # not at the top: worker processes do not need it
 
     SPECS_OF[name] = specs
     for spec in specs:

@@ -1,4 +1,4 @@
-"""Things to be drawn that are not part of the physics: food, poison, targets, goals, trails."""
+"""Markers: shapes that are drawn but are not part of the physics, such as food, targets, goals and trails."""
 
 from __future__ import annotations
 
@@ -28,32 +28,32 @@ class Marker:
     shape: str
     """`ball`, `disc` or `line`."""
     position: tuple[float, float, float]
-    """Centre, or the beginning of a line."""
+    """Centre, or the start of a line."""
     radius: float
-    """Radius, or half the width of a line."""
+    """Radius, or half width of a line."""
     color: Rgba
-    """Red, green, blue, opacity, from 0 to 1."""
+    """Red, green, blue and opacity, from 0 to 1."""
     end: tuple[float, float, float] | None = None
-    """The other end of a line."""
+    """End of a line."""
     height: float = 0.02
-    """Half the height of a disc."""
+    """Half height of a disc."""
 
 
-def ball(place: Sequence[float] | F64Array, radius: float, color: Rgba) -> Marker:
-    """Return a ball at `place` (x, y, z)."""
-    return Marker(shape="ball", position=_point(place), radius=radius, color=color)
+def ball(position: Sequence[float] | F64Array, radius: float, color: Rgba) -> Marker:
+    """Return a ball with its centre at `position` (x, y, z)."""
+    return Marker(shape="ball", position=_point(position), radius=radius, color=color)
 
 
-def disc(place: Sequence[float] | F64Array, radius: float, color: Rgba, height: float = 0.02) -> Marker:
-    """Return an upright disc, or a column, with its centre at `place` (x, y, z)."""
-    return Marker(shape="disc", position=_point(place), radius=radius, color=color, height=height)
+def disc(position: Sequence[float] | F64Array, radius: float, color: Rgba, height: float = 0.02) -> Marker:
+    """Return an upright disc or column with its centre at `position` (x, y, z)."""
+    return Marker(shape="disc", position=_point(position), radius=radius, color=color, height=height)
 
 
 def line(start: Sequence[float] | F64Array, end: Sequence[float] | F64Array, radius: float, color: Rgba) -> Marker:
-    """Return a line between two places (x, y, z)."""
+    """Return a line between two points (x, y, z)."""
     return Marker(shape="line", position=_point(start), end=_point(end), radius=radius, color=color)
 
 
-def _point(place: Sequence[float] | F64Array) -> tuple[float, float, float]:
-    x, y, z = np.asarray(place, dtype=np.float64)
+def _point(position: Sequence[float] | F64Array) -> tuple[float, float, float]:
+    x, y, z = np.asarray(position, dtype=np.float64)
     return float(x), float(y), float(z)

@@ -1,4 +1,4 @@
-"""What an observation is made of, element by element: spaces and documentation are made from it."""
+"""Observation specs: name, meaning, unit and range of every observed value. Spaces and documentation use them."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ class ObservationElement:
     """One value of an observation."""
 
     name: str
-    """Short name, unique in its observation: `torso_z`."""
+    """Short name, unique in the observation, e.g. `torso_z`."""
     meaning: str
-    """What it is, in a few words."""
+    """Meaning, in a few words."""
     unit: str = "1"
-    """Unit after scaling; `1` for a number without one."""
+    """Unit after scaling; `1` for a dimensionless number."""
     low: float = -np.inf
-    """Least value."""
+    """Lower bound."""
     high: float = np.inf
-    """Greatest value."""
+    """Upper bound."""
 
 
 def elements(
     names: Sequence[str], meaning: str, unit: str = "1", low: float = -np.inf, high: float = np.inf
 ) -> tuple[ObservationElement, ...]:
-    """Return one element for each of `names`; `{}` in `meaning` stands for the name with spaces."""
+    """Return one element for each of `names`; `{}` in `meaning` is replaced by the name, with spaces."""
     return tuple(
         ObservationElement(name=name, meaning=meaning.format(name.replace("_", " ")), unit=unit, low=low, high=high)
         for name in names
@@ -39,5 +39,5 @@ def elements(
 
 
 def bounds(spec: Sequence[ObservationElement]) -> tuple[F64Array, F64Array]:
-    """Return the least and the greatest values of an observation [O]."""
+    """Return the lower and upper bounds of an observation, each [O]."""
     return np.array([each.low for each in spec]), np.array([each.high for each in spec])

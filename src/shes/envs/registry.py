@@ -1,27 +1,19 @@
-"""The environments by name: a body and a task each. Adding one is one line here, or `register_environment`.
-
-Environments of others, made by Gymnasium, have names too: `register_external`, or `gymnasium:` and an id.
-"""
+"""The environments by name: the built-in ones, those that users register, and those that Gymnasium makes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.body import Body
-from shes.envs.bodies.point import FallingPoint, Point
+from shes.envs.builtin import BUILTIN_ENVIRONMENTS
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.envs.gymnasium_ids import SPECS_OF, find_id, gymnasium_id, register_ids
-from shes.envs.tasks.fall import Fall
-from shes.envs.tasks.flagrun import Flagrun
-from shes.envs.tasks.gather import Gather
-from shes.envs.tasks.maze import Maze
 from shes.envs.tasks.options import TaskOptions
-from shes.envs.tasks.push import Push
 from shes.envs.tasks.task import SimulatorFactory, Task
 from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError, UnknownNameError
@@ -45,17 +37,17 @@ __all__ = [
     "register_external",
 ]
 
+GYMNASIUM = "gymnasium:"
+"""Prefix of an environment name that is followed by a Gymnasium id."""
 _HOW_TO_REGISTER = (
     "`shes envs` lists them; gymnasium:ID is one of Gymnasium. Register your own first: shes.register_environment, "
     "shes.register_external, or --import MODULE."
 )
-GYMNASIUM = "gymnasium:"
-"""What stands before an id of Gymnasium where the name of an environment may stand."""
 _SCORES = ("return", "success")
 
 
 class EnvironmentMaker(Protocol):
-    """What makes episodes of an environment, ours or another's. Worker processes are sent this, not a name."""
+    """Makes episodes of one environment. Worker processes receive this object, because they cannot look up its name."""
 
     @property
     def options(self) -> type[TaskOptions]:
@@ -64,35 +56,38 @@ class EnvironmentMaker(Protocol):
 
     @property
     def sets_goals(self) -> bool:
-        """Whether it tells the robot where to go, so that a primitive learns in it without a controller."""
+        """Whether the environment sets the goals, so that a primitive can be trained without a controller."""
         ...
 
     @property
     def has_own_physics(self) -> bool:
-        """Whether its physics is no simulator of ours: it runs on the CPU alone, and its episodes have no branches."""
+        """Whether the environment brings its own physics: it runs on the CPU only, and episodes cannot be branched."""
         ...
 
     @property
     def max_episode_steps(self) -> int | None:
-        """Time limit that it brings, in training and evaluation; None if the preset says."""
+        """Time limit of the environment in control steps, or None if the preset sets it."""
         ...
 
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> EpisodeBatch:
-        """Return `num_episodes` episodes, whose physics is computed by what `simulator` makes.
+        """Return `num_episodes` episodes, simulated by what `simulator` makes.
 
         Raises:
-            ConfigError: It brings its own physics, and `simulator` is not that of the CPU.
+            ConfigError: The environment brings its own physics, and `simulator` is not that of the CPU.
         """
         ...
 
 
 class Environment(NamedTuple):
-    """What a name stands for. Worker processes are sent this, not the name: they know no class of a user's script."""
+    """A body and a task."""
 
     body: type[Body]
     task: type[Task]
+
+    has_own_physics = False
+    max_episode_steps = None
 
     @property
     def options(self) -> type[TaskOptions]:
@@ -100,23 +95,13 @@ class Environment(NamedTuple):
         return self.task.Options
 
     @property
-    def has_own_physics(self) -> bool:
-        """Return False: our simulators compute it."""
-        return False
-
-    @property
-    def max_episode_steps(self) -> None:
-        """Return None: the preset says how long its episodes are."""
-        return
-
-    @property
     def sets_goals(self) -> bool:
-        """Whether it tells the robot where to go, so that a primitive learns in it without a controller."""
+        """Whether the task sets the goals, so that a primitive can be trained without a controller."""
         return self.task.sets_goals
 
     def with_body_options(self, options: Settings) -> Environment:
-        """Return this environment with a body that has these options."""
-        return self._replace(body=partial(self.body, options))  # type: ignore[arg-type] - it makes bodies, as a class
+        """Return this environment with a body made from `options`."""
+        return self._replace(body=partial(self.body, options))  # type: ignore[arg-type] - called like the class
 
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
@@ -125,9 +110,8 @@ class Environment(NamedTuple):
         return self.task(self.body(), num_episodes, self.options() if options is None else options, simulator)
 
 
-def _check_environment(kind: str, environment: Environment) -> None:
-    """Refuse a body or a task that is not a complete class."""
-    del kind
+def _check_environment(_kind: str, environment: Environment) -> None:
+    """Check that body and task are complete classes."""
     check_class("body", environment.body, Body)
     check_class("task", environment.task, Task, num_arguments=4)
 
@@ -135,42 +119,35 @@ def _check_environment(kind: str, environment: Environment) -> None:
 ENVIRONMENTS: Registry[Environment] = Registry(
     "environment",
     {
-        "ant-gather": Environment(Ant, Gather),
-        "ant-maze": Environment(Ant, Maze),
-        "ant-push": Environment(Ant, Push),
-        "ant-fall": Environment(Ant, Fall),
-        "ant-flagrun": Environment(Ant, Flagrun),
-        "point-gather": Environment(Point, Gather),
-        "point-maze": Environment(Point, Maze),
-        "point-push": Environment(Point, Push),
-        "point-fall": Environment(FallingPoint, Fall),
-        "point-flagrun": Environment(Point, Flagrun),
+        name: Environment(resolve_name(f"shes.envs.bodies.{each.body}"), resolve_name(f"shes.envs.tasks.{each.task}"))
+        for name, each in BUILTIN_ENVIRONMENTS.items()
     },
     fix=_HOW_TO_REGISTER,
     check=_check_environment,
 )
+"""Every environment that is a body and a task, by name."""
 
 
 def register_environment(name: str, body: type[Body], task: type[Task]) -> None:
-    """Make `task` with `body` known as environment `name`, in this process; Gymnasium gets to know it too.
+    """Register `task` with `body` as environment `name`, here and in Gymnasium, for this process.
 
     ```python
     shes.register_environment("point-beacon", Point, Beacon)
     shes.train("point-beacon")
     ```
 
-    A run's folder keeps the name alone: register again before `resume`, `evaluate` or `load` in another process.
+    A run folder stores the name only: register again before `resume`, `evaluate` or `load` in another process.
 
     Args:
         name: Lower-case words joined by `-`.
         body: The robot: a complete subclass of `Body`.
-        task: What it has to do: a complete subclass of `Task`.
+        task: The task: a complete subclass of `Task`.
 
     Raises:
-        ConfigError: A class is none or not complete, or the name is malformed or stands for other classes.
+        ConfigError: A class is missing or incomplete, or the name is malformed or taken by other classes.
     """
     if name in EXTERNAL_ENVIRONMENTS:
-        raise ConfigError(f"environment {name!r} is one of Gymnasium already. Choose another name.")
+        raise ConfigError(f"environment {name!r} is already an external environment. Choose another name.")
     ENVIRONMENTS.register(name, Environment(body, task))
     register_ids(name, task.specs)
 
@@ -183,35 +160,35 @@ def register_external(
     primitive_view: Sequence[int] | None = None,
     score: str = "return",
 ) -> None:
-    """Make an environment of others known as environment `name`, in this process; Gymnasium makes it, or a function.
+    """Register a Gymnasium environment as environment `name`, for this process.
 
     ```python
     shes.register_external("wide-maze", "AntMaze_Open-v5", score="success")
     shes.train("wide-maze")
     ```
 
-    A run's folder keeps the name alone: register again before `resume`, `evaluate` or `load` in another process. An
-    environment that needs no more than its id needs no registration: it is called `gymnasium:ID`.
+    A run folder stores the name only: register again before `resume`, `evaluate` or `load` in another process. An
+    environment that is fully described by its id needs no registration: use the name `gymnasium:ID`.
 
     Args:
         name: Lower-case words joined by `-`.
-        make: Its id in Gymnasium, whose package you import first (Gymnasium-Robotics is imported by itself); or a
-            function that returns a new environment. For pictures it is called with `render_mode="rgb_array"`.
-        locate: Returns (x, y, heading) of the robot, in metres and radians, from an observation and its `info`. If
-            none, they are read from MuJoCo: from the free joint of the first body, or from its slide joints along x
+        make: A Gymnasium id, whose package must be imported first (Gymnasium-Robotics is imported automatically); or a
+            function that returns a new environment. To draw pictures it is called with `render_mode="rgb_array"`.
+        locate: Returns (x, y, heading) of the robot, in metres and radians, from an observation and its `info`. By
+            default they are read from MuJoCo: from the free joint of the first body, or from its slide joints along x
             and y. S-ES needs no position.
-        primitive_view: Indices in the flat observation that the primitive sees; all but `desired_goal` if none.
-        score: `return`, or `success`: 1 for what `info` reports at the end, under `success` or `is_success`.
+        primitive_view: Indices in the flat observation that the primitive sees; by default all but `desired_goal`.
+        score: `return`, or `success`: 1 if `info` reports `success` or `is_success` at the end of the episode, else 0.
 
     Raises:
         ConfigError: A value is not allowed, or the name is malformed or taken.
-        UnknownNameError: `score` is not known.
+        UnknownNameError: `score` is unknown.
     """
     check_name_form("environment", name)
     if name in ENVIRONMENTS or name in INCLUDED:
         raise ConfigError(f"environment {name!r} comes with SHES. Choose another name.")
     if not callable(make) and not isinstance(make, str):
-        raise ConfigError(f"make must be an id of Gymnasium or a function that returns an environment, got {make!r}.")
+        raise ConfigError(f"make must be a Gymnasium id or a function that returns an environment, got {make!r}.")
     if locate is not None and not callable(locate):
         raise ConfigError(f"locate must be a function of an observation and its info, got {locate!r}.")
     view = None if primitive_view is None else tuple(primitive_view)
@@ -229,11 +206,11 @@ def register_external(
 
 
 def find_environment(name: str) -> EnvironmentMaker:
-    """Return environment `name`: one of our own, of others, or `gymnasium:` and an id, which is not looked up yet.
+    """Return environment `name`: registered, or `gymnasium:` and an id, which is not looked up yet.
 
     Raises:
-        UnknownNameError: There is none.
-        ConfigError: It is an id of Gymnasium; the message says what to write.
+        UnknownNameError: `name` is not registered.
+        ConfigError: `name` is a Gymnasium id; the message says what to write instead.
     """
     if name.startswith(GYMNASIUM):
         return ExternalEnvironment(name=name, source=name.removeprefix(GYMNASIUM))
@@ -246,25 +223,22 @@ def find_environment(name: str) -> EnvironmentMaker:
 
 
 def _refuse_id(name: str) -> None:
-    """Refuse an id of Gymnasium where a name is meant.
-
-    Raises:
-        ConfigError: It is one, in whatever case, with or without its version.
-    """
+    """Raise a ConfigError if `name` is a Gymnasium id, in any case, with or without its version."""
     env_id = find_id(name)
+    if env_id is None:
+        return
     for own, specs in SPECS_OF.items():
         for spec in specs:
             if gymnasium_id(own, spec) == env_id:
                 flags = "" if spec == "shes" else f" --spec {spec}"
-                raise ConfigError(f"{name!r} is an id of Gymnasium. Here it is called {own}{flags}.")
-    if env_id is not None:
-        raise ConfigError(f"{name!r} is an id of Gymnasium. Write {GYMNASIUM}{env_id}.")
+                raise ConfigError(f"{name!r} is a Gymnasium id. Write {own}{flags}.")
+    raise ConfigError(f"{name!r} is a Gymnasium id. Write {GYMNASIUM}{env_id}.")
 
 
 def make_task(
     name: str, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
 ) -> Task:
-    """Return `num_episodes` episodes of environment `name`, one of our own.
+    """Return `num_episodes` episodes of environment `name`, a body and a task.
 
     Raises:
         UnknownNameError: `name` is not in `ENVIRONMENTS`.

@@ -1,4 +1,4 @@
-"""Where the robot of a MuJoCo model is, by the joints of its root: x, y and heading."""
+"""Position and heading of a robot, read from the root joints of its MuJoCo model."""
 
 from __future__ import annotations
 
@@ -8,28 +8,34 @@ from typing import TypeAlias
 import mujoco
 import numpy as np
 
-from shes.envs.quaternions import yaw
 from shes.types import F64Array
 
-__all__ = ["Place", "find_root"]
+__all__ = ["PlanarPose", "find_root", "yaw"]
 
-Place: TypeAlias = tuple[float, float, float]
+PlanarPose: TypeAlias = tuple[float, float, float]
 """x and y in metres, heading in radians."""
 
 
-def find_root(model: mujoco.MjModel) -> Callable[[F64Array], Place] | None:
-    """Return what reads the place of the robot, the body of the first joint, from qpos; None if its joints do not tell.
+def yaw(quaternion: F64Array) -> F64Array:
+    """Return the heading [...], in radians, of the x axis rotated by unit quaternions w, x, y, z [..., 4]."""
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    return np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
 
-    They are a free joint, or slide joints along x and y and, if it turns, a hinge about z.
+
+def find_root(model: mujoco.MjModel) -> Callable[[F64Array], PlanarPose] | None:
+    """Return a function that reads the robot's planar pose from qpos, or None if the joints do not determine it.
+
+    The robot is the body of the first joint. It needs a free joint, or slide joints along x and y; a hinge about z is
+    its heading, which is 0 without one.
     """
     kinds = mujoco.mjtJoint
     if model.njnt and model.jnt_type[0] == kinds.mjJNT_FREE:
         return lambda qpos: (float(qpos[0]), float(qpos[1]), float(yaw(qpos[3:7])))
-    found: dict[tuple[int, tuple[float, ...]], int] = {}  # addresses in qpos
+    addresses: dict[tuple[int, tuple[float, ...]], int] = {}  # (joint type, axis) -> index in qpos
     for joint in np.flatnonzero(model.jnt_bodyid == model.jnt_bodyid[:1]):
-        found[int(model.jnt_type[joint]), tuple(model.jnt_axis[joint].tolist())] = int(model.jnt_qposadr[joint])
-    x, y = (found.get((int(kinds.mjJNT_SLIDE), axis)) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
-    turn = found.get((int(kinds.mjJNT_HINGE), (0.0, 0.0, 1.0)))
+        addresses[int(model.jnt_type[joint]), tuple(model.jnt_axis[joint].tolist())] = int(model.jnt_qposadr[joint])
+    x, y = (addresses.get((int(kinds.mjJNT_SLIDE), axis)) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    turn = addresses.get((int(kinds.mjJNT_HINGE), (0.0, 0.0, 1.0)))
     if x is None or y is None:
         return None
     return lambda qpos: (float(qpos[x]), float(qpos[y]), 0.0 if turn is None else float(qpos[turn]))

@@ -1,23 +1,23 @@
-"""Worlds: a grid of cells becomes static boxes and a movable block in a MuJoCo model.
+"""Builds worlds: a grid of cells becomes static boxes and a movable block in a MuJoCo model.
 
-Source: environment specification, Worlds. `#` wall, `.` free, `r` the robot's cell, which is the origin, `B` movable
-block, `C` chasm. Column j is x = 8 j - x_robot, row i is y = 8 i - y_robot, row 0 first. Where there is a chasm, all
-other cells are platforms 4 m high.
+A cell is `#` wall, `.` free, `r` free and the robot's start (the origin), `B` movable block, or `C` chasm. Column j is
+at x = 8 j - x_robot and row i at y = 8 i - y_robot. In a world with a chasm all other cells are platforms 4 m high.
+
+Source: Nachum et al. 2018 (HIRO); the SHES authors' HrlMuJoCoEnvs.jl; `docs/environments/index.md`, *Worlds*.
 """
 
 from __future__ import annotations
+
+import re
 
 import mujoco
 
 from shes.errors import UnknownNameError
 
 __all__ = [
+    "ARENA",
     "CELL_SIZE_M",
-    "FALL",
-    "GATHER",
     "INTEGRATORS",
-    "MAZE",
-    "PUSH",
     "TIMESTEP_S",
     "WALL_HEIGHT_M",
     "Grid",
@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 Grid = tuple[str, ...]
-"""Rows of cells."""
+"""Rows of cells, row 0 first."""
 
 CELL_SIZE_M = 8.0
 WALL_HEIGHT_M = 4.0
@@ -38,15 +38,13 @@ FLOOR_HALF_SIZE_M = 40.0
 TIMESTEP_S = 0.02
 """Physics step."""
 
-GATHER: Grid = ("#####", "#...#", "#.r.#", "#...#", "#####")
-MAZE: Grid = ("#####", "#r..#", "###.#", "#...#", "#####")
-PUSH: Grid = ("#####", "#.r##", "#.B.#", "##.##", "#####")
-FALL: Grid = ("####", "#r.#", "#.B#", "#CC#", "#..#", "####")
+ARENA: Grid = ("#####", "#...#", "#.r.#", "#...#", "#####")
+"""A square without obstacles, of Gather and Flagrun."""
 
 BLOCK_MASS_KG = 0.0002
 FALLING_BLOCK_MASS_KG = 0.001
 FALLING_BLOCK_SHRINK = 0.99
-"""A block that can fall is this much narrower than its cell, so that it fits between platforms."""
+"""Factor on the width of a block that can fall, so that it fits between the platforms."""
 BLOCK_MARGIN_M = 0.01
 
 _SOLIMP = [0.8, 0.8, 0.01, 0.5, 2.0]
@@ -60,12 +58,15 @@ INTEGRATORS = {
 
 
 def empty_world(name: str, integrator: str, *, has_block: bool = False) -> mujoco.MjSpec:
-    """Return a world with a floor, the contact defaults of the tasks, and the integrator of this name.
+    """Return a world with a floor and the default contact parameters of the tasks.
 
-    A world with a movable block has stiffer contacts throughout.
+    Args:
+        name: Name of the model.
+        integrator: A key of `INTEGRATORS`.
+        has_block: Whether the world has a movable block, which makes all contacts stiffer.
 
     Raises:
-        UnknownNameError: `integrator` is not one of `INTEGRATORS`.
+        UnknownNameError: `integrator` is unknown.
     """
     if integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, INTEGRATORS, "Set --integrator.")
@@ -77,7 +78,7 @@ def empty_world(name: str, integrator: str, *, has_block: bool = False) -> mujoc
     geom = spec.default.geom
     geom.condim = 3
     geom.contype = 1
-    geom.conaffinity = 0  # no self-collision: only floor, walls and blocks take contacts
+    geom.conaffinity = 0  # no self-collision: only floor, walls and blocks have it set
     geom.density = 5.0
     geom.friction = [1.0, 0.5, 0.5]
     geom.margin = 0.01
@@ -101,7 +102,7 @@ def add_grid(spec: mujoco.MjSpec, grid: Grid) -> None:
 
 
 def add_square_walls(spec: mujoco.MjSpec, half_width: float) -> None:
-    """Add walls around the square of this half width, in metres, whose centre is the origin."""
+    """Add walls around the square of `half_width` metres that is centred at the origin."""
     half = CELL_SIZE_M / 2
     middle, outer = half_width + half, half_width + CELL_SIZE_M
     boxes = [
@@ -114,16 +115,17 @@ def add_square_walls(spec: mujoco.MjSpec, half_width: float) -> None:
 
 
 def is_free(grid: Grid, x: float, y: float) -> bool:
-    """Tell whether the cell at (x, y), in metres, is in the grid and no wall."""
+    """Return whether the point (x, y), in metres, lies in the grid and not in a wall."""
     row, column = _robot_cell(grid)
     i, j = round(y / CELL_SIZE_M) + row, round(x / CELL_SIZE_M) + column
     return 0 <= i < len(grid) and 0 <= j < len(grid[i]) and grid[i][j] != "#"
 
 
 def merged_boxes(grid: Grid, signs: str) -> list[tuple[float, float, float, float]]:
-    """Return the cells of `grid` with one of `signs` as boxes (x, y, half width, half depth) in metres.
+    """Return the cells of `grid` that are one of `signs` as boxes (x, y, half width, half depth) in metres.
 
-    Neighbouring cells are merged, first along rows, then equal runs along columns: same contacts, less work.
+    Adjacent cells are merged, first along rows, then equal runs along columns: the contacts are the same, and the
+    simulation is faster.
     """
     open_runs: dict[tuple[int, int], int] = {}  # (first column, last column) -> first row
     boxes: list[tuple[float, float, float, float]] = []
@@ -145,15 +147,7 @@ def merged_boxes(grid: Grid, signs: str) -> list[tuple[float, float, float, floa
 
 def _runs(row: str, signs: str) -> list[tuple[int, int]]:
     """Return the first and last column of every run of `signs` in `row`."""
-    runs: list[tuple[int, int]] = []
-    for j, cell in enumerate(row):
-        if cell not in signs:
-            continue
-        if runs and runs[-1][1] == j - 1:
-            runs[-1] = (runs[-1][0], j)
-        else:
-            runs.append((j, j))
-    return runs
+    return [(run.start(), run.end() - 1) for run in re.finditer(f"[{re.escape(signs)}]+", row)]
 
 
 def _has(grid: Grid, sign: str) -> bool:
@@ -161,7 +155,7 @@ def _has(grid: Grid, sign: str) -> bool:
 
 
 def _robot_cell(grid: Grid) -> tuple[int, int]:
-    """Return row and column of the robot's cell."""
+    """Return row and column of the robot's start."""
     row = next(i for i, cells in enumerate(grid) if "r" in cells)
     return row, grid[row].index("r")
 
@@ -173,7 +167,7 @@ def _center(grid: Grid, i: int, j: int) -> tuple[float, float]:
 
 
 def _add_boxes(spec: mujoco.MjSpec, name: str, boxes: list[tuple[float, float, float, float]], ground: float) -> None:
-    """Add static boxes (x, y, half width, half depth) that stand at height `ground`."""
+    """Add static boxes (x, y, half width, half depth) on ground of height `ground`."""
     for number, (x, y, half_width, half_depth) in enumerate(boxes):
         spec.worldbody.add_geom(
             name=f"{name}_{number}",
@@ -185,10 +179,10 @@ def _add_boxes(spec: mujoco.MjSpec, name: str, boxes: list[tuple[float, float, f
 
 
 def _add_block(spec: mujoco.MjSpec, center: tuple[float, float], ground: float, *, can_fall: bool) -> None:
-    """Add a block that fills a cell: it slides along x and y, or, if it can fall, along y and down.
+    """Add a block that fills a cell and slides along x and y or, if it can fall, along y and z.
 
-    Deviation: the limit along y of a block that can fall is as stiff as the contacts. With MuJoCo's soft default a
-    block that was pushed hard rides over the far platform (measured: 0.6 m and more) and opens a gap behind it.
+    Deviation: the limit along y of a block that can fall is as stiff as the contacts. With MuJoCo's soft default, a
+    block that is pushed hard slides onto the far platform (measured: by 0.6 m and more) and opens a gap behind it.
     """
     body = spec.worldbody.add_body(name="block", pos=[*center, ground + WALL_HEIGHT_M / 2])
     half = CELL_SIZE_M / 2 * (FALLING_BLOCK_SHRINK if can_fall else 1.0)

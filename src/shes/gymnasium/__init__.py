@@ -1,1 +1,1 @@
-"""The environments as Gymnasium sees them: single and vector."""
+"""The environments as single and vector Gymnasium environments."""

@@ -1,4 +1,4 @@
-"""What the single and the vector Gymnasium environment share: spaces, actions, info and pictures of a task."""
+"""The common part of the single and the vector Gymnasium environment: spaces, actions, info and pictures of a task."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PICTURE_DEFAULTS: dict[str, Any] = {"width": 480, "height": 480, "camera": "fol
 
 
 class TaskAdapter:
-    """A task of N episodes in Gymnasium's terms."""
+    """A task of N episodes with Gymnasium's spaces, actions, infos and pictures."""
 
     def __init__(
         self,
@@ -39,10 +39,10 @@ class TaskAdapter:
         options: Mapping[str, Any],
         num_threads: int = 1,
     ) -> None:
-        """Make `num_envs` episodes of environment `name`, whose physics `num_threads` threads share.
+        """Make `num_envs` episodes of environment `name`, simulated by `num_threads` threads.
 
         Raises:
-            UnknownNameError: `name`, `render_mode` or another name is not known.
+            UnknownNameError: `name`, `render_mode` or another name is unknown.
             ConfigError: An option is unknown or out of range.
         """
         if not is_whole(num_envs) or num_envs < 1:
@@ -65,26 +65,26 @@ class TaskAdapter:
 
     @staticmethod
     def draw_seed(rng: np.random.Generator) -> int:
-        """Return the seed of the next episode of an environment whose generator is `rng`."""
+        """Return a seed for the next episode of an environment with generator `rng`."""
         return int(rng.integers(0, 2**63))
 
     @property
     def ended(self) -> BoolArray:
-        """Whether each episode has ended by itself [N]; a simulation that diverged has."""
+        """Whether each episode has terminated [N]; a divergence terminates it."""
         return self.task.terminated | self.task.diverged
 
     def reset(self, ids: IntArray, seeds: Sequence[int]) -> None:
-        """Begin episodes `ids` anew."""
+        """Start new episodes in rows `ids`."""
         self.task.reset(ids, seeds)
         self._is_new_episode = True
         self._show()
 
     def step(self, ids: IntArray, actions: ArrayLike) -> None:
-        """Move episodes `ids` by one control step with `actions` [N, A], cut to [-1, 1].
+        """Advance episodes `ids` by one control step with `actions` [N, A], clipped to [-1, 1].
 
         Raises:
             ShapeError: `actions` has another shape.
-            PolicyError: They are no numbers, or one of `ids` holds NaN or infinity.
+            PolicyError: `actions` are not numbers, or those of `ids` contain NaN or infinity.
         """
         asked = _as_numbers(actions)
         expected = (self.task.num_episodes, self.task.action_size)
@@ -95,16 +95,16 @@ class TaskAdapter:
                 f"got {asked.shape if expected[0] > 1 else asked.shape[1:]}."
             )
         if not np.isfinite(asked[ids]).all():
-            raise PolicyError("the action holds NaN or infinity; actions lie in [-1, 1]. Look at the policy's output.")
+            raise PolicyError("the action contains NaN or infinity; actions lie in [-1, 1]. Check the policy's output.")
         self.task.step(ids, np.clip(asked, -1.0, 1.0) * self.task.control_limit)
         self._show()
 
     def observation(self) -> F64Array:
-        """Return a copy of what is observed [N, O]."""
+        """Return a copy of the observations [N, O]."""
         return self.task.observe().copy()
 
     def info(self) -> dict[str, Any]:
-        """Return what `info` carries, as arrays [N] or [N, 2]."""
+        """Return the entries of `info`, as arrays [N] or [N, 2]."""
         task = self.task
         return {
             "success": task.success.copy(),
@@ -117,35 +117,31 @@ class TaskAdapter:
         }
 
     def info_of(self, episode: int) -> dict[str, Any]:
-        """Return what `info` carries of one episode."""
+        """Return the `info` of one episode."""
         of_one = {name: values[episode] for name, values in self.info().items()}
         return {name: value if isinstance(value, np.ndarray) else value.item() for name, value in of_one.items()}
 
-    def picture(self, episode: int) -> Picture:
-        """Return a picture [H, W, 3] of episode `episode`."""
-        task = self.task
-        if self._drawer is None:
-            self._drawer = make_drawer(task, self._picture["width"], self._picture["height"])
-        return self._drawer.draw(task.pose(episode), task.markers(episode), self._picture["camera"])
-
     def render(self, episode: int) -> Picture | None:
-        """Return a picture of episode `episode` in mode `rgb_array`; in mode `human` the window shows it.
+        """Return a picture [H, W, 3] of episode `episode` in mode `rgb_array`; None in mode `human`.
 
         Raises:
             ConfigError: No render mode was chosen.
         """
         if self._render_mode is None:
-            raise ConfigError('there is no render_mode: make the environment with render_mode="rgb_array" or "human".')
-        return self.picture(episode) if self._render_mode == "rgb_array" else None
+            raise ConfigError('render_mode is not set: make the environment with render_mode="rgb_array" or "human".')
+        if self._render_mode == "human":
+            return None
+        if self._drawer is None:
+            self._drawer = make_drawer(self.task, self._picture["width"], self._picture["height"])
+        return self._drawer.draw(self.task.pose(episode), self.task.markers(episode), self._picture["camera"])
 
     def _show(self) -> None:
-        """Show the first episode in the window, if there is to be one."""
+        """Show the first episode in the window, in mode `human`."""
         if self._render_mode != "human":
             return
-        task = self.task
         if self._window is None:
-            self._window = open_window(task)
-        self._window.show(task.pose(0), task.markers(0), is_new_episode=self._is_new_episode)
+            self._window = open_window(self.task)
+        self._window.show(self.task.pose(0), self.task.markers(0), is_new_episode=self._is_new_episode)
         self._is_new_episode = False
 
     def close(self) -> None:
@@ -157,11 +153,7 @@ class TaskAdapter:
 
 
 def _as_numbers(actions: ArrayLike) -> F64Array:
-    """Return `actions` as an array of float64.
-
-    Raises:
-        PolicyError: They are no numbers, or lists of several lengths.
-    """
+    """Return `actions` as float64; raise a PolicyError if they are not numbers, or lists of different lengths."""
     try:
         given = np.asarray(actions)
     except ValueError:
@@ -174,12 +166,7 @@ def _as_numbers(actions: ArrayLike) -> F64Array:
 def _split_options(
     environment: Environment, options: Mapping[str, Any]
 ) -> tuple[TaskOptions, Settings | None, dict[str, Any]]:
-    """Return the options of the task, of its body, and those of its pictures.
-
-    Raises:
-        ConfigError: An option is unknown or out of range.
-        UnknownNameError: A name is not known.
-    """
+    """Return the options of the task, those of the body, if it has any, and those of pictures; check them."""
     task, body = environment.options, environment.body.Options
     names = {*setting_fields(task), *setting_fields(body), *_PICTURE_DEFAULTS}
     for name in options:

@@ -1,4 +1,4 @@
-"""The single Gymnasium environment: a task with one episode. `vector_env.py` is the same with N."""
+"""The single Gymnasium environment: a task with one episode. `vector_env.py` has N."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.drawing.renderer import Picture
+from shes.drawing.drawer import Picture
 from shes.gymnasium.adapter import TaskAdapter
 from shes.types import F64Array
 
@@ -27,11 +27,11 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
         Args:
             name: Name in the registry, e.g. `ant-gather`.
             render_mode: `rgb_array`, `human` or None.
-            options: Options of the task and its body, as in `MazeOptions`; `width`, `height` and `camera` (`follow` or
-                `top`) of the pictures.
+            options: Options of the task, such as those of `MazeOptions`, and of its body; `width`, `height` and
+                `camera` (`follow` or `top`) of pictures.
 
         Raises:
-            UnknownNameError: `name`, `render_mode` or another name is not known.
+            UnknownNameError: `name`, `render_mode` or another name is unknown.
             ConfigError: An option is unknown or out of range.
         """
         self._adapter = TaskAdapter(name, 1, render_mode, self.metadata["render_modes"], options)
@@ -42,18 +42,18 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[F64Array, dict[str, Any]]:
-        """Begin an episode, which depends on `seed` alone; without one, on the seeds before. `options` is not used."""
+        """Start an episode. It depends on `seed` only; None continues with the previous seeds. `options` is ignored."""
         super().reset(seed=seed)
         episode_seed = self._adapter.draw_seed(self.np_random) if seed is None else seed
         self._adapter.reset(np.array([0]), [episode_seed])
         return self._adapter.observation()[0], self._adapter.info_of(0)
 
     def step(self, action: NDArray[Any]) -> tuple[F64Array, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Move for 0.1 s. A diverged simulation ends its episode (`terminated`); the time limit is Gymnasium's wrapper.
+        """Advance by 0.1 s. A divergence terminates the episode; Gymnasium's wrapper applies the time limit.
 
         Raises:
-            ShapeError: `action` has another shape than [A].
-            PolicyError: `action` holds NaN or infinity, or no numbers.
+            ShapeError: The shape of `action` is not [A].
+            PolicyError: `action` contains NaN or infinity, or is not numeric.
         """
         adapter = self._adapter
         adapter.step(np.array([0]), [action])
@@ -61,7 +61,7 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
         return adapter.observation()[0], reward, bool(adapter.ended[0]), False, adapter.info_of(0)
 
     def render(self) -> Picture | None:  # type: ignore[override] - never a list of pictures
-        """Return a picture [H, W, 3]; None in mode `human`, where the window shows every step by itself."""
+        """Return a picture [H, W, 3]; None in mode `human`, in which every step and reset updates the window."""
         return self._adapter.render(0)
 
     def close(self) -> None:

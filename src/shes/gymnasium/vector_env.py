@@ -1,7 +1,7 @@
 """The vector Gymnasium environment: a task with N episodes, stepped at once.
 
-Source: Gymnasium's `VectorEnv` with its three autoreset modes; what it returns equals `SyncVectorEnv` over N single
-environments, to the bit.
+It implements the three autoreset modes of Gymnasium's `VectorEnv`. Its results are bit-identical to those of
+`SyncVectorEnv` over N single environments.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from shes.cores import num_cores
-from shes.drawing.renderer import Picture
+from shes.drawing.drawer import Picture
 from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError
 from shes.gymnasium.adapter import TaskAdapter
@@ -26,22 +26,6 @@ from shes.types import BoolArray, F64Array, IntArray
 __all__ = ["TaskVectorEnv"]
 
 _RENDER_MODES = ["rgb_array"]
-Steps = tuple[F64Array, F64Array, BoolArray, BoolArray, dict[str, Any]]
-
-
-def _step_limit(max_episode_steps: int | None) -> float:
-    """Return the steps after which an episode is truncated; None and -1 are never, as in `gymnasium.make`.
-
-    Raises:
-        ConfigError: It is something else than a whole number of at least 1.
-    """
-    if max_episode_steps is None or max_episode_steps == -1:
-        return np.inf
-    if not is_whole(max_episode_steps) or max_episode_steps < 1:
-        raise ConfigError(
-            f"max_episode_steps must be a whole number of at least 1, or -1 for no limit; got {max_episode_steps!r}."
-        )
-    return int(max_episode_steps)
 
 
 class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
@@ -57,20 +41,20 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         num_threads: int = 0,
         **options: Any,
     ) -> None:
-        """Make `num_envs` environments `name` of the registry.
+        """Make `num_envs` copies of environment `name` of the registry.
 
         Args:
             name: Name in the registry, e.g. `ant-gather`.
             num_envs: Number of environments, N.
-            max_episode_steps: Control steps after which an episode is truncated; never if None or -1.
+            max_episode_steps: Control steps after which an episode is truncated; None or -1 is no limit.
             render_mode: `rgb_array` or None.
-            autoreset_mode: When an episode that has ended begins anew: `NextStep`, `SameStep` or `Disabled`.
-            num_threads: Threads that share the physics; 0 is one for every core. Never changes a number.
-            options: Options of the task and its body, as in `MazeOptions`; `width`, `height` and `camera` (`follow` or
-                `top`) of the pictures.
+            autoreset_mode: When an episode that has ended is reset: `NextStep`, `SameStep` or `Disabled`.
+            num_threads: Threads of the simulation; 0 is one for each core. Results do not depend on it.
+            options: Options of the task, such as those of `MazeOptions`, and of its body; `width`, `height` and
+                `camera` (`follow` or `top`) of pictures.
 
         Raises:
-            UnknownNameError: `name`, `render_mode` or another name is not known.
+            UnknownNameError: `name`, `render_mode` or another name is unknown.
             ConfigError: An option is unknown or out of range.
         """
         if not is_whole(num_threads) or num_threads < 0:
@@ -82,11 +66,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         except ValueError as error:
             allowed = ", ".join(mode.value for mode in AutoresetMode)
             raise ConfigError(f"autoreset_mode must be one of {allowed}; got {autoreset_mode!r}.") from error
-        self.metadata = {
-            "render_modes": _RENDER_MODES,
-            "render_fps": 10,
-            "autoreset_mode": self.autoreset_mode,
-        }
+        self.metadata = {"render_modes": _RENDER_MODES, "render_fps": 10, "autoreset_mode": self.autoreset_mode}
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.single_observation_space = self._adapter.observation_space
@@ -101,23 +81,23 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[F64Array, dict[str, Any]]:
-        """Begin episodes: all of them, or those of `options["reset_mask"]` [N].
+        """Start new episodes in all environments, or in those of `options["reset_mask"]` [N].
 
         Args:
-            seed: Environment i takes `seed + i`, or `seed[i]`; without one it goes on with the seeds before.
+            seed: Environment i takes `seed + i` or `seed[i]`; None continues with the previous seeds.
             options: `reset_mask`, a Boolean array [N] with at least one True.
 
         Raises:
-            ConfigError: There are not N seeds, one of them is none, or the mask is none.
+            ConfigError: `seed` is not a whole number or N of them, or the mask is malformed.
         """
         ids = np.flatnonzero(self._mask(options))
-        self._begin(ids, self._seeds(seed))
+        self._start(ids, self._seeds(seed))
         self._has_ended[ids] = False
         self._is_ready[ids] = True
         return self._adapter.observation(), self._info(ids)
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """Return the seed of each environment [N]; None where it goes on with those before."""
+        """Return the seed of each environment [N]; None continues with the previous seeds."""
         if seed is None:
             return [None] * self.num_envs
         if is_whole(seed):
@@ -132,8 +112,8 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         return seeds
 
     def _mask(self, options: dict[str, Any] | None) -> BoolArray:
-        """Return which environments a reset is for."""
-        mask = np.ones(self.num_envs, np.bool_) if options is None else options.get("reset_mask")
+        """Return which environments to reset [N]."""
+        mask = None if options is None else options.get("reset_mask")
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
@@ -142,34 +122,30 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             raise ConfigError("reset_mask must have at least one True.")
         return mask
 
-    def _begin(self, ids: IntArray, seeds: Sequence[int | None]) -> None:
-        """Begin episodes `ids`, each by its seed [N], or by the generator of its environment."""
+    def _start(self, ids: IntArray, seeds: Sequence[int | None]) -> None:
+        """Start episodes `ids`, each from its seed [N] or, if that is None, from its environment's generator."""
         chosen: list[int] = []
         for i in ids.tolist():
-            seed = seeds[i]
-            if seed is not None or self._rngs[i] is None:
-                self._rngs[i] = np_random(None if seed is None else int(seed))[0]
-            rng = self._rngs[i]
-            assert rng is not None
+            seed, rng = seeds[i], self._rngs[i]
+            if seed is not None or rng is None:
+                rng = self._rngs[i] = np_random(None if seed is None else int(seed))[0]
             chosen.append(self._adapter.draw_seed(rng) if seed is None else int(seed))
         self._adapter.reset(ids, chosen)
 
-    def step(self, actions: NDArray[Any]) -> Steps:
-        """Move for 0.1 s; episodes that ended begin anew as `autoreset_mode` says.
+    def step(self, actions: NDArray[Any]) -> tuple[F64Array, F64Array, BoolArray, BoolArray, dict[str, Any]]:
+        """Advance by 0.1 s; episodes that have ended are reset according to `autoreset_mode`.
 
         Raises:
-            ShapeError: `actions` has another shape than [N, A].
-            PolicyError: `actions` holds NaN or infinity, or no numbers.
-            ResetNeeded: An episode has not begun, or has ended in mode `Disabled`.
+            ShapeError: The shape of `actions` is not [N, A].
+            PolicyError: `actions` contains NaN or infinity, or is not numeric.
+            ResetNeeded: An episode has not been started, or has ended in mode `Disabled`.
         """
         mode = self.autoreset_mode
         if not self._is_ready.all() or (mode == AutoresetMode.DISABLED and self._has_ended.any()):
-            raise ResetNeeded("an episode has not begun, or has ended: call reset() before step().")
-        late = np.flatnonzero(self._has_ended)  # in mode NextStep
-        moving = np.flatnonzero(~self._has_ended)
-        self._adapter.step(moving, actions)
-        if len(late):
-            self._begin(late, [None] * self.num_envs)
+            raise ResetNeeded("an episode has not been started, or has ended: call reset() before step().")
+        self._adapter.step(np.flatnonzero(~self._has_ended), actions)
+        if self._has_ended.any():  # in mode NextStep
+            self._start(np.flatnonzero(self._has_ended), [None] * self.num_envs)
         reward = self._adapter.task.reward.copy()
         terminated = self._adapter.ended
         truncated: BoolArray = self._adapter.task.time >= self._max_steps
@@ -181,10 +157,10 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         return self._adapter.observation(), reward, terminated, truncated, info
 
     def _restart(self) -> dict[str, Any]:
-        """Begin the episodes that have ended at once; return their last observations and infos."""
+        """Reset the episodes that have ended; return their final observations and infos."""
         ids = np.flatnonzero(self._has_ended)
         observation = self._adapter.observation()
-        final_obs = np.full(self.num_envs, None, dtype=object)  # as Gymnasium has it: None where nothing has ended
+        final_obs = np.full(self.num_envs, None, dtype=object)  # None where an episode has not ended, as in Gymnasium
         for i in ids:
             final_obs[i] = observation[i]
         final = {
@@ -193,12 +169,12 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             "final_info": self._info(ids),
             "_final_info": self._has_ended.copy(),
         }
-        self._begin(ids, [None] * self.num_envs)
-        self._has_ended = np.zeros(self.num_envs, dtype=np.bool_)
+        self._start(ids, [None] * self.num_envs)
+        self._has_ended[:] = False
         return final
 
     def _info(self, ids: IntArray) -> dict[str, Any]:
-        """Return the infos of `ids` as Gymnasium's vector environments do: arrays, and masks of who has a value."""
+        """Return the infos of `ids` in Gymnasium's vector format: an array and a mask for each entry."""
         mask = np.zeros(self.num_envs, dtype=np.bool_)
         mask[ids] = True
         found: dict[str, Any] = {}
@@ -209,10 +185,20 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
 
     def render(self) -> tuple[Picture, ...] | None:  # type: ignore[override] - Gymnasium's type is wider
         """Return a picture [H, W, 3] of each environment."""
-        if self.render_mode is None:
-            self._adapter.render(0)  # refuses
-        return tuple(self._adapter.picture(i) for i in range(self.num_envs))
+        pictures = (self._adapter.render(i) for i in range(self.num_envs))
+        return tuple(pictures)  # type: ignore[return-value] - None is only for mode `human`, which it lacks
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the renderer."""
         self._adapter.close()
+
+
+def _step_limit(max_episode_steps: int | None) -> float:
+    """Return the steps after which an episode is truncated: infinity for None and -1."""
+    if max_episode_steps is None or max_episode_steps == -1:
+        return np.inf
+    if not is_whole(max_episode_steps) or max_episode_steps < 1:
+        raise ConfigError(
+            f"max_episode_steps must be a whole number of at least 1, or -1 for no limit; got {max_episode_steps!r}."
+        )
+    return int(max_episode_steps)

@@ -1,1 +1,1 @@
-"""Simulators: N copies of one MuJoCo model, on the CPU."""
+"""Simulators: N copies of one MuJoCo model, on the CPU or on a device of Warp."""

@@ -1,4 +1,4 @@
-"""MuJoCo on the CPU: N simulations by `mujoco.batch`, equal to the bit to a loop over `mj_step`."""
+"""MuJoCo on the CPU: N simulations by `mujoco.batch`, bit-identical to a loop over `mj_step`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shes.types import F64Array, IntArray
 __all__ = ["CpuSimulator", "count_divergences", "forget_divergences", "log_physics_warnings"]
 
 logger = logging.getLogger("shes.mujoco")
-logger.addHandler(logging.NullHandler())  # else Python prints to stderr where a program configured no logging
+logger.addHandler(logging.NullHandler())  # without it Python prints to stderr if logging is not configured
 
 _DIVERGENCE = [
     int(warning)
@@ -28,29 +28,29 @@ _DIVERGENCE = [
 
 
 def log_physics_warnings() -> None:
-    """Send MuJoCo's warnings to the logger `shes.mujoco`, not to stderr and a file in the working directory.
+    """Send MuJoCo's warnings to the logger `shes.mujoco`, instead of stderr and a file in the working directory.
 
-    An installed handler is left alone: it is the caller's.
+    A handler that is already installed is kept.
     """
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(logger.warning)
 
 
 def count_divergences(data: mujoco.MjData) -> int:
-    """Return how often a simulation that somebody else steps has blown up, as far as its counters remember."""
+    """Return how often a simulation has diverged since its warning counters were reset."""
     return int(data.warning.number[_DIVERGENCE].sum())
 
 
 def forget_divergences(data: mujoco.MjData) -> None:
-    """Let `count_divergences` begin anew; `mj_resetData` does so by itself."""
+    """Reset the counters that `count_divergences` reads, as `mj_resetData` does."""
     data.warning.number[_DIVERGENCE] = 0
 
 
 class CpuSimulator(Simulator):
-    """N simulations stepped by the calling thread, or by several."""
+    """N simulations, stepped by one or several threads."""
 
     def __init__(self, model: mujoco.MjModel, num_sims: int, num_threads: int = 1) -> None:
-        """Make `num_sims` simulations of `model`, all in its default state; `num_threads` never changes a bit."""
+        """Make `num_sims` simulations of `model` in its default state; results do not depend on `num_threads`."""
         log_physics_warnings()
         self.model = model
         self.num_sims = num_sims
@@ -62,26 +62,26 @@ class CpuSimulator(Simulator):
         self.ctrl = self._batch.bind("ctrl")
         self._default = self._batch.state[0].copy()
         self._warmstart, self._time = self._batch.bind("qacc_warmstart"), self._batch.bind("time")
-        # All that a step depends on beside the controls, which are written before it; no world of ours has more.
+        # The physics state; the controls are written before every step.
         self._parts = (self.qpos, self.qvel, self._warmstart, self._time.reshape(num_sims, 1))
-        # Counters [N, kinds] of the warnings after which MuJoCo resets a simulation by itself, inside the step.
+        # Counters [N, kinds] of the warnings after which MuJoCo resets a simulation within a step.
         first, last = min(_DIVERGENCE), max(_DIVERGENCE)
         self._counters = self._batch.warning[:, first : last + 1, 1]
         assert sorted(_DIVERGENCE) == list(range(first, last + 1)), "MuJoCo renumbered its warnings"
         self.diverged = np.zeros(num_sims, dtype=np.bool_)
 
     def reset(self, ids: IntArray) -> None:
-        """Put simulations `ids` into the model's default state; the solver's warm start is part of it."""
+        """Reset simulations `ids` to the model's default state, the solver's warm start included."""
         self._batch.state[ids] = self._default
-        self._batch.warning[ids] = 0  # MuJoCo counts from 0 again when it resets by itself: every divergence reads 1
+        self._batch.warning[ids] = 0  # a reset within a step clears them first, so a divergence reads 1
         self.diverged[ids] = False
 
     def states(self, ids: IntArray) -> F64Array:
-        """Return copies of the whole states of simulations `ids` [ids, S]."""
+        """Return copies of the physics states of simulations `ids` [ids, S]."""
         return np.concatenate([part[ids] for part in self._parts], axis=1)
 
     def set_states(self, ids: IntArray, states: F64Array) -> None:
-        """Put simulations `ids` into `states` [ids, S]."""
+        """Set the physics states of simulations `ids` to `states` [ids, S]."""
         self.reset(ids)
         start = 0
         for part in self._parts:
@@ -90,7 +90,6 @@ class CpuSimulator(Simulator):
 
     def advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` calls to `mj_step`."""
-        everybody = len(ids) == self.num_sims  # named none, MuJoCo need not check them
-        self._batch.step(None if everybody else ids, nstep=nstep)
+        self._batch.step(None if len(ids) == self.num_sims else ids, nstep=nstep)  # None is all: no ids to check
         if self._counters.any():
             np.any(self._counters, axis=1, out=self.diverged)

@@ -15,16 +15,16 @@ from shes.types import BoolArray, F64Array, IntArray
 __all__ = ["Simulator"]
 
 _NO_STATES = (
-    "{} does not copy whole states, from which branches begin. Define `states` and `set_states` in it, "
+    "{} cannot copy physics states, which branched episodes start from. Define `states` and `set_states` in it, "
     "or set --primitive-estimate episode."
 )
 
 
 class Simulator(ABC):
-    """N simulations of one model. The arrays are live: what is written is the state at the next step."""
+    """N simulations of one model. The arrays are live: a value written to them is the state at the next step."""
 
     starts_together: ClassVar[bool] = False
-    """Whether simulations had best be reset all together: on a device all are computed, whoever runs."""
+    """Whether resetting all simulations at once is faster: a device computes all of them in every step."""
     _physics_s: float = 0.0
     model: mujoco.MjModel
     """The model that every simulation runs."""
@@ -39,40 +39,35 @@ class Simulator(ABC):
     ctrl: F64Array
     """Controls [N, nu]."""
     diverged: BoolArray
-    """Whether a simulation has blown up since its reset [N]. Its state is then MuJoCo's own reset state: finite."""
+    """Whether a simulation has diverged since its reset [N]. MuJoCo has then reset it to a finite state."""
 
     @property
     def physics_s(self) -> float:
-        """Seconds that steps have taken so far; a device is waited for."""
+        """Wall-clock seconds spent in steps so far; waits for a device."""
         return self._physics_s
 
     @abstractmethod
     def reset(self, ids: IntArray) -> None:
-        """Put simulations `ids` into the model's default state, exactly, and forget that they diverged."""
-
-    @property
-    def state_size(self) -> int:
-        """Numbers of a whole state, S."""
-        return self.model.nq + 2 * self.model.nv + 1
+        """Reset simulations `ids` to the model's default state, exactly, and clear `diverged`."""
 
     def states(self, ids: IntArray) -> F64Array:
-        """Return copies of the whole states of simulations `ids` [ids, S], in NumPy's array.
+        """Return copies of the physics states of simulations `ids` [ids, S], as a NumPy array.
 
-        A state is qpos, qvel, the solver's warm start and the time, in every simulator.
-        A whole state is all that the next step depends on, the solver's warm start included: a simulation that is put
-        into it by `set_states`, here or in another simulator of the same kind and model, goes on with the same bits.
+        A state is qpos, qvel, the solver's warm start and the time: everything but the controls that the next step
+        depends on. After `set_states`, here or in another simulator of the same class and model, a simulation
+        continues bit-identically.
 
         Raises:
-            ConfigError: This kind of simulator cannot tell them.
+            ConfigError: This simulator does not implement it.
         """
         del ids
         raise ConfigError(_NO_STATES.format(type(self).__name__))
 
     def set_states(self, ids: IntArray, states: F64Array) -> None:
-        """Put simulations `ids` into `states` [ids, S], and forget that they diverged.
+        """Set the physics states of simulations `ids` to `states` [ids, S], and clear `diverged`.
 
         Raises:
-            ConfigError: This kind of simulator cannot do so.
+            ConfigError: This simulator does not implement it.
         """
         del ids, states
         raise ConfigError(_NO_STATES.format(type(self).__name__))
@@ -85,11 +80,11 @@ class Simulator(ABC):
 
     @abstractmethod
     def advance(self, ids: IntArray, nstep: int) -> None:
-        """Do what `step` says."""
+        """Advance simulations `ids` by `nstep` physics steps; `step` measures the time."""
 
     def check_buffers(self) -> None:  # noqa: B027 - only a device has fixed buffers
-        """Refuse physics for which there was too little room since the start; ask once a generation.
+        """Check that the buffers have sufficed since the start; call it once a generation.
 
         Raises:
-            ConfigError: Contacts or constraints were left out.
+            ConfigError: A buffer overflowed, so that contacts or constraints were left out.
         """

@@ -1,12 +1,12 @@
-"""MuJoCo on mujoco-warp: N simulations in lockstep, on a CUDA card or, for tests, on the CPU.
+"""MuJoCo on mujoco-warp: N simulations in lockstep, on a CUDA GPU or, for tests, on the CPU.
 
-The arrays are float32 views of Warp's memory, by NumPy or CuPy. The substeps of a control step, with the checks beside
-them (`warp_kernels`), are captured in a graph once and replayed: on a card this saves the launches, on the CPU the
-Python between the kernels, which is nearly everything where few simulations run.
+The arrays are float32 views of Warp's memory, as NumPy or CuPy arrays. The substeps of a control step and the kernels
+beside them (`warp_kernels`) are captured once in a graph and replayed. On a GPU this saves the launches; on the CPU it
+saves the Python code between kernels, which dominates when few simulations run.
 
-Differences from MuJoCo in C: float32; the solver stops at a tolerance of 1e-6; a contact that is on the edge of its
-margin to float32's last digit is there or not, and boxes touch boxes in a corner more (a block at rest against walls);
-`diverged` is set at the end of the substep in which the state became bad, C notices it at the start of the next.
+Differences from MuJoCo in C: the state is float32; the solver stops at a tolerance of 1e-6; a contact at the edge of
+its margin may appear or not, by float32's rounding; box-box contacts have an additional corner (a block at rest against
+walls); `diverged` is set at the end of the substep in which the state became bad, not at the start of the next.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from shes.types import F64Array, IntArray
 
 __all__ = ["WarpSimulator"]
 
-
-_MOST_CONTACTS = 2**31 - 1  # of all simulations together
+_MAX_CONTACTS = 2**31 - 1
+"""Largest number of contacts of all simulations together."""
 
 
 class WarpSimulator(Simulator):
-    """N simulations on one device. On the CPU a simulation's numbers do not depend on what the others do."""
+    """N simulations on one device. On the CPU the results of a simulation do not depend on the others."""
 
     starts_together = True
 
@@ -42,17 +42,17 @@ class WarpSimulator(Simulator):
         nconmax: int | None = None,
         njmax: int | None = None,
     ) -> None:
-        """Make `num_sims` simulations of `model` on `device`, all in its default state.
+        """Make `num_sims` simulations of `model` on `device`, in its default state.
 
         Args:
-            model: Any model whose state is positions and velocities.
+            model: A model whose state is qpos and qvel only.
             num_sims: Number of simulations.
             device: `warp-cpu` or `cuda`.
-            nconmax: Contacts to make room for, per simulation on average; by default from the model's geoms.
-            njmax: Constraint rows to make room for in each simulation; by default from the model's geoms and limits.
+            nconmax: Size of the contact buffer per simulation, on average; by default from the model's geoms.
+            njmax: Size of each simulation's constraint buffer, in rows; by default from the model's geoms and limits.
 
         Raises:
-            ConfigError: mujoco-warp does not run this model, or there is no card.
+            ConfigError: mujoco-warp does not support the model, or there is no GPU.
             MissingExtraError: mujoco-warp or CuPy is not installed.
         """
         self._device = WarpDevice(device)
@@ -63,10 +63,10 @@ class WarpSimulator(Simulator):
         _check_state(model)
         default = default_sizes(model)
         self.buffers = BufferSizes(nconmax or default.nconmax, njmax or default.njmax)
-        if num_sims * self.buffers.nconmax > _MOST_CONTACTS:
+        if num_sims * self.buffers.nconmax > _MAX_CONTACTS:
             raise ConfigError(
                 f"{num_sims} simulations with room for {self.buffers.nconmax} contacts each are more than mujoco-warp "
-                f"counts to ({_MOST_CONTACTS:,}). Set --nconmax or --chunk-size lower."
+                f"supports ({_MAX_CONTACTS:,}). Set --nconmax or --chunk-size lower."
             )
         self.model = model
         self.num_sims = num_sims
@@ -79,13 +79,13 @@ class WarpSimulator(Simulator):
         self.reset(np.arange(num_sims))
 
     def _allocate(self) -> None:
-        """Put model and state on the device."""
+        """Allocate model and state on the device."""
         wp, view = self._warp, self._device.view
         try:
             self._model: Any = self._mujoco_warp.put_model(self.model)
         except (NotImplementedError, ValueError) as error:
             raise ConfigError(f"mujoco-warp does not run this model: {error} Use --device cpu.") from error
-        self._model.opt.warn_overflow = 0  # else it prints from the kernels; `check_buffers` is what tells
+        self._model.opt.warn_overflow = 0  # no prints from kernels: `check_buffers` reports overflows
         self._model.callback.control = self._watch
         self._model.callback.contactfilter = self._align
         self._data: Any = self._mujoco_warp.make_data(
@@ -106,20 +106,20 @@ class WarpSimulator(Simulator):
         self._active = view(self._is_active)
 
     def reset(self, ids: IntArray) -> None:
-        """Put simulations `ids` into the model's default state; time and the solver's warm start are part of it."""
+        """Reset simulations `ids` to the model's default state, time and the solver's warm start included."""
         ids = self.xp.asarray(ids)
         self.qpos[ids] = self.xp.asarray(self.model.qpos0, dtype=self.xp.float32)
         for array in (self.qvel, self.ctrl, self._warmstart, self._time, self.diverged):
             array[ids] = 0
 
     def states(self, ids: IntArray) -> F64Array:
-        """Return copies of the whole states of simulations `ids` [ids, S]; the device is waited for."""
+        """Return copies of the physics states of simulations `ids` [ids, S]; waits for the device."""
         rows = self.xp.asarray(ids)
         parts = (self.qpos[rows], self.qvel[rows], self._warmstart[rows], self._time[rows, None])
         return to_host(self.xp.concatenate(parts, axis=1)).astype(np.float64)
 
     def set_states(self, ids: IntArray, states: F64Array) -> None:
-        """Put simulations `ids` into `states` [ids, S]."""
+        """Set the physics states of simulations `ids` to `states` [ids, S]."""
         self.reset(ids)
         rows, values = self.xp.asarray(ids), self.xp.asarray(states.astype(np.float32))
         nq, nv = self.model.nq, self.model.nv
@@ -129,7 +129,7 @@ class WarpSimulator(Simulator):
     def advance(self, ids: IntArray, nstep: int) -> None:
         """Advance simulations `ids` (sorted, unique) by `nstep` physics steps.
 
-        All go through the physics; those that are not in `ids` are put aside before and back after.
+        All simulations are computed; the states of those that are not in `ids` are saved before and restored after.
         """
         if not len(ids):
             return
@@ -144,26 +144,22 @@ class WarpSimulator(Simulator):
 
     @property
     def physics_s(self) -> float:
-        """Seconds that the device has spent on steps so far; it is waited for."""
+        """Seconds that the device has spent on steps so far; waits for the device."""
         while self._timers:
             self._device_s += self._timers.pop().seconds()
         return self._device_s
 
     def peaks(self) -> BufferPeaks:
-        """Return what was needed of the buffers at most; waits for the device."""
+        """Return the largest use of the buffers so far; waits for the device."""
         contacts, constraints = (int(array.numpy().max()) for array in (self._peak_contacts, self._peak_constraints))
         return BufferPeaks(contacts, constraints)
 
     def check_buffers(self) -> None:
-        """Refuse a buffer that was too small at any time; waits for the device, so ask once in a while.
-
-        Raises:
-            ConfigError: One overflowed: contacts were left out of the physics.
-        """
+        """Check that the buffers have sufficed; waits for the device. See `Simulator.check_buffers`."""
         self.peaks().check(self.buffers, self.num_sims)
 
     def _capture(self, nstep: int) -> Any:
-        """Return the graph of `nstep` substeps. The first one compiles: up to a minute for a new kind of model."""
+        """Return the graph of `nstep` substeps. The first call compiles the kernels, which takes up to a minute."""
         with self._warp.ScopedDevice(self._device.warp_device):
             if not self._graphs:
                 self._load_kernels()
@@ -172,7 +168,7 @@ class WarpSimulator(Simulator):
         return capture.graph
 
     def _load_kernels(self) -> None:
-        """Run one substep, so that every kernel is compiled, and take back what it did."""
+        """Run one substep, so that every kernel is compiled, and restore the state."""
         arrays = (self._data.qpos, self._data.qvel, self._data.qacc_warmstart, self._data.time, self._has_diverged)
         copies = [self._warp.clone(array) for array in arrays]
         self._launch(1)
@@ -180,7 +176,7 @@ class WarpSimulator(Simulator):
             self._warp.copy(array, copy)
 
     def _launch(self, nstep: int) -> None:
-        """Launch, or record, a control step of `nstep` substeps."""
+        """Launch or record a control step of `nstep` substeps."""
         kernels, data = self._kernels, self._data
         state = [data.qpos, data.qvel, data.qacc_warmstart, data.time]
         results = [data.ctrl, self._has_diverged]
@@ -193,12 +189,12 @@ class WarpSimulator(Simulator):
         self._launch_kernel(kernels.end_control_step, [self._is_active, self._kept, *state])
 
     def _watch(self, _model: Any, data: Any) -> None:
-        """Note what the buffers hold. mujoco-warp calls this in every evaluation of the dynamics, RK4's stages too."""
+        """Record the use of the buffers. mujoco-warp calls this in every evaluation of the dynamics, RK4's included."""
         counts = [data.nefc, data.nacon, data.ncollision, self._peak_constraints, self._peak_contacts]
         self._launch_kernel(self._kernels.watch_buffers, counts)
 
     def _align(self, model: Any, data: Any) -> None:
-        """Make contacts of capsules those of MuJoCo in C. mujoco-warp calls this after every collision detection."""
+        """Align the tangents of capsule contacts with MuJoCo in C. mujoco-warp calls this after collision detection."""
         contact = data.contact
         arguments = [data.nacon, contact.geom, contact.worldid, model.geom_type, data.geom_xmat, contact.frame]
         self._warp.launch(self._kernels.align_capsules, dim=data.naconmax, inputs=arguments)
@@ -208,14 +204,10 @@ class WarpSimulator(Simulator):
 
 
 def _check_state(model: mujoco.MjModel) -> None:
-    """Refuse a model that carries more from step to step than positions and velocities.
-
-    Raises:
-        ConfigError: It has activations, delays, or other state that a reset here would forget.
-    """
+    """Raise a ConfigError unless the model's state is qpos and qvel, which is all that `reset` resets."""
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_PHYSICS)
     if size != model.nq + model.nv:
         raise ConfigError(
-            f"the Warp simulator runs models whose state is qpos and qvel ({model.nq + model.nv} numbers), got one of "
-            f"{size}: activations, delays or plasticity. Use --device cpu."
+            f"the Warp simulator supports models whose state is qpos and qvel ({model.nq + model.nv} numbers), got one "
+            f"of {size}: activations, delays or plasticity. Use --device cpu."
         )

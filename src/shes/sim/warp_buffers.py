@@ -1,7 +1,7 @@
-"""How much room mujoco-warp gets for contacts and constraints.
+"""Sizes of mujoco-warp's buffers for contacts and constraints.
 
-It allocates both once, for all simulations: contacts in one array that they share, constraint rows for each its own.
-What does not fit is left out of the physics, so a buffer that overflows is an error, not a warning.
+Both are allocated once: one contact buffer that all simulations share, and a constraint buffer for each simulation.
+What does not fit is left out of the physics, so an overflow is an error.
 """
 
 from __future__ import annotations
@@ -17,54 +17,54 @@ from shes.errors import ConfigError
 __all__ = ["BufferPeaks", "BufferSizes", "default_sizes"]
 
 _CONTACTS_PER_TOUCH = {int(mujoco.mjtGeom.mjGEOM_SPHERE): 1, int(mujoco.mjtGeom.mjGEOM_CAPSULE): 2}
-"""Contacts of one geom with one plane or box; `_CONTACTS_OF_OTHERS` for every other shape."""
+"""Contacts of one geom with a plane or box; other shapes have `_CONTACTS_OF_OTHERS`."""
 _CONTACTS_OF_OTHERS = 8
 _TOUCHES_OF_OTHERS = 3
-"""A block stands on the ground and between walls."""
+"""Geoms that another shape touches at once: a block touches the ground and two walls."""
 
 
 @dataclass(frozen=True)
 class BufferSizes:
-    """Room for one simulation."""
+    """Buffer sizes per simulation."""
 
     nconmax: int
-    """Contacts on average over all simulations, and pairs of geoms close enough to be examined."""
+    """Contacts, or pairs of geoms close enough to be tested, on average over all simulations."""
     njmax: int
-    """Constraint rows at most: contacts, joint limits, friction losses, equalities."""
+    """Constraint rows of each simulation: contacts, joint limits, friction losses, equalities."""
 
 
 @dataclass(frozen=True)
 class BufferPeaks:
-    """What was needed at most since the simulator was made."""
+    """Largest use of the buffers since the simulator was made."""
 
     contacts: int
-    """Contacts, or pairs of geoms to examine, of all simulations together."""
+    """Contacts, or pairs of geoms to test, of all simulations together."""
     constraints: int
     """Constraint rows of one simulation."""
 
     def check(self, sizes: BufferSizes, num_sims: int) -> None:
-        """Refuse peaks that did not fit.
+        """Check that the peaks fit into buffers of `sizes`.
 
         Raises:
-            ConfigError: A buffer overflowed: contacts were left out, so the results are wrong.
+            ConfigError: A buffer overflowed, so that contacts or constraints were left out.
         """
         if self.contacts > sizes.nconmax * num_sims:
             raise ConfigError(
                 f"mujoco-warp's contact buffer overflowed: {self.contacts} contacts or close pairs of geoms in "
-                f"{num_sims} simulations, room for {sizes.nconmax} each (nconmax). The physics left some out. "
+                f"{num_sims} simulations, room for {sizes.nconmax} each (nconmax), so some were left out. "
                 f"Set --nconmax to {math.ceil(1.5 * self.contacts / num_sims)}."
             )
         if self.constraints > sizes.njmax:
             raise ConfigError(
                 f"mujoco-warp's constraint buffer overflowed: {self.constraints} rows in one simulation, room for "
-                f"{sizes.njmax} (njmax). The physics left some out. Set --njmax to {math.ceil(1.5 * self.constraints)}."
+                f"{sizes.njmax} (njmax), so some were left out. Set --njmax to {math.ceil(1.5 * self.constraints)}."
             )
 
 
 def default_sizes(model: mujoco.MjModel) -> BufferSizes:
-    """Return room for every moving geom flat on the ground, blocks between walls too, and twice the contacts of that.
+    """Return sizes for every moving geom touching the ground, and blocks also touching walls.
 
-    The factor two is for pairs of geoms: a pair takes a place while it is examined, contact or not, as beside a wall.
+    The number of contacts is doubled, because a pair of geoms takes a place while it is tested for contact.
     """
     contacts = 0
     for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid] != 0):

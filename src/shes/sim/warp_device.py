@@ -1,4 +1,4 @@
-"""Where mujoco-warp runs: this machine's CPU with NumPy, or a CUDA card with CuPy; both see Warp's memory itself."""
+"""Devices of mujoco-warp: the CPU with NumPy, or a CUDA GPU with CuPy. Arrays are views of Warp's memory."""
 
 # pyright: reportMissingModuleSource=false
 
@@ -25,19 +25,19 @@ __all__ = ["DEVICES", "WarpDevice", "WarpTimer", "is_out_of_memory", "load_warp"
 DEVICES = ("warp-cpu", "cuda")
 
 _PACKAGES = ("mujoco-warp", "warp-lang")
-_NATIVE = "Warp CUDA "  # how lines begin that Warp's native code writes to standard error when it finds no card
+_NATIVE = "Warp CUDA "  # begins lines that Warp's native code writes to stderr without a GPU
 _OUT_OF_MEMORY = ("failed to allocate", "out of memory", "alloc_failed")  # Warp's, CUDA's, cuBLAS'
 
 
 def load_warp() -> tuple[ModuleType, ModuleType]:
-    """Return the modules `warp` and `mujoco_warp`, ready.
+    """Return the modules `warp` and `mujoco_warp`, initialised.
 
-    Warp announces itself and every kernel that it compiles on stdout; that is turned off unless the caller chose a
-    log level. That there is no card, it says on stderr; that is kept for the error of whoever asks for one.
+    Warp's messages on stdout about itself and the kernels that it compiles are turned off, unless the caller has set a
+    log level. Its message on stderr about a missing GPU is kept for the error that `WarpDevice` raises.
 
     Raises:
-        MissingExtraError: One is not installed.
-        ConfigError: Their versions do not go together.
+        MissingExtraError: A module is not installed.
+        ConfigError: The installed versions are incompatible.
     """
     _check_versions()
     try:
@@ -56,11 +56,7 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
 
 
 def _check_versions() -> None:
-    """Refuse versions of the packages that physics on a device takes which do not go together.
-
-    Raises:
-        ConfigError: mujoco-warp, or this package, needs another version of one.
-    """
+    """Raise a ConfigError if mujoco-warp or this package needs another version of a package."""
     from packaging.requirements import Requirement
 
     for package, extra in (("shes", "warp"), ("mujoco-warp", "")):
@@ -69,13 +65,13 @@ def _check_versions() -> None:
             is_ours = each.marker is None or each.marker.evaluate({"extra": extra})
             if version is not None and is_ours and not each.specifier.contains(version, prereleases=True):
                 raise ConfigError(
-                    f"{package} needs {each.name}{each.specifier}, got {version}. Install versions that go together: "
+                    f"{package} needs {each.name}{each.specifier}, got {version}. Install compatible versions: "
                     "pip install 'shes[gpu]', or 'shes[warp]' for --device warp-cpu alone."
                 )
 
 
 def _found(ask: Callable[[str], Any], package: str) -> Any:
-    """Return what `ask` says of `package`; None where it is not installed, which its import says better."""
+    """Return `ask(package)`; None if the package is not installed, which its import reports."""
     try:
         return ask(package)
     except metadata.PackageNotFoundError:
@@ -84,12 +80,12 @@ def _found(ask: Callable[[str], Any], package: str) -> Any:
 
 @cache
 def _start() -> str:
-    """Initialise Warp, once; return what its native code writes to stderr where it finds no card or an old driver."""
+    """Initialise Warp, once; return what its native code writes to stderr about a missing GPU or an old driver."""
     import warp
 
     try:
         stderr = os.dup(2)
-    except OSError:  # there is none
+    except OSError:  # stderr is closed
         warp.init()
         return ""
     with TemporaryFile() as file:
@@ -106,19 +102,19 @@ def _start() -> str:
 
 
 def is_out_of_memory(error: BaseException) -> bool:
-    """Tell whether an error of Warp, CuPy or NumPy says that memory ran out: each has its own kind, or only a text."""
+    """Return whether an error of Warp, CuPy or NumPy means that memory ran out: by its type, or only by its text."""
     return isinstance(error, MemoryError) or any(text in str(error).lower() for text in _OUT_OF_MEMORY)
 
 
 class WarpTimer:
-    """What a device spent on some of its work."""
+    """Time that a device spends on some of its work."""
 
     measured_s: float = 0.0
     events: tuple[Any, ...] = ()
     elapsed: Callable[[Any, Any], float]
 
     def seconds(self) -> float:
-        """Return the seconds; waits until the work is done."""
+        """Return the time in seconds; waits until the work is done."""
         if not self.events:
             return self.measured_s
         self.events[1].synchronize()
@@ -126,18 +122,18 @@ class WarpTimer:
 
 
 class WarpDevice:
-    """A device of Warp and the array module that looks into its memory."""
+    """A device of Warp and the array module for its memory."""
 
     def __init__(self, name: str) -> None:
         """Open `warp-cpu` or `cuda`.
 
-        On `cuda`, CuPy's current stream in this thread becomes Warp's: what either of the two is told to do happens in
-        the order in which it was told, without waiting.
+        On `cuda`, CuPy's current stream in this thread becomes Warp's, so that the work of both runs in the order in
+        which it was issued, without waiting.
 
         Raises:
-            UnknownNameError: There is no such device.
+            UnknownNameError: `name` is unknown.
             MissingExtraError: mujoco-warp or CuPy is not installed.
-            ConfigError: There is no card, its driver is too old, or versions do not go together.
+            ConfigError: There is no GPU, its driver is too old, or versions are incompatible.
         """
         if name not in DEVICES:
             raise UnknownNameError("device", name, DEVICES, "Set --device.")
@@ -150,8 +146,8 @@ class WarpDevice:
         if not warp.get_cuda_device_count():
             told = f" ({_start().rstrip('.')})" if _start() else ""
             raise ConfigError(
-                f"device cuda needs an NVIDIA card and its driver, R580 or newer; Warp sees none{told}. `nvidia-smi` "
-                "shows what this machine has. Use --device cpu."
+                f"device cuda needs an NVIDIA GPU and its driver, R580 or newer; Warp found none{told}. `nvidia-smi` "
+                "lists this machine's GPUs. Use --device cpu."
             )
         self.warp_device = warp.get_device("cuda:0")
         if not warp.is_conditional_graph_supported():
@@ -165,12 +161,12 @@ class WarpDevice:
         self._stream.use()
 
     def view(self, array: Any) -> Any:
-        """Return a Warp array as one of `xp`, on the same memory."""
+        """Return a Warp array as an array of `xp` on the same memory."""
         return array.numpy() if self.xp is np else self.xp.asarray(array)
 
     @property
     def facts(self) -> dict[str, str]:
-        """Return what a run writes down of it: its name, the card, and the versions that its numbers may depend on."""
+        """Name, GPU, and the versions that results may depend on: what a run records of its device."""
         facts = {"name": self.name, **{name: metadata.version(name) for name in _PACKAGES}}
         if self.xp is not np:
             warp, _ = load_warp()
@@ -178,22 +174,22 @@ class WarpDevice:
         return facts
 
     def free_bytes(self) -> int | None:
-        """Return how much memory of the card is free; None on the CPU, whose memory has no such limit."""
+        """Return the free memory of the GPU in bytes; None on the CPU."""
         if self.xp is np:
             return None
         self.release_memory()
-        self.synchronize()  # Warp's pool gives back what it does not use when it is waited for
+        self.synchronize()  # Warp's pool releases unused memory at a synchronisation
         return int(self.xp.cuda.runtime.memGetInfo()[0])
 
     def release_memory(self) -> None:
-        """Give back the memory that nobody uses any more: CuPy keeps it, and a simulator refers to itself."""
+        """Release unused memory: CuPy pools it, and a simulator has reference cycles."""
         gc.collect()
         if self.xp is not np:
             self.xp.get_default_memory_pool().free_all_blocks()
 
     @contextmanager
     def timer(self) -> Generator[WarpTimer, None, None]:
-        """Measure what the device spends on what it is told meanwhile: ask for it when all is done."""
+        """Measure the time that the device spends on the work issued in the context."""
         timer = WarpTimer()
         if self.xp is np:
             start = perf_counter()
@@ -207,13 +203,13 @@ class WarpDevice:
         timer.elapsed = self.xp.cuda.get_elapsed_time
 
     def synchronize(self) -> None:
-        """Wait until everything asked for has happened."""
+        """Wait until all issued work is done."""
         if self.xp is not np:
             self._stream.synchronize()
 
 
 def _driver(warp: ModuleType) -> str:
-    """Return the newest CUDA that the driver is for: `13.0`."""
+    """Return the newest CUDA version that the driver supports, e.g. `13.0`."""
     return ".".join(map(str, warp.get_cuda_driver_version() or ("none",)))
 
 
@@ -221,14 +217,14 @@ def _load_cupy(driver: str = "none") -> ModuleType:
     """Return the module `cupy`.
 
     Raises:
-        MissingExtraError: It is not installed, or finds no CUDA libraries.
-        ConfigError: It is made for a newer driver.
+        MissingExtraError: CuPy is not installed, or finds no CUDA libraries.
+        ConfigError: CuPy needs a newer driver.
     """
     try:
         import cupy
 
-        cupy.zeros(1).sum()  # a kernel: CuPy misses NVRTC and the headers only when it compiles one
-    except Exception as error:  # CuPy has an error of its own for every library that it may miss
+        cupy.zeros(1).sum()  # compiles a kernel, which fails without NVRTC or the headers
+    except Exception as error:  # CuPy has an error class for every library
         if "insufficient" in str(error):  # cudaErrorInsufficientDriver
             raise ConfigError(
                 f"device cuda needs a newer driver: CuPy says {error}; this one is for CUDA {driver}. Update it to "

@@ -1,7 +1,8 @@
-"""What this package runs beside mujoco-warp's own kernels: checks and state that MuJoCo keeps by itself, per substep.
+"""Kernels that run beside mujoco-warp's own, in every substep.
 
-mujoco-warp has no warning counters: a simulation that blows up goes on with NaN. These kernels do what `mj_step` does
-about it. One thread is one simulation. They are launched inside the captured graph, so they cost no trip to the host.
+mujoco-warp has no warning counters: a simulation that diverges continues with NaN. These kernels detect and reset it,
+as `mj_step` does. One thread is one simulation. The launches are part of the captured graph, so the host is not
+involved.
 """
 
 # pyright: reportMissingModuleSource=false
@@ -17,12 +18,12 @@ _MAX_VALUE = wp.constant(wp.float32(mujoco.mjMAXVAL))
 _PLANE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_PLANE)))
 _CAPSULE = wp.constant(wp.int32(int(mujoco.mjtGeom.mjGEOM_CAPSULE)))
 _MIN_LENGTH = wp.constant(wp.float32(1e-6))
-"""A capsule that stands on a plane more upright than this, in radians, keeps the tangent that it has."""
+"""Least angle in radians between a capsule and the plane's normal at which its contact is realigned."""
 
 
 @wp.func
 def _is_bad(values: wp.array2d[wp.float32], sim: wp.int32) -> wp.bool:
-    """Tell whether a row has a value that MuJoCo calls bad: NaN, infinite, or beyond mjMAXVAL."""
+    """Return whether a row has a value that MuJoCo considers bad: NaN, infinite, or beyond mjMAXVAL."""
     found = wp.bool(False)
     for i in range(values.shape[1]):
         value = values[sim, i]
@@ -40,7 +41,7 @@ def _set_default(
     warmstart: wp.array2d[wp.float32],
     time: wp.array[wp.float32],
 ) -> None:
-    """Put a simulation into the model's default state."""
+    """Reset a simulation to the model's default state."""
     for i in range(qpos.shape[1]):
         qpos[sim, i] = default_qpos[i]
     for i in range(qvel.shape[1]):
@@ -62,9 +63,9 @@ def begin_control_step(  # noqa: PLR0917 - a kernel is launched with a list of a
     applied: wp.array2d[wp.float32],
     diverged: wp.array[wp.bool],
 ) -> None:
-    """Hand on the controls, look for bad values, and put simulations that are not asked for aside.
+    """Copy the controls, detect bad values, and save the state of inactive simulations.
 
-    Those spend the step in the default pose, where little touches, and get their state back at the end of it.
+    Inactive simulations spend the step in the default pose, which has few contacts; `end_control_step` restores them.
     """
     sim = wp.tid()
     nq = qpos.shape[1]
@@ -102,10 +103,10 @@ def check_substep(  # noqa: PLR0917 - as above
     applied: wp.array2d[wp.float32],
     diverged: wp.array[wp.bool],
 ) -> None:
-    """Mark simulations that have blown up, and put them into the default state with no controls, as MuJoCo does.
+    """Mark simulations that have diverged, and reset them with zero controls, as MuJoCo does.
 
-    The acceleration without constraints is looked at too: where it is beyond the range of float32's squares,
-    mujoco-warp's solver gives up and leaves an acceleration of 0, which looks well.
+    The unconstrained acceleration is checked too: if its square overflows float32, mujoco-warp's solver gives up and
+    leaves an acceleration of 0, which is not bad by itself.
     """
     sim = wp.tid()
     if _is_bad(qacc, sim) or _is_bad(qacc_smooth, sim) or _is_bad(qpos, sim) or _is_bad(qvel, sim):
@@ -125,7 +126,7 @@ def end_control_step(
     warmstart: wp.array2d[wp.float32],
     time: wp.array[wp.float32],
 ) -> None:
-    """Give simulations that were put aside their state back."""
+    """Restore the state of inactive simulations."""
     sim = wp.tid()
     if active[sim]:
         return
@@ -147,7 +148,7 @@ def watch_buffers(
     peak_constraints: wp.array[wp.int32],
     peak_contacts: wp.array[wp.int32],
 ) -> None:
-    """Remember the most rows of each simulation, and the most contacts, or pairs to examine, of all together."""
+    """Update the peak of each simulation's constraint rows, and that of the contacts or pairs of all simulations."""
     sim = wp.tid()
     peak_constraints[sim] = wp.max(peak_constraints[sim], num_constraints[sim])
     if sim == 0:
@@ -163,11 +164,11 @@ def align_capsules(
     geom_xmat: wp.array2d[wp.mat33],
     frames: wp.array[wp.mat33],
 ) -> None:
-    """Turn the tangents of contacts of capsules with a plane to the capsule's axis, as MuJoCo in C does.
+    """Align the tangents of capsule-plane contacts with the capsule's axis, as MuJoCo in C does.
 
     mujoco-warp 4.0 does so only for capsules less steep than 60 degrees (it compares the length of the projected axis
-    with 0.5, where C compares the axis itself). Legs are steeper, and a pyramidal cone feels its tangents: up to
-    0.6 m/s in a substep. One thread is one contact.
+    with 0.5, where C compares the axis itself). Legs are steeper, and with a pyramidal cone the tangents matter: by up
+    to 0.6 m/s in a substep. One thread is one contact.
     """
     contact = wp.tid()
     if contact >= num_contacts[0]:

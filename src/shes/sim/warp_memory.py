@@ -1,7 +1,7 @@
-"""How much of a card's memory a simulation takes: measured, because most of it is mujoco-warp's workspace.
+"""Measures the GPU memory of a simulation, most of which is mujoco-warp's workspace.
 
-As mujoco-warp allocates on the CPU, with the default buffers: 1.6 MB for an ant with a block (box against box), 70 kB
-for an ant, 7 kB for a point.
+With the default buffers, mujoco-warp allocates on the CPU 1.6 MB for an ant with a block (box against box), 70 kB for
+an ant, and 7 kB for a point.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from shes.sim.warp_device import WarpDevice, is_out_of_memory
 __all__ = ["bytes_per_sim"]
 
 _MEASURED = (16, 64, 512)
-"""Simulations: a few, with which the kernels come into memory, then enough to see through the pool's large pieces."""
+"""Numbers of simulations: a few to load the kernels, then enough to average over the pool's large blocks."""
 
 
 def bytes_per_sim(
     model: mujoco.MjModel, device: str, nstep: int, nconmax: int | None = None, njmax: int | None = None
 ) -> float:
-    """Return what a simulation of `model` takes on `device`, in bytes; 0 where memory has no limit.
+    """Return the memory of a simulation of `model` on `device`, in bytes; 0 on the CPU.
 
     Args:
         model: The model.
         device: `warp-cpu` or `cuda`.
-        nstep: Physics steps in a control step: their graph has memory, too.
+        nstep: Physics steps in a control step, whose graph takes memory too.
         nconmax: As for `WarpSimulator`.
         njmax: As for `WarpSimulator`.
     """
@@ -41,7 +41,7 @@ def bytes_per_sim(
         except (MemoryError, RuntimeError) as error:
             if not used or not is_out_of_memory(error):
                 raise
-            break  # what fewer of them took is the best there is
+            break  # keep the result of fewer simulations
         used = max(0, before - (memory.free_bytes() or 0)) / num_sims
         del simulator
     return used

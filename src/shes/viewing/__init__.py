@@ -1,1 +1,1 @@
-"""Looking at runs: curves, videos, a live viewer."""
+"""Views of runs: learning curves, videos, and a live viewer."""

@@ -1,4 +1,4 @@
-"""Curves of several runs: their values at common places, and how sure their mean is."""
+"""Learning curves of several runs: their values on a common grid, and the confidence interval of their mean."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ _RESAMPLES = 2000
 
 
 def interpolate(x: Sequence[F64Array], y: Sequence[F64Array]) -> tuple[F64Array, F64Array]:
-    """Return all places [grid] that every curve reaches, and the linearly interpolated values there [runs, grid].
+    """Return the grid that all curves cover [grid], and their linearly interpolated values there [runs, grid].
 
     Args:
-        x: Places of each curve's points, ascending.
-        y: The values there.
+        x: Abscissae of each curve, ascending.
+        y: Values of each curve.
     """
-    start, end = max(places[0] for places in x), min(places[-1] for places in x)
+    start, end = max(each[0] for each in x), min(each[-1] for each in x)
     every = np.concatenate(x)
     grid = np.unique(every[(every >= start) & (every <= end)])
     return grid, np.stack([np.interp(grid, *curve) for curve in zip(x, y, strict=True)])
 
 
 def interval(values: F64Array, seed: int = 0) -> tuple[F64Array, F64Array]:
-    """Return the 95 % bootstrap interval [grid], [grid] of the mean over runs of `values` [runs, grid].
+    """Return the bounds, each [grid], of the 95 % bootstrap interval of the mean over runs of `values` [runs, grid].
 
-    One matrix product for all of the grid: `scipy.stats.bootstrap` would hold every resample of every curve.
+    One matrix product serves the whole grid; `scipy.stats.bootstrap` would store every resample of every curve.
     """
     rng = np.random.default_rng(seed)
     runs = len(values)
-    shares = rng.multinomial(runs, np.full(runs, 1 / runs), _RESAMPLES) / runs  # how often a resample takes each run
+    shares = rng.multinomial(runs, np.full(runs, 1 / runs), _RESAMPLES) / runs  # share of each run in each resample
     means = shares @ values
     tail = (1 - _CONFIDENCE) / 2
     low, high = np.quantile(means, [tail, 1 - tail], axis=0)

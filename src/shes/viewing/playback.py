@@ -1,4 +1,4 @@
-"""One episode of a trained agent, step by step, with what is worth seeing of it: for videos and the viewer."""
+"""Plays episodes of a trained agent step by step, for videos and the viewer."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from shes.drawing.drawer import Drawer, Window
-from shes.drawing.rendering import make_drawer, open_window
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.errors import ConfigError
@@ -34,24 +32,24 @@ class Moment:
     """One control step."""
 
     pose: Any
-    """What there is to draw: the pose [nq] of everything, or a picture."""
+    """The pose to draw: qpos [nq] or a picture."""
     markers: list[Marker]
-    """What the task shows, the controller's goal, the robot's trail."""
+    """The task's markers, the goal, and the robot's trail."""
     caption: str
-    """Checkpoint, time and score, and how the episode ended."""
+    """Checkpoint, time, score, and how the episode ended."""
 
 
 class Playback:
-    """Episodes of one checkpoint, under the conditions of evaluation."""
+    """Episodes of one checkpoint, under evaluation's conditions."""
 
     def __init__(self, run: Path | str, checkpoint: str, seed: int | None = None, steps: int | None = None) -> None:
         """Load `checkpoint` of `run`.
 
         Args:
-            run: The run folder, or the name of a shipped agent.
+            run: Run folder, or the name of a shipped agent.
             checkpoint: `best`, `last` or the number of a generation.
-            seed: Seed of the episodes, as `evaluate` takes it.
-            steps: Control steps after which an episode ends; evaluation's horizon if none.
+            seed: Seed of the episodes, as for `evaluate`.
+            steps: Control steps after which an episode ends; None is evaluation's horizon.
 
         Raises:
             RunFolderError: `run` is neither a run folder nor a shipped agent.
@@ -67,36 +65,12 @@ class Playback:
         self.name = f"{checkpoint} (generation {state.generation})" if not checkpoint.isdecimal() else checkpoint
         self.steps = steps or config.evaluation_steps
         self._agent = Agent(opened)
-        self._task = opened.algorithm.problem.make_task(is_evaluation=True)
+        self.task = opened.algorithm.problem.make_task(is_evaluation=True)
+        """The environment; whoever plays it closes it."""
         self._state, self._seed = state, seed
 
-    @property
-    def step_s(self) -> float:
-        """Time of a control step, in seconds."""
-        return self._task.step_s
-
-    def make_drawer(self, width: int, height: int) -> Drawer:
-        """Return what makes pictures of the moments, of this size; ask before `play`.
-
-        Raises:
-            ConfigError: There are no pictures of this environment, or not of this size.
-        """
-        return make_drawer(self._task, width, height)
-
-    def open_window(self) -> Window:
-        """Return a window that shows the moments; ask before `play`.
-
-        Raises:
-            ConfigError: There is no screen, or no window of this environment.
-        """
-        return open_window(self._task)
-
-    def close(self) -> None:
-        """Give back what the environment holds."""
-        self._task.close()
-
     def seed_of(self, episode: int) -> int:
-        """Return the seed of the `episode`-th of the episodes that `evaluate` runs.
+        """Return the seed of episode `episode` of those that `evaluate` runs.
 
         Raises:
             ConfigError: `episode` is negative.
@@ -106,8 +80,8 @@ class Playback:
         return fresh_seeds(self._state, episode + 1, self._seed)[episode]
 
     def play(self, seed: int) -> Iterator[Moment]:
-        """Yield the moments of the episode with this seed, the start first."""
-        task, one = self._task, np.array([0])
+        """Yield the moments of the episode with seed `seed`, beginning with its start."""
+        task, one = self.task, np.array([0])
         task.reset(one, [seed])
         self._agent.reset()
         trail = deque([task.position[0].copy()], maxlen=_TRAIL_STEPS)
@@ -122,7 +96,7 @@ class Playback:
                 return
 
     def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
-        task = self._task
+        task = self.task
         parts = [self.name, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending]
         return Moment(
             pose=task.pose(0),
@@ -132,7 +106,7 @@ class Playback:
 
 
 def _ending(task: EpisodeBatch, is_last: bool) -> str:
-    """Return why the episode has ended, in a word or two; nothing while it goes on."""
+    """Return why the episode has ended; an empty string if it has not."""
     if task.diverged[0]:
         return "diverged"
     if task.terminated[0]:
@@ -141,7 +115,7 @@ def _ending(task: EpisodeBatch, is_last: bool) -> str:
 
 
 def _goal_and_trail(goals: F64Array | None, trail: deque[F64Array], ground: float) -> list[Marker]:
-    """Return the goal, if there is one, a line to it, the way that the robot came, and a spot under the robot."""
+    """Return markers of the robot's trail and position, and of the goal and a line to it, if there is one."""
     height = ground + _ABOVE_GROUND_M
     places = [(*place, height) for place in trail]
     way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]

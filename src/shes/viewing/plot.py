@@ -1,4 +1,4 @@
-"""Learning curves of runs."""
+"""`shes plot`: learning curves of runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
-from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.storage import write_atomically
@@ -22,7 +21,7 @@ from shes.viewing.curves import interpolate, interval
 __all__ = ["X_AXES", "plot"]
 
 X_AXES = {"generation": "generation", "env_steps": "environment steps", "wall_time_s": "minutes"}
-"""What a curve can be drawn over: column of the tables -> label."""
+"""Abscissae: column of the tables -> label."""
 
 Panel = tuple[str, str, str]
 """Table, column, title."""
@@ -30,34 +29,28 @@ Panel = tuple[str, str, str]
 
 @dataclass(frozen=True, kw_only=True)
 class _Group:
-    """Runs that share all settings but the seed: repetitions of each other. In every panel they look the same."""
+    """Runs with equal settings except the seed. They are drawn as one curve."""
 
     folders: list[RunFolder]
     label: str
     color: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Curve:
-    x: F64Array
-    y: F64Array
-
-
 def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str = "env_steps") -> Path:
     """Draw the learning curves of `runs` and return the picture's path.
 
-    Runs of the same settings but for the seed are one group: its mean is drawn, and a 95 % bootstrap interval over its
-    runs. A run alone shows the spread of its evaluation's episodes instead (mean, plus or minus two standard errors).
+    Runs that differ in the seed only form a group: the figure shows its mean and a 95 % bootstrap interval over its
+    runs. A single run shows its evaluation's mean plus or minus two standard errors over episodes instead.
 
     Args:
         runs: Run folders, or names of shipped agents.
-        out: The picture; its suffix (.png, .pdf, .svg) says the format.
+        out: Path of the picture; the suffix (.png, .pdf, .svg) selects the format.
         x: `env_steps`, `generation` or `wall_time_s`.
 
     Raises:
         RunFolderError: A run is neither a run folder nor a shipped agent, or has no generation yet.
         UnknownNameError: `x` is not one of `X_AXES`.
-        ConfigError: No run is given, or the suffix of `out` is no picture format.
+        ConfigError: `runs` is empty, or the suffix of `out` is not a picture format.
         StorageError: The picture cannot be written.
     """
     if not runs:
@@ -88,26 +81,27 @@ def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str =
 
 
 def _panels(folders: list[RunFolder]) -> list[Panel]:
-    """Return what is drawn: the score, and the return of each level that one of the runs has."""
+    """Return the panels: the score, and the return of each level of any run."""
     levels = dict.fromkeys(name for folder in folders for name in folder.read_config().level_names)
     returns = [("progress", f"{name}_return_mean", f"{name} return (training)") for name in levels]
     return [("evaluation", "score_mean", "evaluation score"), *returns]
 
 
 def _has_level(folder: RunFolder, column: str) -> bool:
-    """Tell whether a run has the level that `column` is of; every run has a score."""
+    """Return whether a run has `column`: its score, or the return of one of its levels."""
     level = column.removesuffix("_return_mean")
     return level == column or level in folder.read_config().level_names
 
 
 def _groups(folders: list[RunFolder]) -> list[_Group]:
-    """Return the groups that `folders` are of."""
+    """Return `folders` in groups of equal settings except the seed."""
     found: dict[str, list[RunFolder]] = {}
     for folder in folders:
         config = folder.read_config()
         settings = {name: value for name, value in config.numbers().items() if name != "seed"}
         found.setdefault(json.dumps([config.run.preset, settings], sort_keys=True), []).append(folder)
-    names = [_name(members[0].read_config()) for members in found.values()]
+    configs = [members[0].read_config().run for members in found.values()]
+    names = [f"{run.env} {run.preset}" for run in configs]
     groups: list[_Group] = []
     for number, (name, members) in enumerate(zip(names, found.values(), strict=True)):
         label = name if names.count(name) == 1 else f"{name}: {members[0].path.name}"
@@ -117,28 +111,29 @@ def _groups(folders: list[RunFolder]) -> list[_Group]:
 
 
 def _draw_group(axis: Axes, group: _Group, table: str, column: str, x: str) -> None:
-    """Draw one column of a group's runs."""
-    curves = [_read_curve(folder, table, column, x) for folder in group.folders]
-    if len(curves) == 1:
-        axis.plot(curves[0].x, curves[0].y, label=group.label, color=group.color)
-        _draw_spread(axis, group, curves[0], table, column)
+    """Draw one column of the group's runs."""
+    xs, ys = zip(*(_read_curve(folder, table, column, x) for folder in group.folders), strict=True)
+    is_single = len(group.folders) == 1
+    grid, values = (xs[0], np.stack(ys)) if is_single else interpolate(xs, ys)
+    mean = values.mean(axis=0)
+    axis.plot(grid, mean, label=group.label, color=group.color)
+    if not is_single:
+        low, high = interval(values)
+    elif column == "score_mean":
+        columns = read_csv(group.folders[0].evaluation)
+        error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])
+        low, high = mean - error, mean + error
+    else:
         return
-    grid, values = interpolate([curve.x for curve in curves], [curve.y for curve in curves])
-    low, high = interval(values)
-    axis.plot(grid, values.mean(axis=0), label=group.label, color=group.color)
     axis.fill_between(grid, low, high, alpha=0.2, color=group.color, linewidth=0)
 
 
-def _draw_spread(axis: Axes, group: _Group, curve: _Curve, table: str, column: str) -> None:
-    """Shade two standard errors of a single run's evaluations."""
-    if (table, column) != ("evaluation", "score_mean"):
-        return
-    columns = read_csv(group.folders[0].evaluation)
-    error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])
-    axis.fill_between(curve.x, curve.y - error, curve.y + error, alpha=0.2, color=group.color, linewidth=0)
+def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> tuple[F64Array, F64Array]:
+    """Return abscissae and values of one column of a run's table.
 
-
-def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> _Curve:
+    Raises:
+        RunFolderError: The table or the column does not exist.
+    """
     path = folder.evaluation if table == "evaluation" else folder.progress
     if not path.exists():
         raise RunFolderError(f"{folder.path} has no generation yet: {path.name} is missing. Train it first.")
@@ -146,8 +141,4 @@ def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> _Curve:
     if column not in columns:
         raise RunFolderError(f"{path} has no column {column!r}, or no row.")
     scale = 1 / 60 if x == "wall_time_s" else 1.0
-    return _Curve(x=np.array(columns[x]) * scale, y=np.array(columns[column]))
-
-
-def _name(config: TrainConfig) -> str:
-    return f"{config.run.env} {config.run.preset}"
+    return np.array(columns[x]) * scale, np.array(columns[column])

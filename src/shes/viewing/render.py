@@ -1,4 +1,4 @@
-"""`shes render`: a video of one episode, for one checkpoint or several side by side, with or without a screen."""
+"""`shes render`: a video of one episode, of one checkpoint or of several side by side."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from shes.drawing.drawer import Drawer, Picture
 from shes.drawing.renderer import CAMERAS
+from shes.drawing.rendering import make_drawer
 from shes.errors import ConfigError, UnknownNameError
 from shes.viewing.playback import Moment, Playback
 from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
@@ -18,12 +19,12 @@ from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
 __all__ = ["VIEWS", "render"]
 
 VIEWS = ("both", *CAMERAS)
-"""Cameras to choose from: both, the one that follows, the one above."""
+"""Allowed values of `camera`."""
 
 _CAPTION_PIXELS = 28
 _BAR, _INK = (28, 32, 38, 200), (240, 243, 246)
 _SMALLEST_FONT = 8
-_HELD_S = 0.7  # the last frame stays for so long
+_HELD_S = 0.7  # time for which the last frame is held
 
 
 def render(
@@ -40,49 +41,41 @@ def render(
 ) -> Path:
     """Write a video of an episode and return its path.
 
-    The episode is one of those that `evaluate` runs. Between control steps the pose is interpolated. An external
-    environment draws itself, through its own camera and without the goals.
+    The episode is one of those that `evaluate` runs. Poses between control steps are interpolated. An external
+    environment draws itself, with its own camera and without goals.
 
     Args:
-        run: The run folder, or the name of a shipped agent.
-        out: The video: .mp4 or .gif.
-        checkpoints: `best`, `last` or numbers of generations: side by side, all in the same episode.
+        run: Run folder, or the name of a shipped agent.
+        out: Path of the video, .mp4 or .gif.
+        checkpoints: `best`, `last` or numbers of generations; several are shown side by side, in the same episode.
         camera: `both`, `follow` or `top`.
-        episode: Which of the episodes of `evaluate`, from 0.
-        seed: Seed of the episodes, as `evaluate` takes it.
-        size: Height and width of one view in pixels; even.
-        steps: Control steps at most; evaluation's horizon if none.
-        on_step: Hears how many control steps are drawn, and how many there are at most.
+        episode: Index of the episode among those of `evaluate`.
+        seed: Seed of the episodes, as for `evaluate`.
+        size: Height and width of a view in pixels; even.
+        steps: Maximum number of control steps; None is evaluation's horizon.
+        on_step: Called with the number of control steps drawn and their maximum.
 
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: A checkpoint is missing or damaged.
         UnknownNameError: `camera` is not one of `VIEWS`.
-        ConfigError: Another argument is out of range, or the environment draws no pictures.
+        ConfigError: Another argument is out of range, or the environment has no pictures.
         StorageError: The video cannot be written.
     """
     target = Path(out)
+    names = (checkpoints,) if isinstance(checkpoints, str) else checkpoints
     check_video_path(target)
-    if camera not in VIEWS:
-        raise UnknownNameError("camera", camera, VIEWS, "Set --camera.")
-    if isinstance(checkpoints, str):
-        checkpoints = (checkpoints,)
-    if not checkpoints:
-        raise ConfigError(
-            "render needs at least one checkpoint: best, last or the number of a generation. Set --checkpoint."
-        )
-    if size % 2 or not 64 <= size <= 1080:
-        raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
-    playbacks = [Playback(run, str(name), seed, steps) for name in checkpoints]
+    _check_arguments(names, camera, size)
+    playbacks = [Playback(run, str(name), seed, steps) for name in names]
     episode_seed = playbacks[0].seed_of(episode)
     drawers: list[Drawer] = []
     try:
-        drawers.extend(each.make_drawer(size, size) for each in playbacks)
+        drawers.extend(make_drawer(each.task, size, size) for each in playbacks)
         cameras = _cameras(drawers[0], camera)
         episodes = [each.play(episode_seed) for each in playbacks]
         if on_step is not None:
             episodes[0] = _counted(episodes[0], playbacks[0].steps, on_step)
-        rate = FRAMES_PER_SECOND * playbacks[0].step_s
+        rate = FRAMES_PER_SECOND * playbacks[0].task.step_s
         columns = [_frames(moments, drawer, cameras, rate) for moments, drawer in zip(episodes, drawers, strict=True)]
         if len(columns) == 1:
             frames = (np.hstack(views) for views in columns[0])
@@ -90,37 +83,45 @@ def render(
             frames = _side_by_side([(np.vstack(views) for views in column) for column in columns])
         write_video(target, _held(frames, round(_HELD_S * FRAMES_PER_SECOND)))
     finally:
-        for each in (*drawers, *playbacks):
+        for each in (*drawers, *(playback.task for playback in playbacks)):
             each.close()
     return target
 
 
+def _check_arguments(checkpoints: Sequence[str], camera: str, size: int) -> None:
+    """Check the arguments of `render` that need no run."""
+    if camera not in VIEWS:
+        raise UnknownNameError("camera", camera, VIEWS, "Set --camera.")
+    if not checkpoints:
+        raise ConfigError(
+            "render needs at least one checkpoint: best, last or the number of a generation. Set --checkpoint."
+        )
+    if size % 2 or not 64 <= size <= 1080:
+        raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
+
+
 def _counted(moments: Iterator[Moment], steps: int, on_step: Callable[[int, int], None]) -> Iterator[Moment]:
-    """Yield `moments`; tell after each how far it is."""
+    """Yield `moments`, and call `on_step` after each."""
     for number, moment in enumerate(moments):
         yield moment
         on_step(number, steps)
 
 
 def _cameras(drawer: Drawer, asked: str) -> Sequence[str]:
-    """Return the cameras to look through.
-
-    Raises:
-        ConfigError: The environment draws itself, and has not the camera that was asked for.
-    """
+    """Return the cameras to draw with; raise a ConfigError if the environment draws itself and lacks `asked`."""
     if asked == "both":
         return drawer.cameras
     if asked not in drawer.cameras:
-        raise ConfigError(f"this environment draws itself, and has no camera {asked!r}. Leave --camera away.")
+        raise ConfigError(f"this environment draws itself and has no camera {asked!r}. Omit --camera.")
     return (asked,)
 
 
 def _frames(
     moments: Iterator[Moment], drawer: Drawer, cameras: Sequence[str], frames_per_step: float
 ) -> Iterator[list[Picture]]:
-    """Yield the views of an episode, frame by frame; the first bears the caption.
+    """Yield the views of an episode, frame by frame; the first view has the caption.
 
-    Where the frames of a step are no whole number, some steps have one more than others, or none.
+    If `frames_per_step` is not a whole number, steps differ in their number of frames.
     """
     before: Moment | None = None
     for step, moment in enumerate(moments):
@@ -134,7 +135,7 @@ def _frames(
 
 
 def _captioned(view: Picture, text: str) -> Picture:
-    """Return `view` with a bar of text over its upper edge."""
+    """Return `view` with a bar of text at its upper edge."""
     image = Image.fromarray(view)
     draw = ImageDraw.Draw(image, "RGBA")
     draw.rectangle([0, 0, image.width, _CAPTION_PIXELS], _BAR)
@@ -146,7 +147,7 @@ def _captioned(view: Picture, text: str) -> Picture:
 
 
 def _side_by_side(columns: Sequence[Iterator[Picture]]) -> Iterator[Picture]:
-    """Yield frames of all columns next to each other; a column that has ended stands still."""
+    """Yield the columns' frames side by side; a column that has ended keeps its last frame."""
     shown: list[Picture] = []
     for frames in zip_longest(*columns):
         shown = [frame if frame is not None else shown[i] for i, frame in enumerate(frames)]
@@ -154,7 +155,7 @@ def _side_by_side(columns: Sequence[Iterator[Picture]]) -> Iterator[Picture]:
 
 
 def _held(frames: Iterator[Picture], count: int) -> Iterator[Picture]:
-    """Yield `frames`, and the last one `count` times more."""
+    """Yield `frames`, then the last one `count` more times."""
     last: Picture | None = None
     for frame in frames:
         last = frame

@@ -1,4 +1,4 @@
-"""Video files: frames become an .mp4 or a .gif, by the ffmpeg that imageio-ffmpeg brings."""
+"""Writes .mp4 and .gif videos with the ffmpeg of imageio-ffmpeg."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 
 import imageio_ffmpeg
 
-from shes.drawing.renderer import Picture
+from shes.drawing.drawer import Picture
 from shes.errors import ConfigError, StorageError
 from shes.storage import write_atomically
 
 __all__ = ["FRAMES_PER_SECOND", "check_video_path", "write_video"]
 
 FRAMES_PER_SECOND = 20
-"""Two for each control step. A GIF can show no 30: it counts in hundredths of a second."""
-# One palette for all frames of a GIF, made from what moves.
+"""Two frames per control step of 0.1 s. GIF times are multiples of 0.01 s, so 30 is not possible."""
+# A GIF has one palette for all frames, made from what moves.
 _PALETTE = (
     "split[a][b];[a]palettegen=stats_mode=diff[p];[b][p]paletteuse=dither=bayer:bayer_scale=4:diff_mode=rectangle"
 )
@@ -27,14 +27,14 @@ _ENCODERS: dict[str, list[str]] = {
     ".mp4": ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"],
     ".gif": ["-vf", _PALETTE],
 }
-_SHOWN_LOG = 300  # characters of ffmpeg's own words in an error
+_SHOWN_LOG = 300  # last characters of ffmpeg's log in an error message
 
 
 def check_video_path(path: Path) -> None:
-    """Refuse a path that no video can be written to, before work goes into it.
+    """Check that a video can be written to `path`.
 
     Raises:
-        ConfigError: Its suffix is not known, it is a folder, there is no such folder, or there is no ffmpeg.
+        ConfigError: Its suffix is unknown, it is a folder, its folder does not exist, or ffmpeg is missing.
     """
     if path.suffix.lower() not in _ENCODERS:
         raise ConfigError(f"a video must end in {' or '.join(_ENCODERS)}, got {str(path)!r}. Set --out.")
@@ -49,8 +49,8 @@ def write_video(path: Path, frames: Iterable[Picture]) -> None:
     """Write `frames` (pictures [H, W, 3] of one even size) to `path`, atomically.
 
     Raises:
-        ConfigError: `path` is not one that `check_video_path` allows.
-        StorageError: The file cannot be written; what was at `path` is untouched.
+        ConfigError: `check_video_path` refuses `path`.
+        StorageError: The video cannot be encoded or written; a file at `path` is unchanged.
     """
     check_video_path(path)
     with tempfile.TemporaryDirectory(prefix="shes-video-") as folder:
@@ -66,11 +66,7 @@ def write_video(path: Path, frames: Iterable[Picture]) -> None:
 
 
 def _find_ffmpeg() -> str:
-    """Return ffmpeg's path.
-
-    Raises:
-        ConfigError: There is none.
-    """
+    """Return the path of ffmpeg; raise a ConfigError if it is missing."""
     try:
         found = imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
@@ -86,13 +82,13 @@ def _find_ffmpeg() -> str:
 
 
 def _encode(file: Path, frames: Iterable[Picture]) -> str | None:
-    """Let ffmpeg write `file`; return None, or where it fails the end of what it said."""
+    """Encode `frames` into `file`; return None, or the end of ffmpeg's log if it fails."""
     stream = iter(frames)
     first = next(stream)
     size = f"{first.shape[1]}x{first.shape[0]}"
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(FRAMES_PER_SECOND), "-i", "-"]
     command = [_find_ffmpeg(), "-v", "error", "-y", *raw, *_ENCODERS[file.suffix], str(file)]
-    # A session of its own: a Ctrl-C in a terminal reaches this process alone, which then ends ffmpeg.
+    # In its own session, so that Ctrl-C reaches only this process, which then kills ffmpeg.
     with (
         tempfile.TemporaryFile() as log,
         subprocess.Popen(command, stdin=subprocess.PIPE, stderr=log, start_new_session=True) as encoder,

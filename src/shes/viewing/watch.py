@@ -1,21 +1,23 @@
-"""`shes watch`: an agent at work in a window, episode after episode, with its goals."""
+"""`shes watch`: shows an agent's episodes in a window, one after another, with its goals."""
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 
+from shes.drawing.rendering import open_window
 from shes.viewing.playback import Playback
 
 __all__ = ["watch"]
 
 
 def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None) -> None:
-    """Show the episodes that `evaluate` runs, one after another in real time, until the window is closed.
+    """Show the episodes that `evaluate` runs, in real time, until the window is closed.
 
     Args:
-        run: The run folder, or the name of a shipped agent.
+        run: Run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
-        seed: Seed of the episodes, as `evaluate` takes it.
+        seed: Seed of the episodes, as for `evaluate`.
 
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
@@ -23,15 +25,13 @@ def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None)
         ConfigError: There is no screen, the environment has no window, or `seed` is negative.
     """
     playback = Playback(run, checkpoint, seed)
-    window = playback.open_window()
+    window = open_window(playback.task)
     try:
-        episode = 0
-        while window.is_open:
+        for episode in count():
             for number, moment in enumerate(playback.play(playback.seed_of(episode))):
                 if not window.is_open:
                     return
                 window.show(moment.pose, moment.markers, is_new_episode=number == 0)
-            episode += 1
     finally:
         window.close()
-        playback.close()
+        playback.task.close()

@@ -1,6 +1,6 @@
-"""The ant of the HIRO and SHES tasks: not Gymnasium's, which has another time step, gear and gait.
+"""The ant of the HIRO and SHES tasks. Gymnasium's ant differs: it has another time step and another gear.
 
-Source: environment specification, Ant body (`easier_ant.xml` of the authors' environments).
+Source: `easier_ant.xml` of the SHES authors' HrlMuJoCoEnvs.jl; `docs/environments/index.md`, *The ant*.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.quaternions import yaw
+from shes.envs.root import yaw
 from shes.types import BoolArray, F64Array
 
 __all__ = ["Ant"]
@@ -21,13 +21,15 @@ __all__ = ["Ant"]
 TORSO_HEIGHT_M = 0.75
 TORSO_RADIUS_M = 0.25
 LEG_RADIUS_M = 0.08
-UPPER_M = 0.2  # reach in x and in y of the fixed capsule and of the hip's
-LOWER_M = 0.4  # reach in x and in y of the ankle's capsule
+UPPER_M = 0.2
+"""Extent along x and along y of the fixed capsule and of the hip's."""
+LOWER_M = 0.4
+"""Extent along x and along y of the ankle's capsule."""
 HIP_RANGE_DEG = (-30.0, 30.0)
 HEALTHY_Z_M = (0.2, 1.0)
 """The ant has fallen when its torso leaves this range."""
 
-# number: (sign of x, sign of y, ankle axis, ankle range in degrees)
+# leg: (sign of x, sign of y, ankle axis, ankle range in degrees)
 _LEGS = {
     1: (1, 1, (-1, 1, 0), (30.0, 70.0)),
     2: (-1, 1, (1, 1, 0), (-70.0, -30.0)),
@@ -36,14 +38,14 @@ _LEGS = {
 }
 _ACTUATOR_ORDER = (4, 1, 2, 3)  # not the order of the legs in qpos
 _FLEXION = {1: 1, 2: -1, 3: -1, 4: 1}
-"""An ankle's angle times this is how far it is bent: the same for all legs that look the same."""
-_NEXT_LEG = {1: 2, 2: 3, 3: 4, 4: 1}  # to the left, by a quarter turn
-_MIRRORED_LEG = {1: 4, 2: 3, 3: 2, 4: 1}  # left for right
+"""Sign that turns an ankle's angle into its flexion, which is equal in legs of equal shape."""
+_NEXT_LEG = {1: 2, 2: 3, 3: 4, 4: 1}  # after a quarter turn to the left
+_MIRRORED_LEG = {1: 4, 2: 3, 3: 2, 4: 1}  # reflected, left to right
 _JOINTS = [f"{joint}_{number}" for number in _LEGS for joint in ("hip", "ankle")]
 
 
 class Ant(Body):
-    """Four legs of two joints; qpos: x y z, quaternion w x y z, then hip and ankle of legs 1 to 4."""
+    """A torso with four legs of two joints. qpos: x y z, quaternion w x y z, then hip and ankle of legs 1 to 4."""
 
     name = "ant"
     pose: ClassVar[tuple[ObservationElement, ...]] = (
@@ -63,12 +65,12 @@ class Ant(Body):
     control_limit: ClassVar[float] = 30.0
     quaternion: ClassVar[slice | None] = slice(3, 7)
     egocentric: ClassVar[tuple[ObservationElement, ...]] = (
-        *elements(["torso_z"], "{} in the world", "m"),
-        *elements(["tilt_ahead", "tilt_left"], "{}: that component of the torso's own z axis"),
+        pose[2],
+        *elements(["tilt_ahead", "tilt_left"], "{}: component of the torso's z axis"),
         *elements(["velocity_ahead", "velocity_left", "velocity_up"], "{} of the torso", "m/s"),
-        *elements([f"torso_w{axis}" for axis in "xyz"], "{}: angular velocity about an axis of the torso", "rad/s"),
-        *elements(_JOINTS, "angle of {}", "rad"),
-        *elements([f"{joint}_velocity" for joint in _JOINTS], "{}", "rad/s"),
+        *velocity[3:6],
+        *pose[7:],
+        *velocity[6:],
     )
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
@@ -78,15 +80,11 @@ class Ant(Body):
         torso.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[TORSO_RADIUS_M, 0, 0])
         for number in _LEGS:
             self._add_leg(torso, number)
-        for joint in self.controls:
-            motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            motor.set_to_motor()
-            motor.ctrllimited = True
-            motor.ctrlrange = [-self.control_limit, self.control_limit]
+        self.add_motors(spec)
 
     @staticmethod
     def _add_leg(torso: mujoco.MjsBody, number: int) -> None:
-        """Add one leg to the torso: a fixed capsule, the hip's, the ankle's."""
+        """Add a leg to the torso: a fixed capsule, the hip's capsule, and the ankle's."""
         sign_x, sign_y, ankle_axis, ankle_range = _LEGS[number]
         upper = [UPPER_M * sign_x, UPPER_M * sign_y, 0]
         lower = [LOWER_M * sign_x, LOWER_M * sign_y, 0]
@@ -105,7 +103,7 @@ class Ant(Body):
         ankle.add_joint(name=f"ankle_{number}", axis=ankle_axis, range=ankle_range, **hinge)
 
     def heading(self, qpos: F64Array) -> F64Array:
-        """Return the angle [N] of the torso's x axis, rotated by its quaternion, in the xy plane."""
+        """Return the angle [N] in the xy plane of the torso's x axis, in radians."""
         return yaw(qpos[..., 3:7])
 
     def fallen(self, qpos: F64Array) -> BoolArray:
@@ -114,17 +112,17 @@ class Ant(Body):
         return ~((height >= HEALTHY_Z_M[0]) & (height <= HEALTHY_Z_M[1]))
 
     def frame_angle(self, qpos: F64Array) -> F64Array:
-        """Return the twist of the torso about the vertical [N].
+        """Return the twist of the torso about the vertical [N] in radians.
 
         Deviation: not the heading. Seen from above, the x and y axes of a tilted torso are not a quarter turn apart, so
-        that the frame of the heading breaks the symmetry by as much as the square of the tilt.
+        the frame of the heading violates the symmetry to second order in the tilt.
         """
         return 2 * np.arctan2(qpos[:, 6], qpos[:, 3])
 
     def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
         """Write height, tilt, velocity, angular velocity and joints [N, 25]; see `Body.write_egocentric`.
 
-        MuJoCo gives the angular velocity in the torso's own frame: it is egocentric as it is.
+        MuJoCo's angular velocity of a free joint is already in the torso's frame.
         """
         cosine, sine = np.cos(angle), np.sin(angle)
         w, x, y, z = (qpos[:, i] for i in range(3, 7))
@@ -136,11 +134,11 @@ class Ant(Body):
         out[:, 17:25] = qvel[:, 6:14]
 
     def symmetry(self, *, is_mirrored: bool) -> SymmetryGroup:
-        """Return the four quarter turns, with their mirror images the eight elements of the square's symmetry."""
-        # In the frame turned by a quarter to the left: x' = y, y' = -x, and the leg that comes next is leg 1.
+        """Return the four quarter turns, with `is_mirrored` the eight elements of the symmetry of the square."""
+        # In the frame after a quarter turn to the left: x' = y, y' = -x, and the next leg becomes leg 1.
         turned = ([2, 1], [1, -1])
         turn = _view_element(turned, turned, turned, _NEXT_LEG, hip_sign=1)
-        # A rotation about an axis in the mirror's plane changes its sense, one about the axis across it does not.
+        # Reflection reverses rotations about axes in the mirror plane, but not about the axis normal to it.
         mirrored = ([1, 2], [1, -1])
         mirror = _view_element(mirrored, mirrored, ([1, 2], [-1, 1]), _MIRRORED_LEG, hip_sign=-1)
         controls = [_leg_element(_ACTUATOR_ORDER, legs, sign) for legs, sign in ((_NEXT_LEG, 1), (_MIRRORED_LEG, -1))]
@@ -148,16 +146,16 @@ class Ant(Body):
 
 
 _Plane = tuple[list[int], list[int]]
-"""How an element maps the x and y of a vector: the component (1 or 2) that each comes from, and its sign."""
+"""Action of an element on the x and y of a vector: the component (1 or 2) that each comes from, and its sign."""
 
 
 def _view_element(
     tilt: _Plane, velocity: _Plane, rotation: _Plane, legs: dict[int, int], hip_sign: int
 ) -> SignedPermutation:
-    """Return what an element of the symmetry does to the egocentric view: its generators differ in these."""
+    """Return the action of a group element on the egocentric view, from its actions on the parts."""
     joints = _leg_element(tuple(_LEGS), legs, hip_sign)
     index = [0, *tilt[0], *(2 + i for i in velocity[0]), 5, *(5 + i for i in rotation[0]), 8]
-    # Left for right, the rotation about the vertical changes its sense, as the hips about theirs do.
+    # Reflection reverses the rotation about the vertical, as it does those of the hips.
     sign = [1, *tilt[1], *velocity[1], 1, *rotation[1], hip_sign]
     return SignedPermutation(
         np.array([*index, *(9 + joints.source), *(17 + joints.source)]), np.array([*sign, *joints.sign, *joints.sign])
@@ -165,7 +163,7 @@ def _view_element(
 
 
 def _leg_element(order: tuple[int, ...], legs: dict[int, int], hip_sign: int) -> SignedPermutation:
-    """Return what it does to a hip's and an ankle's value of every leg, which stand in this `order` of legs."""
+    """Return the action of a group element on one value for each hip and ankle; the legs are in `order`."""
     index, sign = list[int](), list[float]()
     for leg in order:
         source = legs[leg]
@@ -176,6 +174,6 @@ def _leg_element(order: tuple[int, ...], legs: dict[int, int], hip_sign: int) ->
 
 
 def _turn_back(x: F64Array, y: F64Array, cosine: F64Array, sine: F64Array, out: F64Array) -> None:
-    """Write the vectors (`x`, `y`) [N], turned back by the angle of `cosine` and `sine`, into `out` [N, 2]."""
+    """Write the vectors (`x`, `y`) [N], rotated back by the angle of `cosine` and `sine`, into `out` [N, 2]."""
     np.add(cosine * x, sine * y, out=out[:, 0])
     np.subtract(cosine * y, sine * x, out=out[:, 1])

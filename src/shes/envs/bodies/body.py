@@ -1,4 +1,4 @@
-"""What a robot is to a task: how it is built, where it is, which way it looks, when it has fallen."""
+"""The contract of a body: a robot's geometry, motors, coordinates, heading, and fall criterion."""
 
 from __future__ import annotations
 
@@ -17,89 +17,99 @@ __all__ = ["Body"]
 
 
 class Body(ABC):
-    """A robot. Its coordinates come first in the model's qpos and qvel."""
+    """A robot. Its coordinates are the first of the model's qpos and qvel."""
 
     name: ClassVar[str]
+    """Name, e.g. `ant`."""
     Options: ClassVar[type[Settings]] = Settings
-    """Its options: a subclass of `Settings` whose fields are flags of training. It is made from an object of it."""
+    """Class of its options: a subclass of `Settings`, whose fields become flags of training."""
     pose: ClassVar[tuple[ObservationElement, ...]]
-    """Its generalised coordinates, qpos."""
+    """Elements of its generalised coordinates, qpos."""
     velocity: ClassVar[tuple[ObservationElement, ...]]
-    """Its generalised velocities, qvel."""
+    """Elements of its generalised velocities, qvel."""
     controls: ClassVar[tuple[str, ...]]
-    """What each control moves."""
+    """Name of each control."""
     control_unit: ClassVar[str]
     """Unit of a control before it is scaled to [-1, 1]."""
     control_limit: ClassVar[float]
     """Controls lie in [-control_limit, control_limit]."""
     quaternion: ClassVar[slice | None]
-    """Where the torso's unit quaternion stands in qpos, if there is one."""
+    """Slice of qpos that holds the torso's unit quaternion; None without one."""
     egocentric: ClassVar[tuple[ObservationElement, ...]] = ()
-    """Its state with nothing of the world in it but gravity: what `write_egocentric` writes; empty if not told."""
+    """Elements of the egocentric view, which `write_egocentric` writes; empty without one."""
 
     def __init__(self, options: Settings | None = None) -> None:
-        """Make the robot, with options of class `Options`; their defaults if none."""
+        """Make the robot with `options` of class `Options`; None is their defaults."""
         self.options = self.Options() if options is None else options
 
     @property
     def num_qpos(self) -> int:
-        """Generalised coordinates."""
+        """Number of generalised coordinates."""
         return len(self.pose)
 
     @property
     def num_qvel(self) -> int:
-        """Generalised velocities."""
+        """Number of generalised velocities."""
         return len(self.velocity)
 
     @property
     def num_controls(self) -> int:
-        """Controls, A."""
+        """Number of controls, A."""
         return len(self.controls)
 
     @abstractmethod
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
-        """Add the robot and its actuators to `spec`, at the origin, on ground of this height."""
+        """Add the robot and its actuators to `spec`, at the origin, on ground of height `ground_m`."""
+
+    def add_motors(self, spec: mujoco.MjSpec, gear: float = 1.0) -> None:
+        """Add a motor to `spec` for each of `controls`, if these are names of joints."""
+        for joint in self.controls:
+            motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            motor.set_to_motor()
+            motor.gear = [gear, 0, 0, 0, 0, 0]
+            motor.ctrllimited = True
+            motor.ctrlrange = [-self.control_limit, self.control_limit]
 
     @abstractmethod
     def heading(self, qpos: F64Array) -> F64Array:
-        """Return the yaw [N] in radians of robots at `qpos` [N, num_qpos]."""
+        """Return the headings (yaw) [N] in radians of robots at `qpos` [N, num_qpos]."""
 
     @abstractmethod
     def fallen(self, qpos: F64Array) -> BoolArray:
         """Return whether robots at `qpos` [N, num_qpos] have fallen over [N]."""
 
     def frame_angle(self, qpos: F64Array) -> F64Array:
-        """Return the angle [N] of the frame that the egocentric view is seen from, about the vertical, in radians.
+        """Return the rotation [N] about the vertical, in radians, of the frame of the egocentric view.
 
-        It turns with the robot: a robot with a symmetry must have one that no element of its group tells from another.
+        The frame turns with the robot. A robot with a symmetry needs a frame on which its group acts exactly.
         """
         return self.heading(qpos)
 
     def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Write the robot's state as it looks in its own frame, without its place.
+        """Write the robot's state, without its position, in its own frame.
 
         Args:
             qpos: Generalised coordinates [N, num_qpos].
             qvel: Generalised velocities [N, num_qvel].
-            angle: The frame's angle at `qpos` [N], in radians; see `frame_angle`.
-            out: Where the values of `egocentric` go [N, V].
+            angle: Rotation of the frame [N] in radians; see `frame_angle`.
+            out: Receives the values of `egocentric` [N, V].
 
         Raises:
             ConfigError: The robot has no egocentric view.
         """
         raise ConfigError(
-            f"nobody has told what the {self.name} looks like from its own frame. Define `egocentric` and "
-            "`write_egocentric` in its class, or choose another view."
+            f"the {self.name} has no egocentric view. Define `egocentric` and `write_egocentric` in its class, or "
+            "choose another view."
         )
 
     def symmetry(self, *, is_mirrored: bool) -> SymmetryGroup | None:
-        """Return the turns after which the robot looks the same, with their mirror images if wanted.
+        """Return the rotations that map the robot onto itself, with `is_mirrored` also the reflections.
 
-        None stands for a robot without a symmetry, or whose symmetry nobody has told.
+        None means that the robot has no symmetry, or that its class does not define one.
         """
         del is_mirrored
         return None
 
     def position(self, qpos: F64Array) -> F64Array:
-        """Return the place [N, 2] in metres of robots at `qpos` [N, num_qpos]: a view."""
+        """Return the positions [N, 2] in metres of robots at `qpos` [N, num_qpos], as a view."""
         return qpos[..., :2]

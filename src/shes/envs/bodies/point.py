@@ -1,4 +1,7 @@
-"""The point: the ant's cheap twin, a sphere pushed along x and y. Source: environment specification, Point body."""
+"""The point: a sphere pushed along x and y. It is fast to simulate and makes every task easier.
+
+Source: own design; `docs/environments/index.md`, *The point*.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +21,14 @@ MASS_KG = 0.33
 HEIGHT_M = 0.5
 """Height of the centre: the sphere touches walls and blocks, never the floor."""
 FALLING_HEIGHT_M = 0.75
-"""Height of the centre above the ground at the start, where there is gravity (that of the ant's torso)."""
+"""Initial height of the centre above the ground in Fall, which has gravity: that of the ant's torso."""
 GEAR_N = 6.0
 DAMPING = 0.8
-"""In N s/m: the top speed is GEAR_N / DAMPING = 7.5 m/s, reached with a time constant of 0.4 s, four control steps."""
+"""In N s/m. The top speed is GEAR_N / DAMPING = 7.5 m/s; the time constant is 0.4 s, four control steps."""
 
 
 class Point(Body):
-    """A sphere on two slide joints; qpos and qvel are x and y. Its heading is always 0, and it cannot fall."""
+    """A sphere on two slide joints; qpos and qvel are x and y. Its heading is always 0, and it cannot fall over."""
 
     name = "point"
     pose: ClassVar[tuple[ObservationElement, ...]] = elements(["torso_x", "torso_y"], "{} in the world", "m")
@@ -39,20 +42,16 @@ class Point(Body):
     quaternion: ClassVar[slice | None] = None
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
-        """Add the sphere, its slides and its motors to `spec`."""
+        """Add the sphere, its slide joints and its motors to `spec`."""
         self._add_sphere(spec, ground_m + HEIGHT_M)
 
     def _add_sphere(self, spec: mujoco.MjSpec, height: float) -> mujoco.MjsBody:
-        """Add the sphere at this height, and what moves it along x and y."""
+        """Add the sphere at `height`, with slide joints and motors along x and y."""
         body = spec.worldbody.add_body(name="torso", pos=[0, 0, height])
         body.add_geom(name="torso_geom", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[RADIUS_M, 0, 0], mass=MASS_KG)
         for name, axis in zip(self.controls, ([1, 0, 0], [0, 1, 0]), strict=True):
             body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=DAMPING)
-            motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            motor.set_to_motor()
-            motor.gear = [GEAR_N, 0, 0, 0, 0, 0]
-            motor.ctrllimited = True
-            motor.ctrlrange = [-self.control_limit, self.control_limit]
+        self.add_motors(spec, GEAR_N)
         return body
 
     def heading(self, qpos: F64Array) -> F64Array:
@@ -60,7 +59,7 @@ class Point(Body):
         return np.zeros_like(qpos[..., 0])
 
     def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Write the velocity [N, 2]: the point looks along x for ever."""
+        """Write the velocity [N, 2]: the heading is always 0."""
         del qpos, angle
         out[:] = qvel
 
@@ -70,7 +69,7 @@ class Point(Body):
 
 
 class FallingPoint(Point):
-    """The point of Fall: a third slide lets it rest on the ground and fall; qpos and qvel are x, y and height."""
+    """The point of Fall, with a third slide joint along z; qpos and qvel are x, y and height."""
 
     pose: ClassVar[tuple[ObservationElement, ...]] = elements(["torso_x", "torso_y", "torso_z"], "{} in the world", "m")
     velocity: ClassVar[tuple[ObservationElement, ...]] = elements(
@@ -85,7 +84,7 @@ class FallingPoint(Point):
         out[:, 1:] = qvel
 
     def add_to(self, spec: mujoco.MjSpec, ground_m: float = 0.0) -> None:
-        """Add the sphere, its slides and its motors to `spec`; the third coordinate is the height itself."""
+        """Add the sphere, its slide joints and its motors to `spec`; the third coordinate is the height."""
         height = ground_m + FALLING_HEIGHT_M
         body = self._add_sphere(spec, height)
         body.add_joint(name="slide_z", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], ref=height, damping=DAMPING)

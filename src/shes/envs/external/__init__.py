@@ -1,1 +1,1 @@
-"""Environments of others: any Gymnasium environment, by a description of where robot and heading are."""
+"""External environments: any Gymnasium environment, with a function that locates its robot."""

@@ -1,9 +1,9 @@
-"""The environments of others that SHES knows by name: those that come with it, and those that users register."""
+"""The external environments by name: those of Gymnasium-Robotics, and those that users register."""
 
 from __future__ import annotations
 
 from shes.envs.external.environment import ExternalEnvironment
-from shes.envs.quaternions import yaw
+from shes.envs.root import yaw
 
 __all__ = ["EXTERNAL_ENVIRONMENTS", "INCLUDED"]
 
@@ -12,7 +12,7 @@ INCLUDED = {
         name="robotics-ant-maze",
         source="AntMaze_UMaze-v5",
         locate=lambda seen, _: (*seen["achieved_goal"].tolist(), float(yaw(seen["observation"][1:5]))),
-        primitive_view=tuple(range(4, 109)),  # not the achieved and the desired goal, which come first
+        primitive_view=tuple(range(4, 109)),  # without the achieved and the desired goal, which come first
         is_scored_by_success=True,
     ),
     "robotics-point-maze": ExternalEnvironment(
@@ -23,7 +23,7 @@ INCLUDED = {
         is_scored_by_success=True,
     ),
 }
-"""Gymnasium-Robotics' mazes, for the extra `robotics`."""
+"""Mazes of Gymnasium-Robotics, which the extra `robotics` installs."""
 
 EXTERNAL_ENVIRONMENTS: dict[str, ExternalEnvironment] = dict(INCLUDED)
-"""The external environments by name; `shes.register_external` adds to them."""
+"""Every external environment with a name; `shes.register_external` adds to it."""

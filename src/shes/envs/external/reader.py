@@ -1,4 +1,4 @@
-"""Reads what a Gymnasium environment shows, finds its robot, and writes actions of its own action space."""
+"""Reads observations of a Gymnasium environment, locates its robot, and converts controls to its actions."""
 
 from __future__ import annotations
 
@@ -12,58 +12,75 @@ from gymnasium.spaces import Box, Dict, Discrete, flatdim, flatten, unflatten
 from gymnasium.vector.utils import batch_space, iterate
 
 from shes.envs.episode_batch import Reader
-from shes.envs.root import Place, find_root
+from shes.envs.root import PlanarPose, find_root
 from shes.errors import ConfigError, ShapeError
 from shes.types import F64Array, FloatArray
 
 __all__ = ["ExternalReader", "Locate", "find_physics"]
 
-Locate: TypeAlias = Callable[[Any, Mapping[str, Any]], Place]
+Locate: TypeAlias = Callable[[Any, Mapping[str, Any]], PlanarPose]
 """Returns (x, y, heading) of the robot, in metres and radians, from an observation and its `info`."""
 
 
 class ExternalReader(Reader):
-    """The spaces of an environment, and where its robot is. Rows are observations, by `gymnasium.spaces.flatten`."""
+    """The spaces of an environment and the pose of its robot. Rows are observations flattened by Gymnasium."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], locate: Locate | None, view: Sequence[int] | None) -> None:
-        """Look at `env`; a ConfigError says why it cannot be used, or that `view` is no part of its observation."""
-        self._seen, physics, actions = env.observation_space, find_physics(env), env.action_space
-        if not self._seen.is_np_flattenable:
-            raise ConfigError(f"its observation space must have a fixed size, and is {self._seen}.")
+        """Inspect `env`.
+
+        Args:
+            env: The environment.
+            locate: Returns the robot's pose; None reads it from the MuJoCo joints, if they determine it.
+            view: Indices in the flat observation that the primitive sees; None is all but `desired_goal`.
+
+        Raises:
+            ConfigError: A space is not supported, or `view` has a repeated or invalid index.
+        """
+        self._space, physics, actions = env.observation_space, find_physics(env), env.action_space
+        if not self._space.is_np_flattenable:
+            raise ConfigError(f"its observation space must have a fixed size, got {self._space}.")
         is_box = isinstance(actions, Box) and actions.is_bounded() and np.issubdtype(actions.dtype, np.floating)
         if not is_box and not isinstance(actions, Discrete):
-            raise ConfigError(f"its actions must be Discrete or a bounded Box of floats, and are {actions}.")
+            raise ConfigError(f"its action space must be Discrete or a bounded Box of floats, got {actions}.")
         self._actions: Any = actions
-        self.observation_size, self.action_size = flatdim(self._seen), flatdim(actions)
-        parts = self._seen.spaces if isinstance(self._seen, Dict) else {"": self._seen}
-        shown = np.repeat([key != "desired_goal" for key in parts], [flatdim(part) for part in parts.values()])
-        self.primitive_view = np.flatnonzero(shown) if view is None else np.array(view, np.int64)
-        if len({*self.primitive_view} & {*range(len(shown))}) < len(self.primitive_view):
-            raise ConfigError(f"primitive_view must be indices below {len(shown)}, each once, got {view}.")
+        self.observation_size, self.action_size = flatdim(self._space), flatdim(actions)
+        self.primitive_view = _without_desired_goal(self._space) if view is None else np.array(view, np.int64)
+        if len({*self.primitive_view} & {*range(self.observation_size)}) < len(self.primitive_view):
+            raise ConfigError(
+                f"primitive_view must be distinct indices from 0 to {self.observation_size - 1}, got {view}."
+            )
         self._locate, self._root = locate, None if physics is None else find_root(physics.model)
         self.can_locate = locate is not None or self._root is not None
 
     def flat(self, observation: Any) -> F64Array:
-        """Return one observation of the environment as a row [O]; a ValueError says that its size is wrong."""
-        return np.asarray(flatten(self._seen, observation), np.float64).reshape(self.observation_size)
+        """Return one observation of the environment as a row [O].
+
+        Raises:
+            ValueError: It has another size.
+        """
+        return np.asarray(flatten(self._space, observation), np.float64).reshape(self.observation_size)
 
     def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
         """Return the observation of `num_envs` environments as rows [num_envs, O]; see `Reader.rows`."""
-        is_single = num_envs == 1 and np.shape(observation) != (1, *(self._seen.shape or ()))
+        is_single = num_envs == 1 and np.shape(observation) != (1, *(self._space.shape or ()))
         try:
-            each = [observation] if is_single else iterate(batch_space(self._seen, num_envs), observation)
+            each = [observation] if is_single else iterate(batch_space(self._space, num_envs), observation)
             return np.array([self.flat(one) for one in each]).reshape(num_envs, self.observation_size), is_single
         except Exception as error:
-            raise ShapeError(f"this is no observation of {self._seen}, times {num_envs}: {error!r}.") from error
+            raise ShapeError(f"not an observation of {num_envs} times {self._space}: {error!r}.") from error
 
-    def place(self, row: F64Array, info: Mapping[str, Any], env: gymnasium.Env[Any, Any] | None) -> Place:
-        """Return where the robot is: by the function that was registered, or else by the joints of `env`."""
-        physics = None if env is None else find_physics(env)
+    def planar_pose(self, row: F64Array, info: Mapping[str, Any], env: gymnasium.Env[Any, Any] | None) -> PlanarPose:
+        """Return the robot's planar pose for observation `row` [O]: by `locate`, else from the joints of `env`.
+
+        Raises:
+            ConfigError: `env` is needed and was not given, or `locate` returned something else than a pose.
+        """
         if self._locate is not None:
-            found: Any = self._locate(unflatten(self._seen, row), info)
-        elif physics is None or self._root is None:
-            raise ConfigError("the robot is found in the environment itself: agent.act(observation, env=env).")
+            found: Any = self._locate(unflatten(self._space, row), info)
         else:
+            physics = None if env is None else find_physics(env)
+            if physics is None or self._root is None:
+                raise ConfigError("the robot's pose is read from the environment: agent.act(observation, env=env).")
             found = self._root(physics.qpos)
         if np.shape(found) != (3,):
             raise ConfigError(f"locate must return (x, y, heading), got {found!r}.")
@@ -71,17 +88,21 @@ class ExternalReader(Reader):
 
     def locate(self, rows: F64Array, info: Mapping[str, Any] | None, env: Any = None) -> tuple[F64Array, F64Array]:
         """Return position [N, 2] in metres and heading [N] in radians; see `Reader.locate`."""
-        envs, places = getattr(env, "envs", [env] * len(rows)), np.empty((len(rows), 3))  # of a vector environment
+        envs = getattr(env, "envs", [env] * len(rows))  # a vector environment has `envs`
+        poses = np.empty((len(rows), 3))
         for i, row in enumerate(rows):
             own = {k: v[i] if len(rows) > 1 and np.ndim(v) else v for k, v in (info or {}).items()}
             try:
-                places[i] = self.place(row, own, envs[i])
+                poses[i] = self.planar_pose(row, own, envs[i])
             except LookupError as error:
-                raise ConfigError(f"locate failed ({error!r}). Give it info: agent.act(observation, info).") from error
-        return places[:, :2], places[:, 2]
+                raise ConfigError(f"locate failed ({error!r}). Pass info: agent.act(observation, info).") from error
+        return poses[:, :2], poses[:, 2]
 
     def to_action(self, control: FloatArray) -> Any:
-        """Return actions [N, ...]: `control` [N, A] stretched from [-1, 1] to the bounds, or its largest's index."""
+        """Return actions [N, ...] for `control` [N, A].
+
+        A Box is filled by scaling [-1, 1] to its bounds; a Discrete action is the index of the largest control.
+        """
         if isinstance(self._actions, Discrete):
             return self._actions.start + np.argmax(control, axis=1)
         low, high = (bound.ravel().astype(np.float64) for bound in (self._actions.low, self._actions.high))
@@ -90,10 +111,17 @@ class ExternalReader(Reader):
 
 
 def find_physics(env: gymnasium.Env[Any, Any]) -> mujoco.MjData | None:
-    """Return the MuJoCo simulation of an environment, or of one that it holds; None if there is none."""
+    """Return the MuJoCo simulation of `env` or of an environment that it holds; None if there is none."""
     inner = env.unwrapped
     for holder in (inner, *(each.unwrapped for each in vars(inner).values() if isinstance(each, gymnasium.Env))):
         data = vars(holder).get("data")
         if isinstance(data, mujoco.MjData):
             return data
     return None
+
+
+def _without_desired_goal(space: gymnasium.Space[Any]) -> Any:
+    """Return the indices in the flat observation of all entries but `desired_goal`."""
+    parts = space.spaces if isinstance(space, Dict) else {"": space}
+    sizes = [flatdim(part) for part in parts.values()]
+    return np.flatnonzero(np.repeat([key != "desired_goal" for key in parts], sizes))

@@ -1,5 +1,5 @@
 # pyright: reportIncompatibleMethodOverride=false
-"""N single Gymnasium environments as a batch of episodes: stepped one after another, never at once."""
+"""N Gymnasium environments as a batch of episodes. They are stepped one after another."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.external.description import ExternalDescription
 from shes.envs.external.reader import ExternalReader, find_physics
 from shes.errors import ConfigError
 from shes.sim.cpu import count_divergences, forget_divergences
@@ -20,65 +20,83 @@ from shes.types import F64Array, FloatArray, IntArray
 
 __all__ = ["ExternalTask"]
 
-_SEEDS = 2**31  # seeds are taken modulo this: some environments hand theirs on to generators that take no more
+_NUM_SEEDS = 2**31  # seeds are taken modulo this: some environments pass theirs on to generators that accept no more
 
 
 class ExternalTask(EpisodeBatch):
-    """N episodes of an environment of others; each depends on its seed alone if the environment sees to that."""
+    """N episodes of an external environment.
 
-    # The contract's properties, which pyright does not know from `attrgetter`: nothing is computed when asked for.
+    `terminated` is True where the environment has ended the episode: by termination or by its own truncation.
+    `fallen` is True only where it has terminated the episode and `info` reports no success.
+    """
+
+    draws_itself = True
+    control_limit = 1.0
+    # The contract's read-only properties: static facts are the reader's, live arrays are this object's.
     reader = property(attrgetter("_reader"))
     observation_size = property(attrgetter("_reader.observation_size"))
-    action_size = property(attrgetter("_reader.action_size"))
-    control_limit = property(lambda _: 1.0)
-    observation_names = property(lambda own: tuple(f"{own.environment.name}[{i}]" for i in range(own.observation_size)))
-    position_columns = property(lambda _: np.zeros(0, np.int64))  # nobody knows them
     primitive_view = proprioception = property(attrgetter("_reader.primitive_view"))
     position, heading = property(attrgetter("_position")), property(attrgetter("_heading"))
-    terminated, diverged = property(attrgetter("_terminated")), property(attrgetter("_diverged"))
-    draws_itself = property(lambda _: True)
+    terminated, fallen = property(attrgetter("_terminated")), property(attrgetter("_fallen"))
+    diverged, physics_s = property(attrgetter("_diverged")), property(attrgetter("_physics_s"))
     score, success = property(attrgetter("_score")), property(attrgetter("_success"))
 
-    def __init__(self, environment: ExternalEnvironment, num_episodes: int) -> None:
-        """Make the first of `num_episodes` environments, and look at it; a ConfigError says what is wrong with it."""
+    def __init__(self, environment: ExternalDescription, num_episodes: int) -> None:
+        """Make the first of `num_episodes` environments and inspect it; the others are made at their first reset.
+
+        Raises:
+            ConfigError: The environment cannot be made, or has a space that is not supported.
+        """
         self.environment, self.num_episodes = environment, num_episodes
         self._render_mode: str | None = None
         self._envs: list[gymnasium.Env[Any, Any] | None] = [None] * num_episodes
         env = self._env(0)
         with environment.explained("be used"):
             self._reader = ExternalReader(env, environment.locate, environment.primitive_view)
+        self.action_size = self._reader.action_size
         self.step_s = 1 / (env.metadata.get("render_fps") or 10)
+        self._physics_s = 0.0
         self.time: IntArray = np.zeros(num_episodes, np.int64)
         self.reward, self.running_return, self._score, self._heading = np.zeros((4, num_episodes))
-        self._terminated, self._diverged, self._success = np.zeros((3, num_episodes), np.bool_)
+        self._terminated, self._fallen, self._diverged, self._success = np.zeros((4, num_episodes), np.bool_)
         self._position, self._rows = np.zeros((num_episodes, 2)), np.zeros((num_episodes, self.observation_size))
 
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """Name and index of each observed value."""
+        return tuple(f"{self.environment.name}[{i}]" for i in range(self.observation_size))
+
+    @property
+    def position_columns(self) -> IntArray:
+        """No indices: which columns hold the position is unknown."""
+        return np.zeros(0, np.int64)
+
     def check_position(self) -> None:
-        """Refuse a robot that nobody can find; see `EpisodeBatch.check_position`."""
+        """Check that the robot can be located; see `EpisodeBatch.check_position`."""
         if not self._reader.can_locate:
             raise ConfigError(
-                f"nobody has told where the robot of {self.environment.name} is, nor do joints in MuJoCo. Tell it by "
-                "shes.register_external(name, make, locate=...), or set --algorithm es, which needs no position."
+                f"the position of the robot of {self.environment.name} is unknown, and no MuJoCo joints determine it. "
+                "Call shes.register_external(name, make, locate=...), or set --algorithm es, which needs no position."
             )
 
     def observe(self) -> F64Array:
-        """Return what is observed now [N, O]; zeros where the simulation diverged."""
+        """Return the current observations [N, O]; values that are not finite are 0."""
         return self._rows
 
     def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
-        """Start episodes `ids` anew, each from its own seed; see `EpisodeBatch.reset`."""
+        """Start new episodes in rows `ids`; see `EpisodeBatch.reset`."""
         if any(state is not None for state in states):
-            self.states(ids)
-        for values in (self.time, self.running_return, self._score, self._terminated, self._diverged):
+            self.states(ids)  # raises
+        for values in (self.time, self.running_return, self._score, self._terminated, self._fallen, self._diverged):
             values[ids] = 0
         for i, seed in zip(ids.tolist(), seeds, strict=True):
             env = self._env(i)
             with self.environment.explained("reset"):
-                observation, info = env.reset(seed=int(seed) % _SEEDS)
+                observation, info = env.reset(seed=int(seed) % _NUM_SEEDS)
                 physics = find_physics(env)
                 if physics is not None:
                     forget_divergences(physics)
-                self._take(i, env, observation, 0.0, info)
+                self._record(i, env, observation, 0.0, info)
 
     def step(self, ids: IntArray, action: FloatArray) -> None:
         """Apply `action` [N, A] in [-1, 1] for one step of episodes `ids`; see `EpisodeBatch.step`."""
@@ -89,11 +107,12 @@ class ExternalTask(EpisodeBatch):
                 observation, reward, terminated, truncated, info = env.step(actions[i])
                 self._physics_s += perf_counter() - start
                 self._terminated[i] = terminated or truncated
-                self._take(i, env, observation, float(reward), info)
+                self._record(i, env, observation, float(reward), info)
+                self._fallen[i] = terminated and not self._success[i]
         self.time[ids] += 1
 
-    def _take(self, i: int, env: gymnasium.Env[Any, Any], observation: Any, reward: float, info: Any) -> None:
-        """Write down what environment `i` shows, pays and reports; what has diverged neither pays nor scores."""
+    def _record(self, i: int, env: gymnasium.Env[Any, Any], observation: Any, reward: float, info: Any) -> None:
+        """Store the results of a step or reset of environment `i`; a diverged episode earns and scores 0."""
         row, physics = self._reader.flat(observation), find_physics(env)
         is_broken = bool(info.get("diverged", False)) or not (np.isfinite(reward) and np.isfinite(row).all())
         self._rows[i] = np.nan_to_num(row, nan=0.0, posinf=0.0, neginf=0.0)
@@ -105,25 +124,27 @@ class ExternalTask(EpisodeBatch):
         self.running_return[i] += reward
         success, is_score = info.get("success", info.get("is_success")), self.environment.is_scored_by_success
         if is_score and success is None and self._terminated[i]:
-            raise ConfigError(f"its score is success, but the last info has none: {', '.join(info) or 'nothing'}.")
+            entries = ", ".join(info) or "empty"
+            raise ConfigError(f"its score is success, but the last info does not report it: {entries}.")
         self._success[i] = bool(success)
         self._score[i] = self._success[i] if is_score else self.running_return[i]
         if self._reader.can_locate:
-            *self._position[i], self._heading[i] = self._reader.place(row, info, env)
+            *self._position[i], self._heading[i] = self._reader.planar_pose(row, info, env)
 
     def _env(self, i: int) -> gymnasium.Env[Any, Any]:
+        """Return environment `i`, which is made at the first call."""
         env = self._envs[i] = self._envs[i] or self.environment.make_one(self._render_mode)
         return env
 
     def draw_by(self, mode: str) -> None:
-        """Make the environments anew, at their next reset, with render mode `mode`; see `EpisodeBatch.draw_by`."""
+        """Make the environments anew, with render mode `mode`, at their next reset; see `EpisodeBatch.draw_by`."""
         if mode not in (modes := self._env(0).metadata.get("render_modes") or ["none"]):
             raise ConfigError(f"{self.environment.name} has no render mode {mode!r}, only {', '.join(modes)}.")
         self.close()
         self._render_mode = mode
 
     def pose(self, episode: int) -> Any:
-        """Return the environment's own picture [H, W, 3]; None in its window, which needs none."""
+        """Return the environment's picture [H, W, 3]; None in mode `human`, where its own window shows it."""
         with self.environment.explained("be drawn"):
             return np.array(self._env(episode).render(), np.uint8) if self._render_mode == "rgb_array" else None
 

@@ -1,4 +1,4 @@
-"""Flagrun: follow goals that move. Source: algorithm specification section 6, environment specification, Flagrun."""
+"""Flagrun: reach goals that move at regular intervals. Source: SHES paper II-D; the authors' ScalableHrlEs.jl."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.options import FURTHEST_M, TaskOptions
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskDescription
-from shes.envs.worlds import GATHER, add_grid, empty_world
+from shes.envs.worlds import ARENA, add_grid, empty_world
 from shes.settings import Ge, Le
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
@@ -24,40 +24,41 @@ from shes.types import BoolArray, F64Array, IntArray
 __all__ = ["Flagrun", "FlagrunOptions"]
 
 NEAR_M = 1.0
-"""Goals are drawn at least this far away; nearer to one is worth 1 more in each step."""
+"""Least distance of a new goal. Within it, the reward of a step is 1 higher."""
 DISTANCE_SCALE = 0.001
+"""Factor on the distance to the goal in observations."""
 _GOALS_AT_ONCE = 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlagrunOptions(TaskOptions):
-    """Options of Flagrun: its random controller has the settings of a controller that learns."""
+    """Options of Flagrun, named like the settings of a learned controller, whose place its random goals take."""
 
     controller_interval: Annotated[int, Ge(1)] = 25
-    """Control steps that a goal is held."""
+    """Control steps between two goals."""
     goal_distance: Annotated[float, Ge(NEAR_M), Le(FURTHEST_M)] = 4.0
-    """A goal is drawn within this of the robot along each axis, in metres."""
+    """Half width of the square around the robot from which goals are drawn, in metres."""
 
 
 class FlagrunReader(BodyReader):
-    """Reads where the flag is from the sine and cosine of its bearing and its distance."""
+    """Reads the goal from the sine and cosine of its bearing and from its distance."""
 
     def goal(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array:
-        """Return the goal [N, 2] in the world, in metres."""
+        """Return the goals [N, 2] in the world, in metres."""
         bearing = np.arctan2(rows[:, 0], rows[:, 1]) + heading
         distance = rows[:, 2] / DISTANCE_SCALE
         return position + np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
 
 
 class Flagrun(Task):
-    """A goal within 4 m along x and y that moves every 25 control steps, between walls at 12 m.
+    """A goal within 4 m along x and y moves every 25 control steps. The walls are at 12 m.
 
-    Trains a primitive alone, under a random controller. A goal moves after a step was paid for the old one, so that an
-    observation always shows the goal that the next action is for. Where it has just moved, `distance`, also in `info`,
-    is that to the new goal; the step's reward and success are of the old one.
+    The task trains a primitive alone, under a random controller. A goal moves after the reward of a step is computed,
+    so an observation always shows the goal of the next action. In the step in which the goal moves, reward and success
+    refer to the old goal, and `distance`, also in `info`, refers to the new one.
 
-    `hiro` is `shes` with that specification's conventions, RK4 and velocities that are not clipped, so that a primitive
-    can be trained for the hiro tasks: Nachum et al. have no such task.
+    Nachum et al. 2018 have no such task: `hiro` is `shes` with RK4 and unclipped velocities, to train a primitive for
+    the hiro tasks.
     """
 
     name: ClassVar[str] = "flagrun"
@@ -66,11 +67,11 @@ class Flagrun(Task):
     Options = FlagrunOptions
     options: FlagrunOptions
     description: ClassVar[TaskDescription] = TaskDescription(
-        reward="1 - d/d_c, where d is the distance to the goal and d_c what it was when the goal was drawn; "
-        "1 more where d is below 1 m",
-        ends="when the robot falls over (the ant: its torso leaves heights of 0.2 to 1.0 m; the point cannot)",
+        reward="1 - d/d_c, where d is the distance to the goal and d_c its value when the goal was drawn; "
+        "1 more if d is below 1 m",
+        ends="when the robot falls over (the height of the ant's torso leaves [0.2, 1.0] m; the point cannot fall)",
         score="the return",
-        success="the goal that the step was for is nearer than 1 m",
+        success="the distance to the goal of the step is below 1 m",
     )
 
     def __init__(
@@ -79,15 +80,15 @@ class Flagrun(Task):
         """Build the arena for `body` and `num_episodes` simulations of it."""
         super().__init__(body, num_episodes, options, simulator)
         self._goal: F64Array = self.xp.ones((num_episodes, 2))
-        self._offset: F64Array = self.xp.zeros((2, num_episodes))  # to the goal along x and y
+        self._offset: F64Array = self.xp.zeros((2, num_episodes))  # from robot to goal along x and y
         self._distance: F64Array = self.xp.ones(num_episodes)
         self._start_distance: F64Array = self.xp.ones(num_episodes)
         self._is_near: BoolArray = self.xp.zeros(num_episodes, dtype=np.bool_)
         self._rngs: list[np.random.Generator | None] = [None] * num_episodes
-        self._offsets: F64Array = np.zeros((num_episodes, _GOALS_AT_ONCE, 2))  # from the robot, of goals to come
-        self._num_used: IntArray = np.zeros(num_episodes, dtype=np.int64)  # of these
+        self._offsets: F64Array = np.zeros((num_episodes, _GOALS_AT_ONCE, 2))  # from the robot to future goals
+        self._num_used: IntArray = np.zeros(num_episodes, dtype=np.int64)  # goals used of `_offsets`
         self._has_begun: BoolArray = np.zeros(num_episodes, dtype=np.bool_)
-        # `time` on the host, where goals are drawn: whose are due is known without waiting for a device.
+        # Copy of `time` on the host, where goals are drawn: no need to wait for a device.
         self._host_time: IntArray = np.zeros(num_episodes, dtype=np.int64)
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
 
@@ -95,13 +96,13 @@ class Flagrun(Task):
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the arena of Gather."""
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
-        add_grid(spec, GATHER)
+        add_grid(spec, ARENA)
         body.add_to(spec)
         return spec
 
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:
-        """Three features of the goal, the robot's qpos and qvel, which shes clips."""
+        """Bearing and distance of the goal, the robot's qpos and qvel."""
         angle = "of the goal's bearing from the heading"
         return (
             ObservationElement(name="goal_sin", meaning=f"sine {angle}", low=-1.0, high=1.0),
@@ -117,7 +118,7 @@ class Flagrun(Task):
 
     @property
     def reader(self) -> FlagrunReader:
-        """How an agent reads what it shows."""
+        """The reader of this task's observations, goals included, and actions."""
         return FlagrunReader(self.body, self.observation_size, self.proprioception)
 
     @property
@@ -127,7 +128,7 @@ class Flagrun(Task):
 
     @property
     def distance(self) -> F64Array:
-        """Distance to the goal that the next step is for [N], in metres."""
+        """Distance to the goal of the next step [N] in metres."""
         return self._distance.copy()
 
     @property
@@ -137,7 +138,7 @@ class Flagrun(Task):
 
     @property
     def success(self) -> BoolArray:
-        """Whether the last step ended nearer than 1 m to the goal that it was for [N], even if that has moved since."""
+        """Whether the last step ended within 1 m of its goal [N], even if the goal has moved since."""
         return self._is_near & ~self.sim.diverged
 
     def markers(self, episode: int) -> list[Marker]:
@@ -155,27 +156,27 @@ class Flagrun(Task):
         self._move_goals(ids)
 
     def _move_goals(self, ids: IntArray) -> None:
-        """Move the goals of episodes `ids`."""
+        """Give episodes `ids` their next goals."""
         for i in ids[self._num_used[ids] == _GOALS_AT_ONCE].tolist():
             self._draw_goals(i)
         rows = self.xp.asarray(ids)
         self._goal[rows] = self.position[rows] + self.xp.asarray(self._offsets[ids, self._num_used[ids]])
         self._num_used[ids] += 1
-        # Not the lengths of what was drawn: rounding must not make the distance differ from the start distance.
+        # Not the lengths of the offsets: rounding must not make the distance differ from the start distance.
         self._measure()
         self._start_distance[rows] = self._distance[rows]
 
     def _measure(self) -> None:
-        """Measure from every robot to its goal."""
+        """Compute offset and distance from every robot to its goal."""
         np.subtract(self._goal.T, self.position.T, out=self._offset)
         squares = self._offset * self._offset
         np.add(squares[0], squares[1], out=self._distance)
         np.sqrt(self._distance, out=self._distance)
 
     def _draw_goals(self, episode: int) -> None:
-        """Draw where the next goals of an episode are from the robot: the numbers of drawing one after another."""
+        """Draw the next goals of an episode, relative to the robot; equal to drawing them one at a time."""
         rng, half_width, count = self._rngs[episode], self.options.goal_distance, 0
-        assert rng is not None, "an episode draws goals from its reset on"
+        assert rng is not None, "the episode has not been reset"
         self._num_used[episode] = 0
         while count < _GOALS_AT_ONCE:
             drawn = rng.uniform(-half_width, half_width, (_GOALS_AT_ONCE - count, 2))
@@ -185,7 +186,7 @@ class Flagrun(Task):
             count += len(drawn)
 
     def update_features(self) -> F64Array:
-        """Return the reward [N] of a step, and move the goals that are due."""
+        """Return the reward [N] of a step, then move the goals whose interval has ended."""
         self._measure()
         np.less(self._distance, NEAR_M, out=self._is_near)
         reward = 1 - self._distance / self._start_distance + self._is_near

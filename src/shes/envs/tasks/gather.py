@@ -1,6 +1,6 @@
-"""Gather: collect food, leave poison.
+"""Gather: collect food and avoid poison.
 
-Source: environment specification, Tasks and Gather details. `shes` is the SHES authors', `hiro` rllab's.
+Source: specification shes is the SHES authors' HrlMuJoCoEnvs.jl; hiro is rllab's GatherEnv (Duan et al. 2016).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from shes.envs.markers import FOOD, POISON, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
-from shes.envs.worlds import GATHER, add_grid, add_square_walls, empty_world
+from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
 from shes.errors import ConfigError
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
@@ -26,22 +26,24 @@ from shes.types import BoolArray, F64Array, IntArray
 __all__ = ["Gather", "GatherOptions"]
 
 NUM_OBJECTS = 8
-"""Objects of each kind: food, poison."""
+"""Number of objects of each kind: food and poison."""
 ACTIVITY_RANGE_M = 10.0
-"""Objects lie in the square of this half width."""
+"""Half width of the square in which objects lie."""
 FREE_RADIUS_M = 2.0
-"""No object lies nearer to the origin than this."""
+"""Least distance of objects from the origin."""
 CATCH_RANGE_M = 1.0
+"""An object nearer to the robot than this is collected."""
 SENSOR_RANGE_M = {"shes": 8.0, "hiro": 6.0}
 HIRO_WALLS_M = 10.5
-"""Half width of the arena in hiro; in shes the walls are those of the grid."""
+"""Half width of the arena with specification hiro; with shes the walls are those of the grid."""
 HIRO_FALL_REWARD = -10.0
+"""Reward of the step of a fall, with specification hiro."""
 OBSERVED_TIME_SCALE = {"shes": TIME_SCALE, "hiro": 1.0}
-"""Control steps are observed times this: in the hiro Gather alone as they are."""
+"""Factor on the number of control steps in observations."""
 NUM_BINS = 10
-"""Sensor bins of each kind over the full circle; bin 0 starts behind the robot."""
+"""Sensor bins of each kind, over the full circle; bin 0 starts behind the robot."""
 MARKER_RADIUS_M = 0.4
-"""Objects are drawn this big; they have no body."""
+"""Radius of objects in pictures; they have no body."""
 FOOD_REWARD, POISON_REWARD = 1.0, -1.0
 """Reward of an object of each kind."""
 
@@ -51,24 +53,24 @@ class GatherOptions(TaskOptions):
     """Options of Gather."""
 
     fall_penalty: bool = True
-    """hiro: whether the step of a fall pays -10 in place of its pickups."""
+    """hiro: whether the reward of the step of a fall is -10 instead of that of its pickups."""
 
     def check(self) -> None:
-        """Refuse to leave out a penalty that this specification does not have."""
+        """Check that `fall_penalty` has an effect."""
         if self.spec == "shes" and not self.fall_penalty:
             raise ConfigError(
-                "gather has a penalty for falls in specification hiro alone, got fall_penalty False with shes. "
-                "Leave --no-fall-penalty away, or set --spec hiro."
+                "gather has a penalty for falls only with specification hiro, got fall_penalty False with shes. "
+                "Omit --no-fall-penalty, or set --spec hiro."
             )
 
 
 class Gather(Task):
-    """Eight pieces of food (+1) and eight of poison (-1) between walls.
+    """Eight pieces of food (+1) and eight of poison (-1) lie between walls.
 
-    A robot notices an object in one of ten sectors around its heading, and collects it within 1 m. In `shes` objects
-    lie anywhere, the sensors reach 8 m and the walls are at 12 m; in `hiro` objects lie on even coordinates, the
-    sensors reach 6 m and the walls are at 10.5 m.
-    The time is observed in thousands of control steps, in `hiro` in control steps.
+    The robot senses objects in ten sectors around its heading and collects those within 1 m. With `shes` objects lie
+    anywhere, the sensors reach 8 m, and the walls are at 12 m. With `hiro` objects lie on even coordinates, the sensors
+    reach 6 m, and the walls are at 10.5 m. The time is observed in thousands of control steps, with `hiro` in control
+    steps.
     """
 
     name: ClassVar[str] = "gather"
@@ -77,8 +79,8 @@ class Gather(Task):
     options: GatherOptions
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="+1 for each piece of food and -1 for each piece of poison collected; hiro: -10 in the step of a fall",
-        ends="when the robot falls over (the ant: its torso leaves heights of 0.2 to 1.0 m; the point cannot); "
-        "hiro: when all is collected, too",
+        ends="when the robot falls over (the height of the ant's torso leaves [0.2, 1.0] m; the point cannot fall); "
+        "hiro: also when everything is collected",
         score="highest running return in the episode, at least 0",
         success="the score is above 0",
     )
@@ -89,7 +91,7 @@ class Gather(Task):
         """Build the arena for `body` and `num_episodes` simulations of it."""
         super().__init__(body, num_episodes, options, simulator)
         n, xp = num_episodes, self.xp
-        # Coordinates first, [xy, N, kind, object]: what is computed of x alone or y alone is contiguous.
+        # Coordinates come first, [xy, N, kind, object], so that all x and all y are contiguous.
         self._places: F64Array = xp.zeros((2, n, 2, NUM_OBJECTS))
         self.present: BoolArray = xp.zeros((n, 2, NUM_OBJECTS), dtype=np.bool_)
         """Which objects have not been collected [N, kind, object]."""
@@ -102,18 +104,18 @@ class Gather(Task):
 
     @classmethod
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
-        """Return the arena: a free square between walls; objects are not geoms."""
+        """Return the arena, a free square between walls; objects are not geoms."""
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
         if options.spec == "hiro":
             add_square_walls(spec, HIRO_WALLS_M)
         else:
-            add_grid(spec, GATHER)
+            add_grid(spec, ARENA)
         body.add_to(spec)
         return spec
 
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:
-        """The robot's qpos and qvel, two kinds of readings, time; in hiro the time before the readings."""
+        """The robot's qpos and qvel, readings of food and poison, time; with hiro the time precedes the readings."""
         readings = tuple(
             element
             for kind in ("food", "poison")
@@ -127,7 +129,7 @@ class Gather(Task):
 
     @property
     def terminated(self) -> BoolArray:
-        """Whether the robot has fallen [N]; in hiro also whether nothing is left."""
+        """Whether the robot has fallen [N]; with hiro also whether everything is collected."""
         fallen = self.body.fallen(self.sim.qpos)
         return fallen | ~self.present.any(axis=(1, 2)) if self.options.spec == "hiro" else fallen
 
@@ -138,12 +140,12 @@ class Gather(Task):
 
     @property
     def success(self) -> BoolArray:
-        """Whether the score is above 0 [N]: more food than poison at some time."""
+        """Whether the score is above 0 [N]: at some time more food than poison was collected."""
         return self.score > 0
 
     @property
     def distance(self) -> F64Array:
-        """Distance to the nearest piece of food left [N], in metres; infinity where none is left."""
+        """Distance to the nearest piece of food left [N] in metres; infinity if none is left."""
         left = np.where(self.present[:, 0], self._squared_distance[:, 0], np.inf)
         return np.sqrt(left.min(axis=1))
 
@@ -153,7 +155,7 @@ class Gather(Task):
         return {"food": self.food, "poison": self.poison}
 
     def markers(self, episode: int) -> list[Marker]:
-        """Return what lies there, as balls."""
+        """Return the remaining objects as balls."""
         objects, present = to_host(self.objects[episode]), to_host(self.present[episode])
         return [
             ball((*place, MARKER_RADIUS_M), MARKER_RADIUS_M, color)
@@ -163,7 +165,7 @@ class Gather(Task):
 
     @property
     def objects(self) -> F64Array:
-        """Places [N, kind, object, xy] in metres: kind 0 is food, kind 1 poison. A view."""
+        """Positions of the objects [N, kind, object, xy] in metres, a view; kind 0 is food, kind 1 poison."""
         return np.moveaxis(self._places, 0, -1)
 
     @property
@@ -177,7 +179,7 @@ class Gather(Task):
         return NUM_OBJECTS - self.present[:, 1].sum(axis=1)
 
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
-        """Draw where food and poison of episodes `ids` lie; see `Task.reset_features`."""
+        """Draw the objects of episodes `ids`; see `Task.reset_features`."""
         draw = _draw_lattice if self.options.spec == "hiro" else _draw_places
         drawn = np.stack([draw(rng, 2 * NUM_OBJECTS) for rng in rngs])  # [ids, object of any kind, xy]
         places = np.moveaxis(drawn, -1, 0).reshape(2, len(ids), 2, NUM_OBJECTS)
@@ -188,13 +190,13 @@ class Gather(Task):
         self._measure()
 
     def _measure(self) -> None:
-        """Measure from every robot to its objects."""
+        """Compute offset and squared distance from every robot to its objects."""
         np.subtract(self._places, self.position.T[:, :, None, None], out=self._offset)
         squares = self._offset * self._offset
         np.add(squares[0], squares[1], out=self._squared_distance)
 
     def update_features(self) -> F64Array:
-        """Return the reward [N] of a step: what was picked up, in hiro also falls; what is picked up is gone."""
+        """Remove the objects that are collected and return the reward [N]; with hiro a fall is penalised."""
         self._measure()
         reward: F64Array = self.xp.zeros(self.num_episodes)
         collects_nothing = self.sim.diverged
@@ -203,7 +205,7 @@ class Gather(Task):
             reward = np.where(fallen, HIRO_FALL_REWARD, reward)
             collects_nothing = collects_nothing | fallen
         caught = self.present & (self._squared_distance < CATCH_RANGE_M**2)
-        if self.xp is not np or caught.any():  # asking a device takes longer than doing it
+        if self.xp is not np or caught.any():  # a device takes longer to answer than to compute
             caught &= ~collects_nothing[:, None, None]
             self.present ^= caught
             counts = caught.sum(axis=2)
@@ -212,7 +214,7 @@ class Gather(Task):
         return reward
 
     def observe(self) -> F64Array:
-        """Return robot, readings after this step's pickups, and time [N, O]."""
+        """Return robot, readings (without what this step has collected), and time [N, O]."""
         nq, nv = self.body.num_qpos, self.body.num_qvel
         is_hiro = self.options.spec == "hiro"
         out = self._observation
@@ -225,9 +227,9 @@ class Gather(Task):
         return out
 
     def _readings(self) -> F64Array:
-        """Return the reading of the nearest object in each bin [N, kind * bin], 0 where there is none.
+        """Return the reading of the nearest object in each bin [N, kind * bin]; 0 in an empty bin.
 
-        `1 - d^2 / range^2` in shes, `1 - d / range` in hiro.
+        A reading is `1 - d^2 / range^2` with specification shes and `1 - d / range` with hiro.
         """
         sensor_range = SENSOR_RANGE_M[self.options.spec]
         if self.xp is np:
@@ -237,7 +239,8 @@ class Gather(Task):
             row = seen // NUM_OBJECTS  # an episode's food, then its poison
             heading, first_bin = self.heading[row // 2], NUM_BINS * row
         else:
-            # All objects: a device would be waited for to learn which are seen. At the end of the range they read 0.
+            # All objects, because selecting the visible ones would wait for the device. Others are moved to the end of
+            # the range, where they read 0.
             end = sensor_range**2
             squared = np.minimum(np.where(self.present, self._squared_distance, end), end)
             x, y = self._offset[0], self._offset[1]
@@ -257,7 +260,7 @@ class Gather(Task):
 
 
 def _sector(kind: str, number: int, spec: str) -> str:
-    """Return the meaning of a reading."""
+    """Return the meaning of reading `number` of `kind`."""
     width = 360 // NUM_BINS
     first = number * width - 180
     reading = "1 - d/6" if spec == "hiro" else "1 - d^2/8^2"
@@ -268,7 +271,7 @@ def _sector(kind: str, number: int, spec: str) -> str:
 
 
 def _lattice() -> F64Array:
-    """Return the places [any, 2] with even coordinates that objects of the hiro Gather may lie at."""
+    """Return the positions [any, 2] with even coordinates at which objects lie with specification hiro."""
     line = np.arange(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, 2.0)
     places = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     return places[(places**2).sum(axis=1) >= FREE_RADIUS_M**2]
@@ -278,12 +281,12 @@ _LATTICE = _lattice()
 
 
 def _draw_lattice(rng: np.random.Generator, count: int) -> F64Array:
-    """Draw `count` places [count, 2] with even coordinates, all different, as `_draw_places` does else."""
+    """Draw `count` distinct positions [count, 2] of the lattice."""
     return _LATTICE[rng.permutation(len(_LATTICE))[:count]]
 
 
 def _draw_places(rng: np.random.Generator, count: int) -> F64Array:
-    """Draw `count` places [count, 2] uniform in the activity square, outside the free radius."""
+    """Draw `count` positions [count, 2], uniform in the activity square outside the free radius."""
     places = np.empty((0, 2))
     while len(places) < count:
         drawn = rng.uniform(-ACTIVITY_RANGE_M, ACTIVITY_RANGE_M, (2 * count, 2))

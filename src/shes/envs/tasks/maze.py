@@ -1,4 +1,4 @@
-"""Maze: around a wall to a target. Source: environment specification, Tasks."""
+"""Maze: walk around a wall to a target. Source: Nachum et al. 2018 (HIRO); HrlMuJoCoEnvs.jl."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from shes.envs.tasks.target_task import TargetOptions, TargetTask
-from shes.envs.worlds import MAZE, Grid, is_free
+from shes.envs.worlds import Grid, is_free
 from shes.errors import ConfigError
 from shes.types import F64Array
 
@@ -23,35 +23,35 @@ class MazeOptions(TargetOptions):
     """Options of Maze."""
 
     target_sampling: Literal["square", "free_cells"] = "square"
-    """Training's targets are uniform in the square [-4, 20] x [-4, 20] m that covers walls too, or there in free_cells
-    only."""
+    """Distribution of training's targets: uniform in the square [-4, 20] x [-4, 20] m, walls included, or uniform in
+    its free_cells."""
 
     def check(self) -> None:
-        """Refuse a way to draw targets where one is fixed."""
+        """Check that `target_sampling` has an effect: a fixed target is not sampled."""
         if self.target is not None and self.target_sampling != "square":
             raise ConfigError(
-                f"target {self.target} fixes training's target, so target_sampling {self.target_sampling!r} does "
-                "nothing. Leave --target or --target-sampling away."
+                f"target {self.target} fixes training's target, so target_sampling {self.target_sampling!r} has no "
+                "effect. Omit --target or --target-sampling."
             )
 
 
 class Maze(TargetTask):
-    """A corridor in the shape of a U. In training the target is anywhere, in evaluation behind the wall.
+    """A U-shaped corridor. In training the target is random, in evaluation it lies behind the wall.
 
-    Training's targets are uniform in a square that covers walls too; `target_sampling="free_cells"` draws again until
-    the cell is free. By either, some episodes of training begin where they
-    are to end: 12 % of those in the square within 5 m of their target.
+    Training's targets are uniform in a square that contains walls; with `target_sampling="free_cells"` a target in a
+    wall is drawn again. In both cases some episodes begin near their target: 12 % of those in the square start within
+    5 m of it.
     """
 
     name: ClassVar[str] = "maze"
     Options = MazeOptions
-    options: MazeOptions  # type: ignore[assignment] - narrower than that of every target task
-    grid: ClassVar[Grid] = MAZE
+    options: MazeOptions  # type: ignore[assignment] - narrower than in TargetTask
+    grid: ClassVar[Grid] = ("#####", "#r..#", "###.#", "#...#", "#####")
     own_target: ClassVar[tuple[float, ...]] = (0.0, 16.0)
     target_scale: ClassVar[float] = 0.01
 
     def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
-        """Draw x and y together."""
+        """Draw x and y, uniform in the square."""
         while True:
             target = rng.uniform(*SQUARE_M, 2)
             if self.options.target_sampling != "free_cells" or is_free(self.grid, *target):

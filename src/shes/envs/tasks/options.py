@@ -1,7 +1,7 @@
-"""What may differ between two uses of one task: a class of options each, checked when it is made.
+"""Options of the tasks: settings that may differ between two uses of one task.
 
-A task's own options are fields of a subclass, `class MazeOptions(TaskOptions)`, that the task names: `Options =
-MazeOptions`. Flags of `shes train`, arguments of `gymnasium.make` and the documentation are made from them.
+A task with its own options names a subclass: `class MazeOptions(TaskOptions)`, `Options = MazeOptions`. The flags of
+`shes train`, the arguments of `gymnasium.make` and the documentation follow from its fields.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from typing import Annotated
 from shes.envs.worlds import INTEGRATORS
 from shes.settings import Choices, Example, Ge, Le, Lt, Settings, Unasked
 
-__all__ = ["FURTHEST_M", "SPECS", "Place", "TaskOptions"]
+__all__ = ["FURTHEST_M", "SPECS", "Coordinates", "TaskOptions"]
 
 SPECS = {"shes": "euler", "hiro": "rk4"}
 """Specifications and their integrators."""
 FURTHEST_M = 1000.0
-"""No target or goal is further away along an axis: every world ends before that, and squares must stay finite."""
+"""Largest coordinate of a target or goal: beyond every world, and small enough that its square is finite."""
 
-Place = Annotated[tuple[float, ...], Ge(-FURTHEST_M), Le(FURTHEST_M), Example("0 16")]
-"""Coordinates in metres."""
+Coordinates = Annotated[tuple[float, ...], Ge(-FURTHEST_M), Le(FURTHEST_M), Example("0 16")]
+"""Coordinates of a point in metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,14 +37,14 @@ class TaskOptions(Settings):
     Deviation: 0.1 (the authors' environments: 0), so that ten evaluation episodes are not ten equal ones.
     """
     evaluation: Annotated[bool, Unasked()] = False
-    """Whether evaluation's targets are used in place of training's, where the task has targets."""
+    """Whether a task with targets uses those of evaluation instead of those of training."""
 
     def __post_init__(self) -> None:
         """Check every value; the default integrator becomes that of the specification.
 
         Raises:
-            ConfigError: A value is out of range or of another kind.
-            UnknownNameError: `spec`, `integrator` or another name is not known.
+            ConfigError: A value is out of range or of the wrong type.
+            UnknownNameError: `spec`, `integrator` or another name is unknown.
         """
         super().__post_init__()
         if self.integrator == "default":

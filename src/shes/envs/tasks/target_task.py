@@ -1,4 +1,4 @@
-"""Reach a target: what Maze, Push and Fall share. Source: environment specification, Tasks."""
+"""Reach a target: the base of Maze, Push and Fall. Source: Nachum et al. 2018 (HIRO); HrlMuJoCoEnvs.jl."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from shes.arrays import to_host
 from shes.envs.bodies.body import Body
 from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.options import Place, TaskOptions
+from shes.envs.tasks.options import Coordinates, TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
 from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
@@ -23,16 +23,17 @@ from shes.types import BoolArray, F64Array, IntArray
 __all__ = ["SUCCESS_DISTANCE_M", "BlockOptions", "TargetOptions", "TargetTask"]
 
 SUCCESS_DISTANCE_M = 5.0
+"""An episode succeeds nearer to the target than this."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TargetOptions(TaskOptions):
     """Options of a task with a target."""
 
-    target: Place | None = None
-    """A fixed target of training, in metres, in place of the task's own."""
-    evaluation_target: Place | None = None
-    """The target of evaluation, in metres, in place of the task's own."""
+    target: Coordinates | None = None
+    """Fixed target of training in metres; none is the task's own distribution of targets."""
+    evaluation_target: Coordinates | None = None
+    """Target of evaluation in metres; none is the task's own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,23 +41,23 @@ class BlockOptions(TargetOptions):
     """Options of a task with a target and a block."""
 
     observe_block: bool | None = None
-    """Whether the block is observed; none leaves it to the specification (shes: yes, hiro: no)."""
+    """Whether the block is observed; none is as in the specification (shes: yes, hiro: no)."""
 
 
 class TargetTask(Task):
-    """A robot is to come within 5 m of a target; it is paid the negative distance."""
+    """The robot must come within 5 m of a target. The reward is the negative distance to it."""
 
     Options: ClassVar[Any] = TargetOptions
     options: Any
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
     grid: ClassVar[Grid]
-    """The world."""
+    """The grid of the world; see `shes.envs.worlds`."""
     block_axes: ClassVar[str] = ""
-    """Axes that the block of the world moves along, in the order of its coordinates; none without a block."""
+    """Axes along which the block moves, in the order of its coordinates; empty without a block."""
     own_target: ClassVar[tuple[float, ...]]
-    """The target that evaluation has if no option says otherwise, x and y or x, y and z, in metres."""
+    """Default target: x and y, or x, y and z, in metres."""
     target_scale: ClassVar[float] = 1.0
-    """The target is observed times this, in shes."""
+    """Factor on the target in observations, with specification shes."""
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="minus the distance to the target, in metres",
         ends="never",
@@ -75,7 +76,7 @@ class TargetTask(Task):
 
     @classmethod
     def check_options(cls, options: Any) -> None:
-        """Refuse targets with another number of coordinates than the task's own."""
+        """Check the number of coordinates of the targets; see `Task.check_options`."""
         super().check_options(options)
         for name in ("target", "evaluation_target"):
             place = getattr(options, name)
@@ -87,7 +88,7 @@ class TargetTask(Task):
 
     @classmethod
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
-        """Return the world of the grid."""
+        """Return the world of `grid` with the body in it."""
         spec = empty_world(f"{body.name}-{cls.name}", options.integrator, has_block=bool(cls.block_axes))
         body.add_to(spec, cls.ground_m)
         add_grid(spec, cls.grid)
@@ -95,17 +96,15 @@ class TargetTask(Task):
 
     @property
     def observes_block(self) -> bool:
-        """Whether the block's place and velocity are observed."""
-        if not self.block_axes:
-            return False
-        asked = self.options.observe_block if isinstance(self.options, BlockOptions) else None
-        return self.options.spec == "shes" if asked is None else asked
+        """Whether the block's position and velocity are observed."""
+        asked = getattr(self.options, "observe_block", None)
+        return bool(self.block_axes) and (self.options.spec == "shes" if asked is None else asked)
 
     @property
     def observation_spec(self) -> tuple[ObservationElement, ...]:
-        """The qpos and qvel of the robot, each with the block's behind it, time, target."""
+        """The robot's qpos and the block's, their qvel, time, target."""
         axes = self.block_axes if self.observes_block else ""
-        pose = elements([f"block_{axis}" for axis in axes], "{}: how far the block has moved along it", "m")
+        pose = elements([f"block_{axis}" for axis in axes], "{}: displacement of the block", "m")
         velocity = elements([f"block_v{axis}" for axis in axes], "{}: velocity of the block", "m/s")
         scale = "" if self._target_scale == 1 else f", times {self._target_scale}"
         return (
@@ -122,13 +121,13 @@ class TargetTask(Task):
 
     @property
     def primitive_view(self) -> IntArray:
-        """In hiro the target is for the controller alone."""
+        """Indices in the observation that the primitive may see: with specification hiro, not the target."""
         seen = np.arange(self.observation_size)
         return seen[: -len(self.own_target)] if self.options.spec == "hiro" else seen
 
     @property
     def distance(self) -> F64Array:
-        """Distance to the target [N], in as many coordinates as it has."""
+        """Distance to the target [N] in metres, in all coordinates that the target has."""
         offset = self.sim.qpos[:, : self.target.shape[1]] - self.target
         offset *= offset
         total = offset[:, 0]
@@ -147,7 +146,7 @@ class TargetTask(Task):
         return self.success.astype(np.float64)
 
     def markers(self, episode: int) -> list[Marker]:
-        """Return the target, and the circle that counts."""
+        """Return the target and the disc within which it counts as reached."""
         x, y, *_ = to_host(self.target[episode])
         ring = disc((x, y, self.ground_m + 0.02), SUCCESS_DISTANCE_M, (*TARGET[:3], 0.25), height=0.01)
         return [ring, ball((x, y, self.ground_m + 0.5), 0.5, TARGET)]
@@ -158,21 +157,21 @@ class TargetTask(Task):
         self.target[self.xp.asarray(ids)] = self.xp.asarray(chosen)
 
     def _choose_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
-        """Return the target of an episode: fixed ones draw nothing."""
+        """Return the target of an episode; only `training_target` draws from `rng`."""
         if self.options.evaluation:
             return self.options.evaluation_target or self.own_target
         return self.options.target or self.training_target(rng)
 
     def training_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
-        """Return the target of training where no option fixes it."""
+        """Return a target of training; called only if no option fixes it."""
         return self.own_target
 
     def update_features(self) -> F64Array:
-        """Return minus the distance to the target [N]."""
+        """Return the reward [N]: minus the distance to the target."""
         return -self.distance
 
     def observe(self) -> F64Array:
-        """Return robot and block, time, target [N, O]."""
+        """Return robot and block, time, and target [N, O]."""
         nq, nv = self.body.num_qpos, self.body.num_qvel
         if self.observes_block:
             nq, nv = nq + len(self.block_axes), nv + len(self.block_axes)

@@ -1,4 +1,4 @@
-"""Pictures that an environment has drawn of itself: they are only brought to size."""
+"""Drawer and window of an environment that draws itself."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ import numpy as np
 from shes.drawing.drawer import Drawer, Picture
 from shes.envs.markers import Marker
 
-__all__ = ["FrameDrawer", "FrameWindow"]
+__all__ = ["PassthroughDrawer", "PassthroughWindow"]
 
 
-class FrameDrawer(Drawer):
-    """A pose is a picture [H, W, 3]. Markers cannot be put into it."""
+class PassthroughDrawer(Drawer):
+    """A drawer whose poses are pictures [H, W, 3]. It resizes them, and ignores markers."""
 
     cameras = ("own",)
 
     def __init__(self, width: int, height: int) -> None:
-        """Make pictures of `width` times `height` pixels."""
+        """Make pictures of `width` x `height` pixels."""
         self.size = (width, height)
 
     def draw(self, pose: Picture, /, markers: Sequence[Marker] = (), camera: str = "own") -> Picture:
-        """Return the picture at this drawer's size, with black bars where its proportions are others."""
+        """Return `pose` at this drawer's size, with black bars if the proportions differ."""
         from PIL import Image, ImageOps
 
         return np.asarray(ImageOps.pad(Image.fromarray(np.asarray(pose, dtype=np.uint8)), self.size))
 
     def between(self, start: Picture, end: Picture, fraction: float) -> Picture:
-        """Return `end`: there is nothing between two pictures."""
+        """Return `end`: pictures are not interpolated."""
         return end
 
     def close(self) -> None:
-        """Hold nothing: the environment draws."""
+        """Do nothing: the environment owns the renderer."""
 
 
-class FrameWindow:
-    """The window of an environment that shows its own steps, and closes it by itself."""
+class PassthroughWindow:
+    """The window of an environment that shows its own steps."""
 
     is_open = True
 
     def show(self, pose: Any, /, markers: Sequence[Marker] = (), *, is_new_episode: bool = False) -> None:
-        """Do nothing: the environment has shown it."""
+        """Do nothing: the environment has shown the step."""
 
     def close(self) -> None:
         """Do nothing: the environment closes it."""
