@@ -8,7 +8,8 @@ import pytest
 from shes.errors import ConfigError, UnknownNameError
 from shes.options import make, with_options
 from shes.registry import Registry, subclass_of
-from shes.runs.config import TrainConfig, known_settings
+from shes.runs.config import TrainConfig
+from shes.runs.rooms import known_settings
 from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Unasked, setting_fields
 
 

@@ -78,6 +78,8 @@ _ANT: dict[str, Any] = {
     "generations": 200,
 }
 
+_IN_THE_WORLD = {"controller_view": "observation", "controller_output": "vector"}
+
 _WALKERS: dict[str, dict[str, Any]] = {
     "ant-flagrun": {
         **_ANT_WALKER,
@@ -89,7 +91,9 @@ _WALKERS: dict[str, dict[str, Any]] = {
         "generations": 20,
         "evaluation_interval": 5,
     },
-    **{f"ant-{task}": _ANT for task in ("gather", "maze", "push", "fall")},
+    "ant-gather": _ANT,
+    # The egocentric view hides where the robot is, which these tasks turn on.
+    **{f"ant-{task}": {**_ANT, **_IN_THE_WORLD} for task in ("maze", "push", "fall")},
 }
 """Changes to `laptop` where a primitive learns to walk, which `--algorithm es` does not have."""
 
