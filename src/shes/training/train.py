@@ -10,6 +10,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from shes.algorithms.contract import Algorithm
 from shes.errors import ConfigError
 from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, restore, save_checkpoint
@@ -18,15 +20,17 @@ from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
 from shes.runs.rooms import execution_settings, known_settings
-from shes.runs.tables import Records
+from shes.runs.tables import Records, read_csv
 from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
 from shes.training.interruption import Interruption
+from shes.training.listening import AnyListener, Audience, Listener, StopTraining
 from shes.training.presets import make_config
-from shes.training.session import Listener, Session
+from shes.training.session import Session
 from shes.training.transfer import check_robot, transfer
+from shes.types import F64Array
 
-__all__ = ["Listener", "Run", "check_resumable", "resumable_settings", "resume", "start_run", "train"]
+__all__ = ["Listener", "Run", "StopTraining", "check_resumable", "resumable_settings", "resume", "start_run", "train"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,13 +45,32 @@ class Run:
     best: Best
     """The best evaluation."""
 
+    def __fspath__(self) -> str:
+        """Return the run folder, so that a run can be given wherever its path can."""
+        return str(self.path)
+
+    @property
+    def progress(self) -> dict[str, F64Array]:
+        """The columns of `progress.csv` by name, a value per generation; empty before the first one."""
+        return _columns(RunFolder(self.path).progress)
+
+    @property
+    def evaluations(self) -> dict[str, F64Array]:
+        """The columns of `evaluation.csv` by name, a value per evaluation; empty before the first one."""
+        return _columns(RunFolder(self.path).evaluation)
+
+
+def _columns(table: Path) -> dict[str, F64Array]:
+    """Return the columns of a table by name; none if it does not exist yet."""
+    return {name: np.array(values) for name, values in read_csv(table).items()} if table.exists() else {}
+
 
 def train(
     env: str,
     *,
     preset: str = "laptop",
     out: Path | str | None = None,
-    listener: Listener | None = None,
+    listener: AnyListener = None,
     **settings: Any,
 ) -> Run:
     """Train on `env` and return the run.
@@ -56,7 +79,8 @@ def train(
         env: Environment, e.g. `ant-gather`.
         preset: `paper`, `laptop` or `smoke`.
         out: The run folder, which must not hold a run; a new one below `runs/` if none.
-        listener: Receives the progress.
+        listener: Receives the progress: a function of a row of `progress.csv`, an object with any method of `Listener`,
+            or several of these. It ends the run by returning True or raising `StopTraining`.
         settings: Any setting by name, e.g. `seed=0, num_workers=4`.
 
     Raises:
@@ -70,8 +94,9 @@ def train(
     return start_run(make_config(env, preset, settings), out, listener)
 
 
-def start_run(config: TrainConfig, out: Path | str | None = None, listener: Listener | None = None) -> Run:
+def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyListener = None) -> Run:
     """Begin a run with the settings of `config`; see `train`."""
+    audience = Audience(listener)
     check_device(config)
     check_robot(config)
     algorithm = build_algorithm(config)
@@ -84,7 +109,7 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
         # From here on the run can be resumed.
         folder.record_start(config, {level: asdict(origin) for level, origin in origins.items()})
-        return _go_on(folder, algorithm, state, checkpoint, listener)
+        return _go_on(folder, algorithm, state, checkpoint, audience)
 
 
 def _path(out: Path | str) -> Path:
@@ -98,12 +123,12 @@ def _path(out: Path | str) -> Path:
     return Path(out)
 
 
-def resume(path: Path | str, *, listener: Listener | None = None, **settings: Any) -> Run:
+def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -> Run:
     """Continue the run at `path` from its last checkpoint, as if it had never stopped.
 
     Args:
         path: The run folder.
-        listener: Receives the progress.
+        listener: Receives the progress, as in `train`.
         settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
 
     Raises:
@@ -112,6 +137,7 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
         ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
         MissingExtraError: The device needs a package that is not installed.
     """
+    audience = Audience(listener)
     folder = RunFolder.open(path)
     stored = folder.read_config()
     check_resumable(settings)
@@ -136,9 +162,8 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
             event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
             with run_log(folder):
                 logger.warning(event)
-            if listener is not None:
-                listener.on_event(event)
-        return _go_on(folder, algorithm, state, checkpoint, listener)
+            audience.tell("on_event", event)
+        return _go_on(folder, algorithm, state, checkpoint, audience)
 
 
 def resumable_settings() -> dict[str, Setting]:
@@ -164,10 +189,8 @@ def check_resumable(names: Iterable[str]) -> None:
             )
 
 
-def _go_on(
-    folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint: Checkpoint, listener: Listener | None
-) -> Run:
-    """Train from `state` until the run is over, its time is up, or Ctrl-C.
+def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint: Checkpoint, audience: Audience) -> Run:
+    """Train from `state` until the run is over, its time is up, a listener ends it, or Ctrl-C.
 
     Raises:
         KeyboardInterrupt: Ctrl-C came before the end.
@@ -179,7 +202,7 @@ def _go_on(
         records = stack.enter_context(closing(Records(folder, checkpoint.generation)))
         writer = stack.enter_context(closing(CheckpointWriter()))
         backend = stack.enter_context(build_backend(config, algorithm.plan()))
-        session = Session(folder, algorithm, checkpoint, records, writer, backend, listener)
+        session = Session(folder, algorithm, checkpoint, records, writer, backend, audience)
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
         logger.info("begins after generation %d with %d workers%s", state.generation, backend.num_workers, on_device)
