@@ -25,14 +25,17 @@ __all__ = ["RunFolder", "new_folder"]
 _FORMAT = 2
 
 
-def new_folder(config: TrainConfig) -> Path:
+def new_folder(config: TrainConfig, kind: str = "") -> Path:
     """Create a new folder below `runs/` in the working directory and return it; safe for concurrent runs.
+
+    Its name has environment, preset, `kind` and time; `kind` is the seed if empty.
 
     Raises:
         StorageError: The folder cannot be created.
     """
     env = config.run.env.removeprefix(GYMNASIUM).replace("/", "-")
-    name = f"{env}-{config.run.preset}-seed{config.run.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    kind = kind or f"seed{config.run.seed}"
+    name = f"{env}-{config.run.preset}-{kind}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     number = 1
     while True:
         path = Path("runs") / (name if number == 1 else f"{name}-{number}")

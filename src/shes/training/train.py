@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from shes.algorithms.contract import Algorithm
-from shes.errors import ConfigError
+from shes.errors import ConfigError, RunFolderError
 from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, restore, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
@@ -30,7 +30,8 @@ from shes.training.session import Session
 from shes.training.transfer import check_robot, transfer
 from shes.types import F64Array
 
-__all__ = ["Listener", "Run", "StopTraining", "check_resumable", "resumable_settings", "resume", "start_run", "train"]
+__all__ = ["Listener", "Run", "StopTraining", "check_resumable", "differing", "finish_run"]
+__all__ += ["resumable_settings", "resume", "start_run", "train"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +165,42 @@ def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -
                 logger.warning(event)
             audience.tell("on_event", event)
         return _go_on(folder, algorithm, state, checkpoint, audience)
+
+
+def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) -> Run:
+    """Train the run at `path` to its end: from its last checkpoint, or from the start if there is no run yet.
+
+    Args:
+        config: Its settings. Execution settings may differ from those of the run so far.
+        path: The run folder.
+        listener: Receives the progress, as in `train`.
+
+    Raises:
+        RunFolderError: The folder holds a run with other settings.
+        ShesError: Raised by `start_run` or `resume`.
+    """
+    folder = RunFolder(path)
+    if not folder.config.is_file():
+        return start_run(config, path, listener)
+    stored = folder.read_config()
+    if others := differing(stored, config):
+        raise RunFolderError(
+            f"{path} holds a run of other settings: {others}. Choose another folder with --out, or remove this one to "
+            "have it made anew."
+        )
+    last = folder.load("last")
+    if config.run.is_over(last.generation, last.env_steps):
+        return Run(path=path, config=stored, generation=last.generation, best=last.best)
+    now = {name: config.settings[name] for name in resumable_settings()}
+    changed = {name: value for name, value in now.items() if value != stored.settings[name]}
+    return resume(path, listener=listener, **{**changed, "minutes": config.run.minutes})
+
+
+def differing(before: TrainConfig, now: TrainConfig) -> str:
+    """Return the first settings in which the numbers of two runs differ, in words; empty if they are the same."""
+    there, wanted = before.numbers(), now.numbers()
+    names = [name for name in {**wanted, **there} if there.get(name) != wanted.get(name)]
+    return "; ".join(f"{name} is {there.get(name)!r} there, not {wanted.get(name)!r}" for name in names[:3])
 
 
 def resumable_settings() -> dict[str, Setting]:
