@@ -228,3 +228,12 @@ def test_runs_are_found_in_natural_order(tmp_path, tiny_run):
     assert [run.path for run in find_runs(tiny_run)] == [tiny_run]
     with pytest.raises(RunFolderError, match="is not a run folder"):
         find_runs(tmp_path / "other.json")
+
+
+@pytest.mark.parametrize("command", ["evaluate", "info", "render"])
+def test_a_command_for_one_run_names_one_of_the_folder(tmp_path, tiny_run, capsys, command):
+    for name in ("seed-1", "seed-2"):
+        (tmp_path / "all" / name).mkdir(parents=True)
+        (tmp_path / "all" / name / "config.json").write_bytes((tiny_run / "config.json").read_bytes())
+    error = refused(capsys, command, tmp_path / "all")
+    assert f"all is a folder of runs: give one of them, such as {tmp_path}/all/seed-1." in error

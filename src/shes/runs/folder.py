@@ -23,6 +23,8 @@ from shes.storage import storage_errors, write_atomically
 __all__ = ["RunFolder", "new_folder"]
 
 _FORMAT = 2
+_BELOW = ("*/config.json", "*/*/config.json")
+"""Records of the runs in a folder of runs."""
 
 
 def new_folder(config: TrainConfig, kind: str = "") -> Path:
@@ -122,6 +124,9 @@ class RunFolder:
         """
         folder = cls(find_run(run))
         if not folder.config.is_file():
+            below = sorted(str(each.parent) for pattern in _BELOW for each in folder.path.glob(pattern))
+            if below:
+                raise RunFolderError(f"{folder.path} is a folder of runs: give one of them, such as {below[0]}.")
             what = "does not exist" if not folder.path.exists() else "is not a run folder: it has no config.json"
             raise RunFolderError(
                 f"{folder.path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"
