@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -103,13 +103,12 @@ class RunsFolder:
             raise RunFolderError(f"{file} cannot be read: {error}. Restore it from a copy.") from error
         changed = {name: each.having(**settings) for name, each in configs.items()}
         if settings.get("minutes") is not None:
-            changed = {
-                name: each.having(minutes=each.run.minutes + _minutes(path / name)) for name, each in changed.items()
-            }
+            spent = {name: _minutes(path / name) for name in changed}
+            changed = {name: each.having(minutes=settings["minutes"] + spent[name]) for name, each in changed.items()}
         kept = {name for name in ended if _is_as_long(configs[name], changed[name])}
         return cls(path, changed, kept)
 
-    def train(self, names: list[str], listener: Callable[[str], AnyListener]) -> Iterator[Ended]:
+    def train(self, names: list[str], listener: Callable[[str], AnyListener]) -> Generator[Ended]:
         """Train the runs `names` to their ends, one after another, and yield each when it has ended.
 
         Args:

@@ -16,7 +16,7 @@ from shes.training.presets import make_config
 
 __all__ = ["read_sweep", "vary"]
 
-_MOST_RUNS = 10_000
+_MOST_RUNS = 1_000
 _ELSEWHERE = {"seed": "Give several seeds by --seed 1 2 3.", "env": "Runs of a folder have one environment."}
 
 
