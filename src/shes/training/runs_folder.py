@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from shes.errors import PolicyError, RunFolderError, ShesError, UnknownNameError, WorkerError
+from shes.errors import PolicyError, RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import find_run
@@ -91,6 +91,7 @@ class RunsFolder:
 
         Raises:
             RunFolderError: Its record is missing or damaged.
+            UnknownNameError: An environment or another name in it is not known here.
             ConfigError: A setting would change the numbers of the runs.
         """
         check_resumable(settings)
@@ -99,7 +100,7 @@ class RunsFolder:
         try:
             record = json.loads(file.read_text(encoding="utf-8"))
             configs, ended = _read(record)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, UnknownNameError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise RunFolderError(f"{file} cannot be read: {error}. Restore it from a copy.") from error
         changed = {name: each.having(**settings) for name, each in configs.items()}
         if settings.get("minutes") is not None:
