@@ -147,6 +147,92 @@ def test_a_listener_hears_of_everything_in_order(tmp_path):
     ]
 
 
+def test_a_listener_is_a_function_of_a_row_or_has_any_method_or_there_are_several(tmp_path):
+    rows, scores = [], []
+    only = type("Only", (), {"on_evaluation": lambda _, row: scores.append(row["score_mean"])})()
+    runs.train_tiny(tmp_path / "one", listener=rows.append)
+    run = shes.train("point-gather", out=tmp_path / "two", listener=[rows.append, only], **runs.TINY)
+    assert [row["generation"] for row in rows] == [1, 2, 3, 4] * 2
+    assert scores == run.evaluations["score_mean"].tolist()
+
+
+def stops(row):
+    raise shes.StopTraining
+
+
+@pytest.mark.parametrize(
+    "listener",
+    [
+        lambda row: row["generation"] == 2,
+        lambda row: np.float64(row["generation"]) > 1,  # a bool of NumPy
+        lambda row: stops(row) if row["generation"] == 2 else 1,  # 1 is not True
+        type("After", (), {"on_evaluation": lambda _, row: row["generation"] == 2})(),
+    ],
+)
+def test_a_listener_ends_the_run_well(tmp_path, run, listener):
+    stopped = shes.train("point-gather", out=tmp_path / "run", listener=listener, **runs.TINY)
+    assert stopped.generation == 2
+    assert runs.differences(run.path, stopped.path) == []
+    assert "a listener ends the run" in runs.log_lines(stopped.path)
+    assert shes.resume(stopped).generation == 4
+
+
+class Asynchronous:
+    async def on_event(self, event):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("listener", "error", "message"),
+    [
+        (3, ConfigError, r"listener must be a function of a row, or an object with any of on_start, .*; got 3\."),
+        (Listener, ConfigError, r"listener must be an object, got the class Listener\. Write Listener\(\)"),
+        (
+            type("Typo", (), {"on_generatoin": stops})(),
+            UnknownNameError,
+            r"method of a listener 'on_generatoin'\. Did you mean 'on_generation'",
+        ),
+        (lambda: 0, ConfigError, r"listener <lambda> must take \(row\): too many positional"),
+        (
+            [print, type("Few", (), {"on_start": stops})()],
+            ConfigError,
+            r"must take \(path, config, generation, num_wor",
+        ),
+        (Asynchronous(), ConfigError, r"listener Asynchronous\.on_event must be a plain function, not an async one"),
+    ],
+)
+def test_a_listener_that_cannot_be_called_is_refused_before_there_is_a_folder(tmp_path, listener, error, message):
+    with pytest.raises(error, match=message):
+        shes.train("point-gather", out=tmp_path / "run", listener=listener, **runs.TINY)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_gives_its_tables_as_arrays_and_stands_for_its_folder(run, tmp_path):
+    assert run.progress["generation"].tolist() == [1, 2]
+    assert run.progress["controller_return_mean"].shape == run.progress["env_steps"].shape == (2,)
+    assert run.evaluations["score_mean"].dtype == np.float64
+    assert shes.evaluate(run, episodes=2, num_workers=1).scores.shape == (2,)
+    assert shes.load(run).num_envs == 1
+    assert shes.plot(run, tmp_path / "curves.png").is_file()
+    started = shes.train("point-gather", out=tmp_path / "run", **{**runs.TINY, "minutes": 1e-9})
+    assert (started.progress, started.evaluations) == ({}, {})
+
+
+def test_progress_is_shown_in_a_terminal_or_on_request_and_beside_a_listener(tmp_path, capsys, monkeypatch):
+    heard = []
+    settings = {**runs.TINY, "generations": 1}
+    shes.train("point-gather", out=tmp_path / "silent", **settings)
+    assert capsys.readouterr().out == ""
+    shes.train("point-gather", out=tmp_path / "shown", listener=heard.append, progress=True, **settings)
+    assert "generation 1 / 1" in capsys.readouterr().out
+    monkeypatch.setattr("rich.console.Console.is_terminal", True)
+    shes.train("point-gather", out=tmp_path / "terminal", listener=heard.append, **settings)
+    assert "generation" in capsys.readouterr().out
+    shes.resume(tmp_path / "terminal", generations=2, progress=False)
+    assert capsys.readouterr().out == ""
+    assert len(heard) == 2
+
+
 class Failing(Listener):
     def on_generation(self, row):
         raise ZeroDivisionError("a listener's own fault")

@@ -21,28 +21,35 @@ if TYPE_CHECKING:
     __version__: str
     from shes import es
     from shes.algorithms.registry import register_algorithm
+    from shes.cli.python import resume, train
     from shes.envs.registry import register_environment, register_external
     from shes.hierarchy.goals import register_goal_encoding
     from shes.hierarchy.outputs import register_controller_output
     from shes.hierarchy.rewards import register_primitive_reward
     from shes.training.evaluate import Evaluation, evaluate
+    from shes.training.listening import StopTraining
     from shes.training.play import Agent, load
-    from shes.training.train import Run, resume, train
+    from shes.training.train import Run
+    from shes.viewing.plot import plot
+    from shes.viewing.render import render
 
 __all__ = [
     "Agent",
     "Evaluation",
     "Run",
+    "StopTraining",
     "__version__",
     "es",
     "evaluate",
     "load",
+    "plot",
     "register_algorithm",
     "register_controller_output",
     "register_environment",
     "register_external",
     "register_goal_encoding",
     "register_primitive_reward",
+    "render",
     "resume",
     "train",
 ]
@@ -52,16 +59,19 @@ _HOMES = {
     "Agent": "shes.training.play",
     "Evaluation": "shes.training.evaluate",
     "Run": "shes.training.train",
+    "StopTraining": "shes.training.listening",
     "evaluate": "shes.training.evaluate",
     "load": "shes.training.play",
+    "plot": "shes.viewing.plot",
     "register_algorithm": "shes.algorithms.registry",
     "register_controller_output": "shes.hierarchy.outputs",
     "register_environment": "shes.envs.registry",
     "register_external": "shes.envs.registry",
     "register_goal_encoding": "shes.hierarchy.goals",
     "register_primitive_reward": "shes.hierarchy.rewards",
-    "resume": "shes.training.train",
-    "train": "shes.training.train",
+    "render": "shes.viewing.render",
+    "resume": "shes.cli.python",
+    "train": "shes.cli.python",
 }
 
 

@@ -1,5 +1,7 @@
 """Trained agents: shapes, goals held for c steps, episodes begun one by one."""
 
+import copy
+import pickle
 import re
 
 import gymnasium
@@ -269,3 +271,31 @@ def test_without_a_clock_a_flat_agent_does_not_know_the_time(played):
     agent = load(played("flat"))
     seen = np.full(agent.observation_size, 0.3)
     assert np.array_equal(agent.act(seen), agent.act(seen))
+
+
+@pytest.mark.parametrize("copied", [lambda agent: pickle.loads(pickle.dumps(agent)), copy.deepcopy])  # noqa: S301 - our own
+@pytest.mark.parametrize("run", ["tiny", "ant-gather"])
+def test_an_agent_is_pickled_and_copied_with_its_running_episodes(tiny_run, run, copied):
+    agent = load(tiny_run if run == "tiny" else run, num_envs=2)
+    seen = np.random.default_rng(0).normal(size=(60, 2, agent.observation_size))
+    for rows in seen[:30]:  # into the second goal
+        agent.act(rows)
+    agent.reset(1)
+    other = copied(agent)
+    np.testing.assert_array_equal(other.goal, agent.goal)
+    for rows in seen[30:]:
+        np.testing.assert_array_equal(other.act(rows), agent.act(rows))
+    agent.reset()
+    agent.act(seen[0])
+    assert not np.array_equal(other.goal, agent.goal)  # each has goals of its own
+
+
+def test_an_agent_shows_parameters_and_statistics_of_every_level(tiny_run):
+    agent, levels = load(tiny_run), runs.state(tiny_run, "best").levels
+    assert list(agent.parameters) == list(agent.statistics) == ["controller", "primitive"]
+    for level in levels:
+        np.testing.assert_array_equal(agent.parameters[level.name], level.theta)
+        np.testing.assert_array_equal(agent.statistics[level.name].mean, level.statistics.mean)
+        np.testing.assert_allclose(agent.statistics[level.name].std, level.statistics.std)
+    agent.parameters["controller"][:] = 0  # a copy
+    assert agent.parameters["controller"].any()

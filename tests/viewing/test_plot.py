@@ -1,10 +1,13 @@
 """Learning curves of single runs and of repetitions."""
 
+import itertools
+import json
 import shutil
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from shes.errors import ConfigError, RunFolderError, StorageError, UnknownNameError
 from shes.runs.folder import RunFolder
@@ -12,8 +15,6 @@ from shes.runs.tables import read_csv
 from shes.viewing.curves import interval
 from shes.viewing.plot import plot
 from tests.e2e import runs
-
-pytestmark = pytest.mark.extras  # the fast tests have three minutes
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +26,9 @@ def seeds(tmp_path_factory):
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """The figures that were drawn, still open."""
+    """The figures that were drawn, still open, and not saved, which takes longest."""
     figures, close = [], plt.close
+    monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)
     monkeypatch.setattr(plt, "close", figures.append)
     yield figures
     for figure in figures:
@@ -50,6 +52,7 @@ def test_a_run_alone_is_drawn_as_its_tables_say(seeds, tmp_path, drawn):
     evaluation, progress = read_csv(seeds[0] / "evaluation.csv"), read_csv(seeds[0] / "progress.csv")
     score, controller, primitive = drawn[0].axes
     assert score.lines[0].get_xydata().T.tolist() == [evaluation["generation"], evaluation["score_mean"]]
+    assert legend(drawn[0]) == ["point-gather smoke", EPISODES]
     assert controller.lines[0].get_ydata().tolist() == progress["controller_return_mean"]
     assert primitive.lines[0].get_ydata().tolist() == progress["primitive_return_mean"]
     error = 2 * np.array(evaluation["score_std"]) / np.sqrt(3)
@@ -65,18 +68,81 @@ def test_repetitions_become_a_mean_with_an_interval(seeds, tmp_path, drawn):
     (line,) = controller.lines
     values = np.array([read_csv(path / "progress.csv")["controller_return_mean"] for path in seeds])
     np.testing.assert_allclose(line.get_ydata(), values.mean(axis=0))
-    assert line.get_label() == "point-gather smoke (3 runs)"
+    assert legend(drawn[0]) == ["point-gather smoke (3 runs)", RUNS]
     (band,) = controller.collections
     low, high = interval(values)
     heights = band.get_paths()[0].vertices[:, 1]
     assert (heights.min(), heights.max()) == (pytest.approx(low.min()), pytest.approx(high.max()))
 
 
-def test_runs_of_other_settings_are_other_curves_with_their_own_names(seeds, tmp_path, drawn):
-    other = runs.train_tiny(tmp_path / "other", sigma=0.5)
-    plot([seeds[0], other], tmp_path / "a.png")
-    labels = [line.get_label() for line in drawn[0].axes[0].lines]
-    assert labels == ["point-gather smoke: 5", "point-gather smoke: other"]
+RUNS = "band: 95 % bootstrap interval of the mean over runs"
+EPISODES = "band: mean ± 2 standard errors over the episodes of an evaluation"
+
+
+def legend(figure):
+    """Return the texts of the figure's legend."""
+    (found,) = figure.legends
+    return [text.get_text().replace("\n", " ") for text in found.get_texts()]
+
+
+def test_the_legend_says_what_differs_between_groups(seeds, tmp_path, drawn):
+    others = [runs.train_tiny(tmp_path / str(width), sigma=0.5, hidden=(width, 4), num_workers=1) for width in (8, 16)]
+    plot([seeds[0], *others], tmp_path / "a.png")
+    assert legend(drawn[0])[:3] == ["sigma 0.07, hidden 4", "sigma 0.5, hidden 8x4", "sigma 0.5, hidden 16x4"]
+
+
+def test_a_folder_of_runs_is_drawn_as_its_groups(seeds, tmp_path, drawn):
+    for number, path in enumerate(seeds):
+        shutil.copytree(path, tmp_path / "all" / "base" / f"seed-{number}")
+    runs.train_tiny(tmp_path / "all" / "other" / "seed-1", sigma=0.5)
+    runs.train_tiny(tmp_path / "all" / "begun", sigma=0.6, minutes=1e-9)  # it has nothing to draw
+    plot(tmp_path / "all", tmp_path / "a.png")
+    assert legend(drawn[0]) == ["sigma 0.07 (3 runs)", "sigma 0.5", RUNS, EPISODES]
+
+
+def on_another_machine(path, copy, **changed):
+    """Copy a run as if it had been made with other workers or on another machine."""
+    shutil.copytree(path, copy)
+    record = json.loads((copy / "config.json").read_text())
+    record["config"]["workers"] |= {name: value for name, value in changed.items() if name == "num_workers"}
+    record["machine"] |= {name: value for name, value in changed.items() if name == "processor"}
+    (copy / "config.json").write_text(json.dumps(record))
+    return copy
+
+
+@pytest.mark.parametrize(("name", "value"), [("num_workers", 7), ("processor", "Z80")])
+def test_a_run_made_again_elsewhere_is_no_repetition(seeds, tmp_path, drawn, name, value):
+    again = on_another_machine(seeds[0], tmp_path / "again", **{name: value})
+    plot([*seeds, again], tmp_path / "a.png")
+    first, second, *_ = legend(drawn[0])
+    assert first.endswith("(3 runs)")
+    assert second == f"{name.replace('_', ' ')} {value}"
+    plot([seeds[0], shutil.copytree(seeds[0], tmp_path / "copy")], tmp_path / "a.png")  # nor is a copy
+    assert legend(drawn[1]) == [str(seeds[0]), str(tmp_path / "copy"), EPISODES]
+
+
+def test_over_time_runs_of_other_machines_are_no_repetitions(seeds, tmp_path, drawn):
+    other = on_another_machine(seeds[1], tmp_path / "other", processor="Z80")
+    for number, (x, curves) in enumerate([("env_steps", 1), ("generation", 1), ("wall_time_s", 2)]):
+        plot([seeds[0], other], tmp_path / "a.png", x=x)
+        assert len(drawn[number].axes[0].lines) == curves
+
+
+def test_no_label_leaves_the_picture_or_meets_another(seeds, tmp_path, drawn):
+    deep = tmp_path / "_a$b$" / "/".join(["a rather long name of a folder"] * 7)
+    copies = [shutil.copytree(seeds[0], deep / str(number)) for number in range(13)]
+    plot(copies, tmp_path / "a.png")
+    figure = drawn[0]
+    figure.draw_without_rendering()
+    renderer = figure.canvas.get_renderer()
+    (box,) = (each.get_window_extent(renderer) for each in figure.legends)
+    assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+    assert figure.bbox.y0 <= box.y0 < box.y1 <= min(axis.get_tightbbox(renderer).y0 for axis in figure.axes)
+    assert min(axis.get_window_extent(renderer).height for axis in figure.axes) > 200  # the panels keep their height
+    assert len({(line.get_color(), line.get_linestyle()) for line in figure.axes[0].lines}) == 13
+    for axis in figure.axes:
+        ticks = [label.get_window_extent(renderer) for label in axis.get_xticklabels() if label.get_text()]
+        assert all(left.x1 < right.x0 for left, right in itertools.pairwise(ticks))
 
 
 @pytest.fixture(scope="module")
@@ -118,11 +184,9 @@ def test_runs_of_other_levels_share_a_picture_and_each_is_drawn_where_it_has_som
         "controller return (training)": [tables[seeds[0]]["controller_return_mean"]],
         "primitive return (training)": [tables[path]["primitive_return_mean"] for path in (seeds[0], alone)],
     }
-    legend = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
-    assert len(set(legend)) == 3
+    assert len(set(legend(drawn[0]))) == 4
 
 
-@pytest.mark.slow
 def test_a_curve_has_the_same_colour_in_every_panel(seeds, flat, alone, tmp_path, drawn):
     """The legend is only in the first panel and holds for all."""
     plot([flat, seeds[0], alone], tmp_path / "a.png")
@@ -136,7 +200,7 @@ def test_a_curve_has_the_same_colour_in_every_panel(seeds, flat, alone, tmp_path
 def test_execution_does_not_part_repetitions(seeds, tmp_path, drawn):
     other = runs.train_tiny(tmp_path / "other", seed=9, keep_checkpoints=3)
     plot([seeds[0], other], tmp_path / "a.png")
-    assert [line.get_label() for line in drawn[0].axes[0].lines] == ["point-gather smoke (2 runs)"]
+    assert legend(drawn[0]) == ["point-gather smoke (2 runs)", RUNS]
 
 
 def test_curves_of_different_lengths_end_where_the_shorter_one_does(seeds, tmp_path, drawn):
@@ -147,11 +211,11 @@ def test_curves_of_different_lengths_end_where_the_shorter_one_does(seeds, tmp_p
 
 @pytest.mark.parametrize(
     ("x", "label"),
-    [("generation", "generation"), ("env_steps", "environment steps"), ("wall_time_s", "minutes")],
+    [("generation", "generation"), ("env_steps", "environment steps (millions)"), ("wall_time_s", "minutes")],
 )
 def test_curves_are_drawn_over_what_is_asked_for(seeds, tmp_path, drawn, x, label):
     plot(seeds[:1], tmp_path / "a.png", x=x)
-    scale = 60 if x == "wall_time_s" else 1
+    scale = {"wall_time_s": 60, "env_steps": 1e6}.get(x, 1)
     for axis in drawn[0].axes:
         assert axis.get_xlabel() == label
     np.testing.assert_allclose(

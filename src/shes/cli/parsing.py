@@ -25,7 +25,8 @@ from shes.settings import Setting, Unasked, flag, setting_fields
 from shes.training.presets import PRESETS, make_config
 from shes.training.train import check_resumable, resumable_settings
 
-__all__ = ["DEFAULT_ENV", "Checkpoint", "Env", "ExecutionFlags", "Json", "Run", "call", "program_of"]
+__all__ = ["DEFAULT_ENV", "Checkpoint", "Env", "ExecutionFlags", "Json", "Run", "VariedSettings"]
+__all__ += ["call", "program_of"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
@@ -46,6 +47,10 @@ Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
 
 class ExecutionFlags(dict[str, Any]):
     """Settings by name that `shes resume` takes: the annotation of a parameter `settings`."""
+
+
+class VariedSettings(dict[str, Any]):
+    """Settings by name of which `seed` has several values: the annotation of a parameter `settings`."""
 
 
 def call(function: Callable[..., int], words: Sequence[str]) -> int:
@@ -85,7 +90,7 @@ def program_of(function: Callable[..., int], words: Sequence[str] = ()) -> Calla
         hints = {**get_type_hints(behind, include_extras=True), **hints}
         text += "\n\nArgs:\n" + (inspect.getdoc(behind) or "").partition("Args:\n")[2].partition("\n\n")[0]
     if parameters.pop("settings", None):
-        rooms = _rooms(words, is_resume=hints.pop("settings") is ExecutionFlags)
+        rooms = _rooms(words, hints.pop("settings"))
         hints |= rooms
         parameters |= {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in rooms}
 
@@ -100,26 +105,26 @@ def program_of(function: Callable[..., int], words: Sequence[str] = ()) -> Calla
     return program
 
 
-def _rooms(words: Sequence[str], *, is_resume: bool) -> dict[str, Any]:
+def _rooms(words: Sequence[str], kind: Any) -> dict[str, Any]:
     """Return a `TypedDict` for each room of settings; for `--help` one for the everyday settings."""
-    if is_resume:
+    if kind is ExecutionFlags:
         return {"settings": _room("A setting that is not given keeps its value.", resumable_settings().values(), None)}
     config = _asked_config(words)
     if not {"-h", "--help"}.isdisjoint(words):
         everyday = [each for each in map(config.setting, config.settings) if each.is_everyday]
         title = f"Values of preset {config.run.preset} for {config.run.env}. {_ALL} shows all {len(config.settings)}."
-        return {"everyday": _room(title, everyday, config)}
+        return {"everyday": _room(title, everyday, config, kind)}
     rooms: dict[str, Any] = {}
     seen: set[str] = set()  # a task may share a setting with the hierarchy
     for name, room in config.rooms.items():
         settings = setting_fields(type(room))
         title = (type(room).__doc__ or "").partition("\n")[0]
-        rooms[name] = _room(title, [each for each in settings.values() if each.name not in seen], config)
+        rooms[name] = _room(title, [each for each in settings.values() if each.name not in seen], config, kind)
         seen |= settings.keys()
     return rooms
 
 
-def _room(title: str, settings: Iterable[Setting], config: TrainConfig | None) -> Any:
+def _room(title: str, settings: Iterable[Setting], config: TrainConfig | None, kind: Any = None) -> Any:
     """Return a `TypedDict` whose keys tyro makes flags of: those that are not given are left out.
 
     The help shows the values of `config` as defaults.
@@ -129,6 +134,8 @@ def _room(title: str, settings: Iterable[Setting], config: TrainConfig | None) -
         for each in settings
         if each.name != "env" and not each.has(Unasked)
     }
+    if "seed" in keys and kind is VariedSettings:
+        keys["seed"] = _several(keys["seed"])
     room = TypedDict("Settings", keys, total=False)  # type: ignore[misc] - the keys are known at run time only
     room.__doc__ = title
     return room
@@ -143,6 +150,12 @@ def _annotated(setting: Setting, default: str) -> Any:
         name=setting.flag[2:], aliases=aliases, help=setting.text, help_behavior_hint=f"(default: {default})"
     )
     return Annotated[kind | None if setting.is_optional else kind, shown]
+
+
+def _several(kind: Any) -> Any:
+    """Return the type of one or more values of a setting of type `kind`."""
+    item, *notes = get_args(kind)
+    return Annotated[(tuple[item, ...], *notes)]
 
 
 def _shown(value: Any) -> str:

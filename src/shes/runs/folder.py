@@ -23,16 +23,21 @@ from shes.storage import storage_errors, write_atomically
 __all__ = ["RunFolder", "new_folder"]
 
 _FORMAT = 2
+_BELOW = ("*/config.json", "*/*/config.json")
+"""Records of the runs in a folder of runs."""
 
 
-def new_folder(config: TrainConfig) -> Path:
+def new_folder(config: TrainConfig, kind: str = "") -> Path:
     """Create a new folder below `runs/` in the working directory and return it; safe for concurrent runs.
+
+    Its name has environment, preset, `kind` and time; `kind` is the seed if empty.
 
     Raises:
         StorageError: The folder cannot be created.
     """
     env = config.run.env.removeprefix(GYMNASIUM).replace("/", "-")
-    name = f"{env}-{config.run.preset}-seed{config.run.seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    kind = kind or f"seed{config.run.seed}"
+    name = f"{env}-{config.run.preset}-{kind}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     number = 1
     while True:
         path = Path("runs") / (name if number == 1 else f"{name}-{number}")
@@ -119,6 +124,9 @@ class RunFolder:
         """
         folder = cls(find_run(run))
         if not folder.config.is_file():
+            below = sorted(str(each.parent) for pattern in _BELOW for each in folder.path.glob(pattern))
+            if below:
+                raise RunFolderError(f"{folder.path} is a folder of runs: give one of them, such as {below[0]}.")
             what = "does not exist" if not folder.path.exists() else "is not a run folder: it has no config.json"
             raise RunFolderError(
                 f"{folder.path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"

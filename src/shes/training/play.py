@@ -4,40 +4,91 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from shes.algorithms.contract import Algorithm
 from shes.errors import ConfigError, PolicyError, ShapeError
-from shes.training.build import OpenedRun, open_run
-from shes.types import F64Array, FloatArray
+from shes.es.level import LevelParameters
+from shes.hierarchy.frames import Frames
+from shes.runs.config import TrainConfig
+from shes.training.build import OpenedRun, build_algorithm, open_run
+from shes.types import F32Array, F64Array, FloatArray
 
-__all__ = ["Agent", "load"]
+__all__ = ["Agent", "Statistics", "load"]
+
+
+class Statistics(NamedTuple):
+    """Moments by which a level's observations are normalised: `(observation - mean) / std`, clipped to ±5."""
+
+    mean: F64Array
+    """Mean [O]."""
+    std: F64Array
+    """Standard deviation [O]."""
 
 
 class Agent:
     """The mean policies of a checkpoint, which act without noise in `num_envs` environments.
 
-    The agent keeps its goals between calls: call `reset` when an episode begins.
+    The agent keeps its goals between calls: call `reset` when an episode begins. It can be pickled and copied.
     """
 
     def __init__(self, run: OpenedRun, num_envs: int = 1) -> None:
         """Build the agent of a run; see `load`."""
         if num_envs < 1:
             raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs}.")
-        self.config = run.config
-        self.num_envs = num_envs
-        task = run.algorithm.problem.make_task(is_evaluation=True)
+        self._build(run.config, run.algorithm, run.algorithm.parameters(run.state), num_envs)
+        self.reset()
+
+    def _build(
+        self, config: TrainConfig, algorithm: Algorithm[Any], levels: tuple[LevelParameters, ...], num_envs: int
+    ) -> None:
+        self.config, self.num_envs = config, num_envs
+        task = algorithm.problem.make_task(is_evaluation=True)
         self._reader = task.reader
         self.observation_size = task.observation_size
         task.close()
+        self._levels = dict(zip(algorithm.design.level_names, levels, strict=True))
         # One policy per environment, so that each has a clock and can be reset separately.
-        self._agent = run.algorithm.design.make(num_envs, 1)
-        parameters = run.algorithm.parameters(run.state)
-        self._agent.normalise_by(parameters)
-        for theta, level in zip(self._agent.theta, parameters, strict=True):
+        self._agent = algorithm.design.make(num_envs, 1)
+        self._agent.normalise_by(levels)
+        for theta, level in zip(self._agent.theta, levels, strict=True):
             theta[:] = level.theta
-        self.reset()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the agent's settings, parameters and running episodes, for `pickle` and `copy`."""
+        return {
+            "config": self.config.to_dict(),
+            "num_envs": self.num_envs,
+            "levels": tuple(self._levels.values()),
+            "episodes": [{name: array.copy() for name, array in part.items()} for part in self._episodes()],
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        config = TrainConfig.from_dict(state["config"])
+        self._build(config, build_algorithm(config), state["levels"], state["num_envs"])
+        for part, saved in zip(self._episodes(), state["episodes"], strict=True):
+            for name, array in saved.items():
+                part[name][...] = array
+
+    def _episodes(self) -> list[dict[str, np.ndarray]]:
+        """Return the arrays that change in an episode, by name: clocks and goals, and the frames of the goals."""
+        batch = vars(self._agent)
+        parts = [batch, *(vars(part) for part in batch.values() if isinstance(part, Frames))]
+        return [{name: each for name, each in part.items() if isinstance(each, np.ndarray)} for part in parts]
+
+    @property
+    def parameters(self) -> dict[str, F32Array]:
+        """A copy of the policy's parameters [D] of each level, by its name."""
+        return {name: level.theta.copy() for name, level in self._levels.items()}
+
+    @property
+    def statistics(self) -> dict[str, Statistics]:
+        """Mean and standard deviation of the observations of each level, by its name."""
+        return {
+            name: Statistics(mean=level.mean.copy(), std=1 / level.inverse_std) for name, level in self._levels.items()
+        }
 
     @property
     def goal(self) -> F64Array | None:

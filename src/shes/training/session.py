@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 from shes.algorithms.contract import Algorithm, Report
 from shes.backends.backend import Backend
@@ -15,24 +14,9 @@ from shes.runs.log import logger
 from shes.runs.tables import Records, Row, read_csv
 from shes.training.evaluate import evaluate_state, evaluation_seeds
 from shes.training.interruption import Interruption
+from shes.training.listening import Audience
 
-__all__ = ["Listener", "Session"]
-
-
-class Listener(Protocol):
-    """Receives the progress of a run."""
-
-    def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
-        """Receive the start of the run at `path`, after `generation`."""
-
-    def on_generation(self, row: Row) -> None:
-        """Receive a row of `progress.csv`."""
-
-    def on_evaluation(self, row: Row) -> None:
-        """Receive a row of `evaluation.csv`."""
-
-    def on_event(self, event: str) -> None:
-        """Receive a warning: a lost worker, or one of the simulator."""
+__all__ = ["Session"]
 
 
 class Session:
@@ -46,16 +30,16 @@ class Session:
         records: Records,
         writer: CheckpointWriter,
         backend: Backend,
-        listener: Listener | None,
+        audience: Audience,
     ) -> None:
         self.checkpoint = checkpoint
         self._folder, self._algorithm = folder, algorithm
         self._config: TrainConfig = algorithm.problem.settings
-        self._records, self._writer, self._backend, self._listener = records, writer, backend, listener
+        self._records, self._writer, self._backend, self._audience = records, writer, backend, audience
+        self._is_stopped = False
         self._earlier_s = _wall_time(folder)
         self._start = self._generation_start = perf_counter()
-        if listener is not None:
-            listener.on_start(folder.path, self._config, checkpoint.generation, backend.num_workers)
+        self._tell("on_start", folder.path, self._config, checkpoint.generation, backend.num_workers)
 
     def check_schedules(self) -> None:
         """Log a warning if the run ends before its schedules do."""
@@ -67,11 +51,11 @@ class Session:
             )
 
     def is_over(self) -> bool:
-        """Return whether the run, or the time of this call, is over."""
+        """Return whether the run or the time of this call is over, or a listener has ended it."""
         minutes = self._config.run.minutes
         is_late = minutes is not None and perf_counter() - self._start >= 60 * minutes
         last = self.checkpoint
-        return is_late or self._config.run.is_over(last.generation, last.env_steps)
+        return self._is_stopped or is_late or self._config.run.is_over(last.generation, last.env_steps)
 
     def add(self, report: Report[Any], interruption: Interruption) -> None:
         """Record a generation, evaluate if it is due, and start writing the checkpoint."""
@@ -133,9 +117,11 @@ class Session:
         logger.warning(event)
         self._tell("on_event", event)
 
-    def _tell(self, method: str, content: Any) -> None:
-        if self._listener is not None:
-            getattr(self._listener, method)(content)
+    def _tell(self, method: str, *content: Any) -> None:
+        """Tell the listeners; one of them may end the run."""
+        if self._audience.tell(method, *content) and not self._is_stopped:
+            logger.info("a listener ends the run")
+            self._is_stopped = True
 
 
 def _wall_time(folder: RunFolder) -> float:

@@ -10,23 +10,28 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from shes.algorithms.contract import Algorithm
-from shes.errors import ConfigError
+from shes.errors import ConfigError, RunFolderError
 from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, restore, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
 from shes.runs.rooms import execution_settings, known_settings
-from shes.runs.tables import Records
+from shes.runs.tables import Records, read_csv
 from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
 from shes.training.interruption import Interruption
+from shes.training.listening import AnyListener, Audience, Listener, StopTraining
 from shes.training.presets import make_config
-from shes.training.session import Listener, Session
+from shes.training.session import Session
 from shes.training.transfer import check_robot, transfer
+from shes.types import F64Array
 
-__all__ = ["Listener", "Run", "check_resumable", "resumable_settings", "resume", "start_run", "train"]
+__all__ = ["Listener", "Run", "StopTraining", "check_resumable", "differing", "finish_run"]
+__all__ += ["resumable_settings", "resume", "start_run", "train"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,13 +46,32 @@ class Run:
     best: Best
     """The best evaluation."""
 
+    def __fspath__(self) -> str:
+        """Return the run folder, so that a run can be given wherever its path can."""
+        return str(self.path)
+
+    @property
+    def progress(self) -> dict[str, F64Array]:
+        """The columns of `progress.csv` by name, a value per generation; empty before the first one."""
+        return _columns(RunFolder(self.path).progress)
+
+    @property
+    def evaluations(self) -> dict[str, F64Array]:
+        """The columns of `evaluation.csv` by name, a value per evaluation; empty before the first one."""
+        return _columns(RunFolder(self.path).evaluation)
+
+
+def _columns(table: Path) -> dict[str, F64Array]:
+    """Return the columns of a table by name; none if it does not exist yet."""
+    return {name: np.array(values) for name, values in read_csv(table).items()} if table.exists() else {}
+
 
 def train(
     env: str,
     *,
     preset: str = "laptop",
     out: Path | str | None = None,
-    listener: Listener | None = None,
+    listener: AnyListener = None,
     **settings: Any,
 ) -> Run:
     """Train on `env` and return the run.
@@ -56,7 +80,8 @@ def train(
         env: Environment, e.g. `ant-gather`.
         preset: `paper`, `laptop` or `smoke`.
         out: The run folder, which must not hold a run; a new one below `runs/` if none.
-        listener: Receives the progress.
+        listener: Receives the progress: a function of a row of `progress.csv`, an object with any method of `Listener`,
+            or several of these. It ends the run by returning True or raising `StopTraining`.
         settings: Any setting by name, e.g. `seed=0, num_workers=4`.
 
     Raises:
@@ -70,8 +95,9 @@ def train(
     return start_run(make_config(env, preset, settings), out, listener)
 
 
-def start_run(config: TrainConfig, out: Path | str | None = None, listener: Listener | None = None) -> Run:
+def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyListener = None) -> Run:
     """Begin a run with the settings of `config`; see `train`."""
+    audience = Audience(listener)
     check_device(config)
     check_robot(config)
     algorithm = build_algorithm(config)
@@ -84,7 +110,7 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
         # From here on the run can be resumed.
         folder.record_start(config, {level: asdict(origin) for level, origin in origins.items()})
-        return _go_on(folder, algorithm, state, checkpoint, listener)
+        return _go_on(folder, algorithm, state, checkpoint, audience)
 
 
 def _path(out: Path | str) -> Path:
@@ -98,12 +124,12 @@ def _path(out: Path | str) -> Path:
     return Path(out)
 
 
-def resume(path: Path | str, *, listener: Listener | None = None, **settings: Any) -> Run:
+def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -> Run:
     """Continue the run at `path` from its last checkpoint, as if it had never stopped.
 
     Args:
         path: The run folder.
-        listener: Receives the progress.
+        listener: Receives the progress, as in `train`.
         settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
 
     Raises:
@@ -112,6 +138,7 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
         ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
         MissingExtraError: The device needs a package that is not installed.
     """
+    audience = Audience(listener)
     folder = RunFolder.open(path)
     stored = folder.read_config()
     check_resumable(settings)
@@ -136,9 +163,44 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
             event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
             with run_log(folder):
                 logger.warning(event)
-            if listener is not None:
-                listener.on_event(event)
-        return _go_on(folder, algorithm, state, checkpoint, listener)
+            audience.tell("on_event", event)
+        return _go_on(folder, algorithm, state, checkpoint, audience)
+
+
+def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) -> Run:
+    """Train the run at `path` to its end: from its last checkpoint, or from the start if there is no run yet.
+
+    Args:
+        config: Its settings. Execution settings may differ from those of the run so far.
+        path: The run folder.
+        listener: Receives the progress, as in `train`.
+
+    Raises:
+        RunFolderError: The folder holds a run with other settings.
+        ShesError: Raised by `start_run` or `resume`.
+    """
+    folder = RunFolder(path)
+    if not folder.config.is_file():
+        return start_run(config, path, listener)
+    stored = folder.read_config()
+    if others := differing(stored, config):
+        raise RunFolderError(
+            f"{path} holds a run of other settings: {others}. Choose another folder with --out, or remove this one to "
+            "have it made anew."
+        )
+    last = folder.load("last")
+    if config.run.is_over(last.generation, last.env_steps):
+        return Run(path=path, config=stored, generation=last.generation, best=last.best)
+    now = {name: config.settings[name] for name in resumable_settings()}
+    changed = {name: value for name, value in now.items() if value != stored.settings[name]}
+    return resume(path, listener=listener, **{**changed, "minutes": config.run.minutes})
+
+
+def differing(before: TrainConfig, now: TrainConfig) -> str:
+    """Return the first settings in which the numbers of two runs differ, in words; empty if they are the same."""
+    there, wanted = before.numbers(), now.numbers()
+    names = [name for name in {**wanted, **there} if there.get(name) != wanted.get(name)]
+    return "; ".join(f"{name} is {there.get(name)!r} there, not {wanted.get(name)!r}" for name in names[:3])
 
 
 def resumable_settings() -> dict[str, Setting]:
@@ -164,10 +226,8 @@ def check_resumable(names: Iterable[str]) -> None:
             )
 
 
-def _go_on(
-    folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint: Checkpoint, listener: Listener | None
-) -> Run:
-    """Train from `state` until the run is over, its time is up, or Ctrl-C.
+def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint: Checkpoint, audience: Audience) -> Run:
+    """Train from `state` until the run is over, its time is up, a listener ends it, or Ctrl-C.
 
     Raises:
         KeyboardInterrupt: Ctrl-C came before the end.
@@ -179,7 +239,7 @@ def _go_on(
         records = stack.enter_context(closing(Records(folder, checkpoint.generation)))
         writer = stack.enter_context(closing(CheckpointWriter()))
         backend = stack.enter_context(build_backend(config, algorithm.plan()))
-        session = Session(folder, algorithm, checkpoint, records, writer, backend, listener)
+        session = Session(folder, algorithm, checkpoint, records, writer, backend, audience)
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
         logger.info("begins after generation %d with %d workers%s", state.generation, backend.num_workers, on_device)

@@ -2,66 +2,78 @@
 
 from __future__ import annotations
 
-import json
+import os
+import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from shes.errors import ConfigError, RunFolderError, UnknownNameError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.storage import write_atomically
+from shes.training.runs_folder import find_runs
 from shes.types import F64Array
 from shes.viewing.curves import interpolate, interval
+from shes.viewing.groups import Group, group_runs
 
 __all__ = ["X_AXES", "plot"]
 
-X_AXES = {"generation": "generation", "env_steps": "environment steps", "wall_time_s": "minutes"}
-"""Abscissae: column of the tables -> label."""
+X_AXES = {
+    "generation": ("generation", 1.0),
+    "env_steps": ("environment steps (millions)", 1e-6),
+    "wall_time_s": ("minutes", 1 / 60),
+}
+"""Abscissae: column of the tables -> label, and factor of the column's values."""
+_OVER_RUNS = "band: 95 % bootstrap interval of the mean over runs"
+_OVER_EPISODES = "band: mean ± 2 standard errors over the episodes of an evaluation"
+_PANEL_INCHES = (5.0, 3.8)
+_TICKS = 5  # more would overlap where the numbers have many digits
+_LINE_INCHES = 0.19
+"""Height of a line of the legend."""
+_CHARACTERS_PER_INCH = 11
+"""Of the legend; a little fewer than fit."""
 
 Panel = tuple[str, str, str]
 """Table, column, title."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Group:
-    """Runs with equal settings except the seed. They are drawn as one curve."""
-
-    folders: list[RunFolder]
-    label: str
-    color: str
-
-
-def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str = "env_steps") -> Path:
+def plot(runs: Path | str | Sequence[Path | str], out: Path | str = "curves.png", *, x: str = "env_steps") -> Path:
     """Draw the learning curves of `runs` and return the picture's path.
 
     Runs that differ in the seed only form a group: the figure shows its mean and a 95 % bootstrap interval over its
-    runs. A single run shows its evaluation's mean plus or minus two standard errors over episodes instead.
+    runs. A single run shows its evaluation's mean plus or minus two standard errors over episodes instead. Runs with
+    the same seed are no repetitions: if they differ in the machine or the workers, each is drawn.
 
     Args:
-        runs: Run folders, or names of shipped agents.
+        runs: Run folders, folders of runs, or names of shipped agents.
         out: Path of the picture; the suffix (.png, .pdf, .svg) selects the format.
         x: `env_steps`, `generation` or `wall_time_s`.
 
     Raises:
-        RunFolderError: A run is neither a run folder nor a shipped agent, or has no generation yet.
+        RunFolderError: A run is neither a folder of runs nor a shipped agent, or has no generation yet.
         UnknownNameError: `x` is not one of `X_AXES`.
         ConfigError: `runs` is empty, or the suffix of `out` is not a picture format.
         StorageError: The picture cannot be written.
     """
-    if not runs:
+    given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
+    if not given:
         raise ConfigError("plot needs at least one run folder: shes plot RUN... --out curves.png")
     if x not in X_AXES:
         raise UnknownNameError("x axis", x, X_AXES, "Set --x.")
     target = Path(out)
-    opened = [RunFolder.open(run) for run in runs]
+    opened = [folder for run in given for folder in find_runs(run)]
     folders = list({folder.path.resolve(): folder for folder in opened}.values())  # a run named twice counts once
-    panels, groups = _panels(folders), _groups(folders)
-    figure, axes = plt.subplots(1, len(panels), figsize=(5 * len(panels), 3.8), layout="constrained")
+    panels, groups = _panels(folders), group_runs(folders, by_time=x == "wall_time_s")
+    width, height = _PANEL_INCHES
+    figure, axes = plt.subplots(1, len(panels), figsize=(width * len(panels), height), layout="constrained")
     try:
         picture_format = target.suffix.lstrip(".").lower()
         if picture_format not in figure.canvas.get_supported_filetypes():
@@ -70,10 +82,11 @@ def plot(runs: Sequence[Path | str], out: Path | str = "curves.png", *, x: str =
             for group in groups:
                 if _has_level(group.folders[0], column):
                     _draw_group(axis, group, table, column, x)
-            axis.set_xlabel(X_AXES[x])
+            axis.set_xlabel(X_AXES[x][0])
             axis.set_title(label)
+            axis.xaxis.set_major_locator(MaxNLocator(nbins=_TICKS))
             axis.grid(alpha=0.3)
-        axes[0].legend(fontsize="small")
+        _draw_legend(figure, axes[0], groups)
         write_atomically(target, lambda file: figure.savefig(file, format=picture_format, dpi=150))
     finally:
         plt.close(figure)
@@ -93,30 +106,13 @@ def _has_level(folder: RunFolder, column: str) -> bool:
     return level == column or level in folder.read_config().level_names
 
 
-def _groups(folders: list[RunFolder]) -> list[_Group]:
-    """Return `folders` in groups of equal settings except the seed."""
-    found: dict[str, list[RunFolder]] = {}
-    for folder in folders:
-        config = folder.read_config()
-        settings = {name: value for name, value in config.numbers().items() if name != "seed"}
-        found.setdefault(json.dumps([config.run.preset, settings], sort_keys=True), []).append(folder)
-    configs = [members[0].read_config().run for members in found.values()]
-    names = [f"{run.env} {run.preset}" for run in configs]
-    groups: list[_Group] = []
-    for number, (name, members) in enumerate(zip(names, found.values(), strict=True)):
-        label = name if names.count(name) == 1 else f"{name}: {members[0].path.name}"
-        several = f" ({len(members)} runs)" if len(members) > 1 else ""
-        groups.append(_Group(folders=members, label=label + several, color=f"C{number}"))
-    return groups
-
-
-def _draw_group(axis: Axes, group: _Group, table: str, column: str, x: str) -> None:
+def _draw_group(axis: Axes, group: Group, table: str, column: str, x: str) -> None:
     """Draw one column of the group's runs."""
     xs, ys = zip(*(_read_curve(folder, table, column, x) for folder in group.folders), strict=True)
     is_single = len(group.folders) == 1
     grid, values = (xs[0], np.stack(ys)) if is_single else interpolate(xs, ys)
     mean = values.mean(axis=0)
-    axis.plot(grid, mean, label=group.label, color=group.color)
+    axis.plot(grid, mean, label=group.label, color=group.color, linestyle=group.style)
     if not is_single:
         low, high = interval(values)
     elif column == "score_mean":
@@ -126,6 +122,23 @@ def _draw_group(axis: Axes, group: _Group, table: str, column: str, x: str) -> N
     else:
         return
     axis.fill_between(grid, low, high, alpha=0.2, color=group.color, linewidth=0)
+
+
+def _draw_legend(figure: Figure, axis: Axes, groups: list[Group]) -> None:
+    """Draw a legend of the groups and bands below the panels, as high as its wrapped lines need."""
+    handles: list[Artist] = list(axis.lines)
+    labels = [group.label for group in groups]
+    for text, is_single in ((_OVER_RUNS, False), (_OVER_EPISODES, True)):
+        if any((len(group.folders) == 1) == is_single for group in groups):
+            handles.append(Patch(color="grey", alpha=0.3))
+            labels.append(text)
+    width, height = figure.get_size_inches()
+    wrapped = [
+        "\n".join(textwrap.wrap(text, round(width * _CHARACTERS_PER_INCH) - 8)).replace("$", r"\$") for text in labels
+    ]
+    lines = sum(1 + text.count("\n") for text in wrapped)
+    figure.set_size_inches(width, height + lines * _LINE_INCHES)
+    figure.legend(handles, wrapped, loc="outside lower center", fontsize="small", frameon=False)
 
 
 def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> tuple[F64Array, F64Array]:
@@ -140,5 +153,4 @@ def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> tuple[F64
     columns = read_csv(path)
     if column not in columns:
         raise RunFolderError(f"{path} has no column {column!r}, or no row.")
-    scale = 1 / 60 if x == "wall_time_s" else 1.0
-    return np.array(columns[x]) * scale, np.array(columns[column])
+    return np.array(columns[x]) * X_AXES[x][1], np.array(columns[column])

@@ -3,42 +3,102 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 
-from shes.cli.output import print_facts, print_line, quote
-from shes.cli.parsing import DEFAULT_ENV, Checkpoint, Env, ExecutionFlags, Json, Run
+from shes.cli.output import print_error, print_facts, print_line, quote
+from shes.cli.parsing import DEFAULT_ENV, Checkpoint, Env, ExecutionFlags, Json, Run, VariedSettings
 from shes.cli.progress_display import ProgressDisplay
-from shes.errors import ConfigError
-from shes.runs.folder import RunFolder
+from shes.errors import ConfigError, ShesError
+from shes.runs.folder import RunFolder, new_folder
 from shes.training.evaluate import evaluate as run_episodes
 from shes.training.presets import make_config
+from shes.training.runs_folder import RunsFolder
 from shes.training.train import Run as FinishedRun
 from shes.training.train import resume as resume_run
 from shes.training.train import start_run
+from shes.training.variations import read_sweep, vary
 
 
-def train(env: Env, settings: dict[str, Any], *, out: Path | None = None) -> int:
+def train(
+    env: Env,
+    settings: VariedSettings,
+    *,
+    out: Path | None = None,
+    sweep: Annotated[
+        tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE,VALUE ...")
+    ] = (),
+) -> int:
     """Train on an environment, with live progress. Ctrl-C stops and loses nothing: shes resume continues the run.
+
+    Several seeds or a sweep make a folder of runs, trained one after another. The same command, or shes resume, goes on
+    with those that are missing.
 
     shes train point-gather --generations 60 --out runs/first
 
     Args:
         out: The run folder, which must not hold a run; a new one below runs/ if none.
+        sweep: Values of a setting, each of which becomes a run: sigma=0.02,0.05. Several settings: all combinations.
     """
-    config = make_config(env, settings.pop("preset", "laptop"), settings)
-    return _show_progress(lambda display: start_run(config, out, display), out)
+    preset, seeds = settings.pop("preset", "laptop"), settings.pop("seed", None)
+    swept = read_sweep(text for texts in sweep for text in texts)
+    if seeds == ():
+        raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or leave it away.")
+    if not swept and (seeds is None or len(seeds) == 1):
+        given = {} if seeds is None else {"seed": seeds[0]}
+        config = make_config(env, preset, {**settings, **given})
+        return _show_progress(lambda display: start_run(config, out, display), out)
+    configs = vary(env, preset, settings, seeds or (1,), swept)
+    path = out or new_folder(next(iter(configs.values())), f"{len(configs)}-runs")
+    return _train_all(RunsFolder.create(path, configs), list(configs))
 
 
 def resume(run: Run, settings: ExecutionFlags) -> int:
-    """Continue a run as if it had never stopped.
+    """Continue a run, or a folder of runs, as if it had never stopped.
 
     shes resume runs/first --generations 200 --workers 4
     """
+    if RunsFolder.is_at(run):
+        folder = RunsFolder.open(run, **settings)
+        if not folder.left:
+            raise ConfigError(
+                f"all {len(folder.configs)} runs of {run} have ended. To go on: shes resume {quote(run)} "
+                f"--generations {2 * max(config.run.generations for config in folder.configs.values())}"
+            )
+        return _train_all(folder, list(folder.configs))
     return _show_progress(lambda display: resume_run(run, listener=display, **settings), Path(run))
+
+
+def _train_all(folder: RunsFolder, names: list[str]) -> int:
+    """Train the runs `names` of a folder that have not ended; return the exit code."""
+    displays, left = ExitStack(), [name for name in names if name in folder.left]
+    failed: dict[str, ShesError] = {}
+
+    def display_of(name: str) -> ProgressDisplay:
+        print_line(f"[{names.index(name) + 1}/{len(names)}] {name}")
+        return displays.enter_context(ProgressDisplay(Console()))
+
+    try:
+        with displays, closing(folder.train(left, display_of)) as outcomes:
+            for ended in outcomes:
+                displays.close()
+                if ended.error is not None:
+                    failed[ended.name] = ended.error
+                    print_error(f"{ended.name} failed: {ended.error}")
+    except KeyboardInterrupt:
+        print_line(f"Stopped; all finished generations are kept. Go on: shes resume {quote(folder.path)}")
+        raise
+    found = quote(folder.path)
+    if failed:
+        print_error(f"{len(failed)} of {len(names)} runs failed. To go on with them: shes resume {found}")
+        return 1
+    print_line(f"Done: {len(names)} runs, one in each folder below {found}.")
+    print_line(f"Next: shes plot {found} · shes list {found} · shes evaluate {quote(folder.path / names[0])}")
+    return 0
 
 
 def _show_progress(work: Callable[[ProgressDisplay], FinishedRun], path: Path | None) -> int:

@@ -26,10 +26,10 @@ def plot(
 ) -> int:
     """Plot learning curves. Runs that differ only in the seed become a mean with a 95 % interval.
 
-    shes plot runs/seed1 runs/seed2 runs/seed3 --out mean.pdf --x generation
+    shes plot runs/seeds runs/other --out mean.pdf --x generation
 
     Args:
-        runs: Run folders, or names of shipped agents.
+        runs: Run folders, folders of runs, or names of shipped agents.
         out: The figure: .png, .pdf or .svg.
         x: Horizontal axis.
     """

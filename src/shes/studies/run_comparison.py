@@ -1,0 +1,151 @@
+"""`shes compare`: the difference between two runs, or two groups of repetitions, with an interval and a p value."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from shes.errors import ConfigError, UnknownNameError
+from shes.runs.folder import RunFolder
+from shes.studies.significance import check_scipy, permutation_test
+from shes.training.evaluate import Evaluation, evaluate
+from shes.training.runs_folder import find_runs
+from shes.types import F64Array
+
+__all__ = ["MEASURES", "RunComparison", "compare_runs", "mean_difference_interval"]
+
+MEASURES = {"score": "scores", "return": "returns", "success": "successes"}
+"""What can be compared: name -> field of `Evaluation`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunComparison:
+    """The comparison of two runs over episodes, or of two groups of runs over runs."""
+
+    measure: str
+    unit: str
+    """What the samples consist of: `runs`, or `episodes` of a single run on each side."""
+    first_count: int
+    """Number of runs or episodes."""
+    second_count: int
+    first_mean: float
+    second_mean: float
+    difference: float
+    """Second minus first mean."""
+    low: float
+    """Lower end of the 95 % interval of the difference (Welch's t)."""
+    high: float
+    p: float
+    """Two-sided p of a permutation test of the difference."""
+
+
+def compare_runs(
+    first: Path | str,
+    second: Path | str,
+    *,
+    episodes: int = 50,
+    checkpoint: str = "best",
+    measure: str = "score",
+    num_workers: int = 0,
+    seed: int = 0,
+) -> RunComparison:
+    """Evaluate two runs, or the runs of two folders, on the same fresh episodes and compare them.
+
+    With several runs on each side, the samples are the means of the runs: the result holds for other seeds of training,
+    too. With one run on each side, they are its episodes: the result holds for these two agents alone.
+
+    Args:
+        first: A run folder, a folder of runs that differ in the seed only, or a shipped agent.
+        second: The same.
+        episodes: Number of episodes of each run.
+        checkpoint: `best`, `last` or the number of a generation.
+        measure: `score`, `return` or `success`.
+        num_workers: Worker processes; 0 is one for every core.
+        seed: Seed of the episodes.
+
+    Raises:
+        UnknownNameError: `measure` is unknown.
+        ConfigError: The runs have different environments, those of a folder different settings, or one side has one run
+            and the other several.
+        MissingExtraError: SciPy is not installed.
+        ShesError: Raised by `evaluate`.
+    """
+    if measure not in MEASURES:
+        raise UnknownNameError("measure", measure, MEASURES, "Set --measure.")
+    check_scipy()
+    sides = [_repetitions(each) for each in (first, second)]
+    counts = [len(side) for side in sides]
+    if (counts[0] == 1) != (counts[1] == 1):
+        raise ConfigError(
+            f"one run cannot be compared with several: {first} has {counts[0]} and {second} has {counts[1]}. "
+            "Train more seeds: shes train ... --seed 1 2 3"
+        )
+    envs = [side[0].read_config().run.env for side in sides]
+    if envs[0] != envs[1]:
+        raise ConfigError(f"{first} is a run of {envs[0]}, {second} of {envs[1]}. Compare runs of one environment.")
+    if episodes < 2:
+        raise ConfigError(f"episodes must be at least 2, got {episodes}. Set --episodes.")
+
+    def values(run: RunFolder) -> F64Array:
+        found: Evaluation = evaluate(
+            run.path, episodes=episodes, checkpoint=checkpoint, num_workers=num_workers, seed=seed
+        )
+        return getattr(found, MEASURES[measure])
+
+    of_runs = [[values(run) for run in side] for side in sides]
+    is_single = counts[0] == 1
+    one, other = (side[0] if is_single else np.array([each.mean() for each in side]) for side in of_runs)
+    low, high = mean_difference_interval(one, other)
+    return RunComparison(
+        measure=measure,
+        unit="episodes" if is_single else "runs",
+        first_count=len(one),
+        second_count=len(other),
+        first_mean=float(one.mean()),
+        second_mean=float(other.mean()),
+        difference=float(other.mean() - one.mean()),
+        low=low,
+        high=high,
+        p=permutation_test(one, other),
+    )
+
+
+def _repetitions(run: Path | str) -> list[RunFolder]:
+    """Return the runs of one side.
+
+    Raises:
+        ConfigError: They differ in another setting than the seed, or two are the same run.
+    """
+    folders = find_runs(run)
+    settings = [folder.read_config().numbers() for folder in folders]
+    names = dict.fromkeys(name for each in settings for name in each)
+    differing = [name for name in names if len({json.dumps(each.get(name)) for each in settings}) > 1]
+    others = [name for name in differing if name != "seed"]
+    if others:
+        raise ConfigError(
+            f"the runs below {run} differ in {', '.join(others[:3])}. Give the folder of one group, such as "
+            f"{folders[0].path.parent}."
+        )
+    if len({each["seed"] for each in settings}) < len(settings):
+        raise ConfigError(f"two runs below {run} have the same seed and settings: they are one run. Remove one.")
+    return folders
+
+
+def mean_difference_interval(first: F64Array, second: F64Array) -> tuple[float, float]:
+    """Return the 95 % interval of the difference of means, second minus first, of two samples. Source: Welch (1947).
+
+    A bootstrap interval would be too short for the few runs that there usually are.
+    """
+    difference = float(second.mean() - first.mean())
+    errors = [values.var(ddof=1) / len(values) for values in (first, second)]
+    total = sum(errors)
+    if total == 0:
+        return difference, difference
+    freedom = total**2 / sum(
+        error**2 / (len(values) - 1) for error, values in zip(errors, (first, second), strict=True)
+    )
+    half = float(check_scipy().t.ppf(0.975, freedom) * np.sqrt(total))
+    return difference - half, difference + half

@@ -1,0 +1,201 @@
+"""Folders of runs that differ in the seed or in swept settings, trained one after another.
+
+Every run is an ordinary run folder. `runs.json` holds the settings of all, so that a folder that was stopped anywhere
+goes on with the runs that are missing.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from shes.errors import PolicyError, RunFolderError, ShesError, WorkerError
+from shes.runs.config import TrainConfig
+from shes.runs.folder import RunFolder
+from shes.runs.shipped import find_run
+from shes.runs.tables import read_csv
+from shes.storage import storage_errors, write_atomically
+from shes.training.listening import AnyListener
+from shes.training.train import Run, check_resumable, differing, finish_run
+
+__all__ = ["Ended", "RunsFolder", "find_runs"]
+
+_RECORD = "runs.json"
+_FORMAT = 1
+_LENGTHS = ("generations", "env_steps", "minutes")
+"""Settings by which a run that has ended can go on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    """A run of a folder that has ended, or the error with which it failed."""
+
+    name: str
+    """Its place in the folder."""
+    run: Run | None = None
+    error: ShesError | None = None
+
+
+class RunsFolder:
+    """A folder of runs, by their places in it."""
+
+    def __init__(self, path: Path, configs: Mapping[str, TrainConfig], ended: set[str]) -> None:
+        """Use `create` or `open`."""
+        self.path = path
+        self.configs = dict(configs)
+        self._ended = ended
+
+    @property
+    def left(self) -> list[str]:
+        """The runs that have not ended, in order."""
+        return [name for name in self.configs if name not in self._ended]
+
+    @staticmethod
+    def is_at(path: Path | str) -> bool:
+        """Return whether there is a folder of runs at `path`."""
+        return (Path(path) / _RECORD).is_file()
+
+    @classmethod
+    def create(cls, path: Path, configs: Mapping[str, TrainConfig]) -> RunsFolder:
+        """Return the folder at `path` with the runs of `configs`; if it has some of them already, it keeps these.
+
+        Raises:
+            RunFolderError: `path` is a file or a run folder, or has a run of other settings.
+            StorageError: It cannot be written.
+        """
+        if path.exists() and not path.is_dir():
+            raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
+        if RunFolder(path).config.exists():
+            raise RunFolderError(f"{path} already holds a run: several need a folder of their own. Set --out.")
+        there = cls.open(path) if cls.is_at(path) else cls(path, {}, set())
+        for name, config in configs.items():
+            before = there.configs.get(name)
+            if before is not None and (others := differing(before, config)):
+                raise RunFolderError(
+                    f"{path} has run {name} with other settings: {others}. Choose another folder with --out."
+                )
+        kept = {name for name in there._ended if name in configs and _is_as_long(there.configs[name], configs[name])}
+        with storage_errors(path):
+            path.mkdir(parents=True, exist_ok=True)
+        return cls(path, {**there.configs, **configs}, kept | (there._ended - configs.keys()))
+
+    @classmethod
+    def open(cls, path: Path | str, **settings: Any) -> RunsFolder:
+        """Return the folder of runs at `path`, with execution `settings` that every run shall have from now on.
+
+        `minutes` is the time of every run from now on.
+
+        Raises:
+            RunFolderError: Its record is missing or damaged.
+            UnknownNameError: An environment or another name in it is not known here.
+            ConfigError: A setting would change the numbers of the runs.
+        """
+        check_resumable(settings)
+        path = Path(path)
+        file = path / _RECORD
+        try:
+            record = json.loads(file.read_text(encoding="utf-8"))
+            configs, ended = _read(record)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise RunFolderError(f"{file} cannot be read: {error}. Restore it from a copy.") from error
+        changed = {name: each.having(**settings) for name, each in configs.items()}
+        if settings.get("minutes") is not None:
+            spent = {name: _minutes(path / name) for name in changed}
+            changed = {name: each.having(minutes=settings["minutes"] + spent[name]) for name, each in changed.items()}
+        kept = {name for name in ended if _is_as_long(configs[name], changed[name])}
+        return cls(path, changed, kept)
+
+    def train(self, names: list[str], listener: Callable[[str], AnyListener]) -> Generator[Ended]:
+        """Train the runs `names` to their ends, one after another, and yield each when it has ended.
+
+        Args:
+            names: The runs, in order.
+            listener: Returns the listener of a run.
+
+        Raises:
+            RunFolderError: The folder or a run is in use, or a run has other settings.
+            StorageError: A file cannot be written.
+            KeyboardInterrupt: Ctrl-C.
+        """
+        with RunFolder(self.path).lock():
+            self._write()
+            for name in names:
+                config, heard = self.configs[name], listener(name)
+                if config.run.minutes is not None:
+                    config = config.having(minutes=max(1e-9, config.run.minutes - _minutes(self.path / name)))
+                try:
+                    run = finish_run(config, self.path / name, heard)
+                except (PolicyError, WorkerError) as error:  # of this run; another error would end the others, too
+                    yield Ended(name=name, error=error)
+                else:
+                    self._ended.add(name)
+                    self._write()
+                    yield Ended(name=name, run=run)
+
+    def _write(self) -> None:
+        """Write the record.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
+        record = {
+            "format": _FORMAT,
+            "runs": {name: config.to_dict() for name, config in self.configs.items()},
+            "ended": [name for name in self.configs if name in self._ended],
+        }
+        text = json.dumps(record, indent=1) + "\n"
+        write_atomically(self.path / _RECORD, lambda file: file.write(text.encode()))
+
+
+def _read(record: dict[str, Any]) -> tuple[dict[str, TrainConfig], set[str]]:
+    """Return the settings of the runs by place, and those that have ended.
+
+    Raises:
+        ValueError: The record has another format, no run, or a run outside the folder.
+    """
+    if record["format"] != _FORMAT:
+        raise ValueError(f"its format is {record['format']!r}, not {_FORMAT}")
+    for name in record["runs"]:
+        if not re.fullmatch(r"[A-Za-z0-9.+_-]+(/[A-Za-z0-9.+_-]+)?", name) or {".", ".."} & set(name.split("/")):
+            raise ValueError(f"{name!r} is no place of a run")
+    if not record["runs"]:
+        raise ValueError("it has no run")
+    configs = {name: TrainConfig.from_dict(each) for name, each in record["runs"].items()}
+    return configs, configs.keys() & set(record["ended"])
+
+
+def _minutes(path: Path) -> float:
+    """Return the minutes for which the run at `path` has been trained."""
+    table = RunFolder(path).progress
+    times = read_csv(table).get("wall_time_s", []) if table.exists() else []
+    return times[-1] / 60 if times else 0.0
+
+
+def _is_as_long(before: TrainConfig, now: TrainConfig) -> bool:
+    """Return whether a run ends as before."""
+    return all(getattr(before.run, name) == getattr(now.run, name) for name in _LENGTHS)
+
+
+def find_runs(run: Path | str) -> list[RunFolder]:
+    """Return the run folder `run`, or those below it that have a generation, in natural order.
+
+    Raises:
+        RunFolderError: `run` is neither a run folder, nor a folder of runs, nor a shipped agent.
+    """
+    path = find_run(run)
+    if RunFolder(path).config.is_file() or not path.is_dir():
+        return [RunFolder.open(run)]
+    found = [file.parent for file in path.glob("**/config.json") if RunFolder(file.parent).progress.is_file()]
+    if not found and RunsFolder.is_at(path):
+        raise RunFolderError(f"no run below {path} has a generation yet. Go on with it: shes resume {path}")
+    return [RunFolder(each) for each in sorted(found, key=_natural)] or [RunFolder.open(run)]
+
+
+def _natural(path: Path) -> list[tuple[float, str]]:
+    """Return a key that orders paths by their numbers: seed-2 before seed-10."""
+    words = re.split(r"(\d+(?:\.\d+)?)", str(path))
+    return [(float(word), "") if index % 2 else (-1.0, word) for index, word in enumerate(words)]

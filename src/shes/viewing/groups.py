@@ -1,0 +1,130 @@
+"""Groups of runs: which runs are repetitions of each other, and how the groups differ."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from shes.runs.folder import RunFolder
+
+__all__ = ["Group", "group_runs"]
+
+_FIRST = ("env", "algorithm", "preset")
+"""The kind of a run: settings that are named first in a label, because others follow from them."""
+_MOST_NAMED = 4
+_STYLES = ("-", "--", ":", "-.")
+_COLORS = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Runs with equal settings and different seeds. They are drawn as one curve."""
+
+    folders: list[RunFolder]
+    label: str
+    """How its settings differ from those of the other groups, and the number of its runs."""
+    color: str
+    style: str
+    """Style of its line: after ten groups the colours begin anew with another one."""
+
+
+def group_runs(folders: Sequence[RunFolder], *, by_time: bool = False) -> list[Group]:
+    """Return the groups of repetitions in `folders`.
+
+    Workers and machine do not change the numbers of a run: two runs with the same seed are one result seen twice, and
+    no repetitions. A group that has a seed twice is divided by workers and machine, else into single runs.
+
+    Args:
+        folders: The run folders.
+        by_time: Whether runs are compared over time, which depends on workers and machine.
+    """
+    found: list[list[RunFolder]] = []
+    for group in _divided(folders, _design):
+        for part in _divided(group, _execution) if by_time or _has_seed_twice(group) else [group]:
+            found += [[folder] for folder in part] if _has_seed_twice(part) else [part]
+    labels = _labels(found)
+    return [
+        Group(
+            folders=members,
+            label=label + (f" ({len(members)} runs)" if len(members) > 1 else ""),
+            color=f"C{number % _COLORS}",
+            style=_STYLES[number // _COLORS % len(_STYLES)],
+        )
+        for number, (members, label) in enumerate(zip(found, labels, strict=True))
+    ]
+
+
+def _divided(folders: Sequence[RunFolder], key: Callable[[RunFolder], Any]) -> list[list[RunFolder]]:
+    """Return `folders` divided by `key`, a JSON value."""
+    found: dict[str, list[RunFolder]] = {}
+    for folder in folders:
+        found.setdefault(json.dumps(key(folder), sort_keys=True), []).append(folder)
+    return list(found.values())
+
+
+def _design(folder: RunFolder) -> dict[str, Any]:
+    """Return the settings of a run that repetitions have in common."""
+    config = folder.read_config()
+    return {"preset": config.run.preset, **{name: each for name, each in config.numbers().items() if name != "seed"}}
+
+
+def _execution(folder: RunFolder) -> dict[str, Any]:
+    """Return the settings of a run's workers, and its machine."""
+    machine = folder.read_record().get("machine", {})
+    facts = {name: machine.get(name) for name in ("processor", "cores")} if isinstance(machine, dict) else {}
+    return {**folder.read_config().workers.to_dict(), **facts}
+
+
+def _has_seed_twice(folders: Sequence[RunFolder]) -> bool:
+    seeds = [folder.read_config().run.seed for folder in folders]
+    return len(set(seeds)) < len(seeds)
+
+
+def _labels(groups: list[list[RunFolder]]) -> list[str]:
+    """Return a label for every group: environment and preset of a single one, else what differs."""
+    runs = [members[0].read_config().run for members in groups]
+    if len(groups) == 1:
+        return [f"{runs[0].env} {runs[0].preset}"]
+    facts = [{**_design(members[0]), **_execution(members[0])} for members in groups]
+    kind = [name for name in _FIRST if _differ(facts, name)]
+    # Other settings are named where they differ among groups of one kind, and workers and machine as the last resort.
+    alike = _of_one_kind(facts)
+    names = [name for name in dict.fromkeys(itertools.chain(*facts)) if any(_differ(each, name) for each in alike)]
+    own = [name for name in names if any(name in _design(members[0]) for members in groups)]
+    others = [name for name in names if name not in own]
+    labels: list[str] = []
+    for chosen in ([*kind, *own], [*kind, *own, *others]):
+        labels = [_label(each, chosen) for each in facts]
+        if len(set(labels)) == len(labels):
+            return labels
+    paths = [str(members[0].path) for members in groups]
+    return [f"{label}, {path}" if label else path for label, path in zip(labels, paths, strict=True)]
+
+
+def _of_one_kind(facts: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Return `facts` divided by kind: environment, algorithm and preset, which bring values of other settings."""
+    found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for each in facts:
+        found.setdefault(tuple(each.get(name) for name in _FIRST), []).append(each)
+    return list(found.values())
+
+
+def _differ(facts: list[dict[str, Any]], name: str) -> bool:
+    """Return whether the values of `name` differ."""
+    return any(each.get(name) != facts[0].get(name) for each in facts)
+
+
+def _label(facts: dict[str, Any], names: list[str]) -> str:
+    """Return the values of settings `names`, at most `_MOST_NAMED` of them."""
+    shown = [f"{name.replace('_', ' ')} {_text(facts.get(name))}" for name in names if name in facts]
+    more = len(shown) - _MOST_NAMED
+    return ", ".join(shown[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "x".join(map(_text, value)) or "none"
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

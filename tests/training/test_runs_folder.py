@@ -1,0 +1,239 @@
+"""Folders of runs: seeds and sweeps, one after another, resumed as a whole."""
+
+import json
+
+import pytest
+
+from shes.cli import main
+from shes.errors import ConfigError, PolicyError, RunFolderError, UnknownNameError
+from shes.runs.folder import RunFolder
+from shes.training import runs_folder
+from shes.training.runs_folder import RunsFolder, find_runs
+from shes.training.variations import read_sweep, vary
+from tests.e2e import runs
+
+SEVERAL = {name: value for name, value in runs.TINY.items() if name != "seed"}
+
+
+def train(path, *words, **settings):
+    """Return the exit code of `shes train` with tiny settings."""
+    flags = runs.flags(**{**SEVERAL, **settings}, out=path)
+    return main(["train", "point-gather", *flags, *words])
+
+
+def generations(path):
+    """Return the finished generations of every run below `path`, by place."""
+    return {str(run.path.relative_to(path)): run.load("last").generation for run in find_runs(path)}
+
+
+def refused(capsys, *words):
+    """Return the message with which a command line is refused."""
+    assert main([str(word) for word in words]) == 2
+    return " ".join(capsys.readouterr().err.split())
+
+
+def test_each_seed_is_an_ordinary_run(tmp_path, tiny_run, capsys):
+    assert train(tmp_path / "all", "--seed", "5", "6") == 0
+    assert generations(tmp_path / "all") == {"seed-5": 4, "seed-6": 4}
+    assert runs.differences(tiny_run, tmp_path / "all" / "seed-5") == []
+    assert RunFolder(tmp_path / "all" / "seed-6").read_config().run.seed == 6
+    assert "Done: 2 runs" in capsys.readouterr().out
+
+
+def test_one_seed_is_a_run_as_before(tmp_path, tiny_run):
+    assert train(tmp_path / "one", "--seed", "5") == 0
+    assert runs.differences(tiny_run, tmp_path / "one") == []
+    assert not RunsFolder.is_at(tmp_path / "one")
+
+
+def test_a_sweep_has_a_run_for_every_combination_and_seed(tmp_path):
+    words = ["--sweep", "sigma=0.02,0.5", "--sweep", "hidden=none,3x2", "--seed", "1", "2"]
+    assert train(tmp_path / "all", *words, generations=1) == 2  # hidden is given as well
+    settings = {name: value for name, value in SEVERAL.items() if name != "hidden"}
+    flags = runs.flags(**{**settings, "generations": 1}, out=tmp_path / "all")
+    assert main(["train", "point-gather", *flags, *words]) == 0
+    found = generations(tmp_path / "all")
+    assert set(found.values()) == {1}
+    assert list(found)[:3] == [
+        "sigma-0.02_hidden-3x2/seed-1",
+        "sigma-0.02_hidden-3x2/seed-2",
+        "sigma-0.02_hidden-none/seed-1",
+    ]
+    assert len(found) == 8
+    config = RunFolder(tmp_path / "all" / "sigma-0.5_hidden-3x2" / "seed-2").read_config()
+    assert (config.evolution.sigma, config.networks.hidden, config.run.seed) == (0.5, (3, 2), 2)
+
+
+@pytest.mark.parametrize("again", ["the same command", "resume"])
+def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, tiny_run, monkeypatch, capsys, again):
+    whole, path, words = tmp_path / "whole", tmp_path / "all", ("--seed", "4", "5", "6")
+    assert train(whole, *words) == 0
+    from shes.cli.progress_display import ProgressDisplay
+
+    heard = []
+
+    def interrupt(display, row):
+        heard.append(row["generation"])
+        if len(heard) == 6:  # in the second run
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ProgressDisplay, "on_generation", interrupt)
+        assert train(path, *words) == 130
+    assert generations(path) == {"seed-4": 4, "seed-5": 2}
+    assert f"Go on: shes resume {path}" in capsys.readouterr().out
+    first = (path / "seed-4" / "log.txt").read_bytes()
+    assert (train(path, *words) if again == "the same command" else main(["resume", str(path)])) == 0
+    assert (path / "seed-4" / "log.txt").read_bytes() == first
+    for name in ("seed-4", "seed-5", "seed-6"):
+        assert runs.differences(whole / name, path / name) == []
+    assert train(path, *words) == 0  # nothing is left
+    assert "all 3 runs of" in refused(capsys, "resume", path)
+
+
+def test_a_folder_goes_on_with_more_generations_and_more_seeds(tmp_path):
+    path = tmp_path / "all"
+    assert train(path, "--seed", "4", "5", generations=1) == 0
+    assert main(["resume", str(path), "--generations", "2"]) == 0
+    assert generations(path) == {"seed-4": 2, "seed-5": 2}
+    assert train(path, "--seed", "5", "6", generations=3) == 0
+    assert generations(path) == {"seed-4": 2, "seed-5": 3, "seed-6": 3}
+
+
+def test_minutes_are_those_of_each_run_and_one_whose_time_is_up_has_ended(tmp_path, capsys):
+    path = tmp_path / "all"
+    assert train(path, "--seed", "4", "5", minutes=1e-9) == 0
+    assert "have ended" in refused(capsys, "resume", path)
+    assert main(["resume", str(path), "--minutes", "10"]) == 0
+    assert generations(path) == {"seed-4": 4, "seed-5": 4}
+
+
+def test_a_run_that_fails_does_not_stop_the_others_and_is_tried_again(tmp_path, monkeypatch, capsys):
+    finish = runs_folder.finish_run
+
+    def fail(config, path, listener):
+        if config.run.seed == 4:
+            raise PolicyError("the policy returned NaN")
+        return finish(config, path, listener)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runs_folder, "finish_run", fail)
+        assert train(tmp_path / "all", "--seed", "4", "5", generations=1) == 1
+    error = capsys.readouterr().err
+    assert "seed-4 failed: the policy returned NaN" in error
+    assert "1 of 2 runs failed" in error
+    assert main(["resume", str(tmp_path / "all")]) == 0
+    assert generations(tmp_path / "all") == {"seed-4": 1, "seed-5": 1}
+
+
+def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(tmp_path, capsys):
+    path = tmp_path / "all"
+    assert train(path, "--seed", "4", "5", generations=1) == 0
+    record = (path / "runs.json").read_bytes()
+    again = ["train", "point-gather", *runs.flags(**SEVERAL, out=path), "--seed", "4", "5", "6"]
+    assert "has run seed-4 with other settings: sigma is 0.07 there, not 0.5" in refused(
+        capsys, *again, "--sigma", "0.5"
+    )
+    with RunFolder(path).lock():
+        assert "is in use" in refused(capsys, *again)
+    assert (path / "runs.json").read_bytes() == record
+    assert "already holds a run: several need a folder of their own" in refused(
+        capsys, *again[:-6], "--out", path / "seed-4", "--seed", "4", "5"
+    )
+    assert "is a file" in refused(capsys, *again, "--out", path / "runs.json")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda record: record | {"format": 9}, "its format is 9, not 1"),
+        (lambda record: record | {"runs": {"../../out": record["runs"]["seed-4"]}}, "'../../out' is no place of a run"),
+        (lambda record: record | {"runs": {}}, "it has no run"),
+        (lambda record: record | {"runs": {"seed-4": 3}}, "cannot be read"),
+        (lambda record: [record], "cannot be read"),
+        (lambda record: record | {"ended": [[]]}, "cannot be read"),
+    ],
+)
+def test_a_damaged_record_is_one_clear_line(tmp_path, capsys, change, message):
+    assert train(tmp_path, "--seed", "4", "5", minutes=1e-9) == 0
+    file = tmp_path / "runs.json"
+    file.write_text(json.dumps(change(json.loads(file.read_text()))))
+    error = refused(capsys, "resume", tmp_path)
+    assert message in error
+    assert "Restore it from a copy" in error
+
+
+def test_values_are_read_as_their_setting_needs():
+    assert read_sweep(["sigma=0.02, 5e-1", "workers=1,2", "primitive-sigma=none,0.1"]) == {
+        "sigma": {"0.02": 0.02, "5e-1": 0.5},
+        "num_workers": {"1": 1, "2": 2},
+        "primitive_sigma": {"none": None, "0.1": 0.1},
+    }
+    assert read_sweep(["hidden=none,64x32", "hide_position=true,false", "algorithm=es,shes"]) == {
+        "hidden": {"none": (), "64x32": (64, 32)},
+        "hide_position": {"true": True, "false": False},
+        "algorithm": {"es": "es", "shes": "shes"},
+    }
+
+
+@pytest.mark.parametrize(
+    ("texts", "error", "message"),
+    [
+        (["sigma"], ConfigError, r"must be a setting and its values, got 'sigma'\. Set --sweep sigma=0\.02,0\.05"),
+        (["=1"], ConfigError, "must be a setting and its values"),
+        (["sigmma=1"], ConfigError, "unknown setting 'sigmma'. Did you mean 'sigma'"),
+        (["sigma="], ConfigError, "sigma must be a positive number, got ''"),
+        (["sigma=1,2x"], ConfigError, "sigma must be a positive number, got '2x'"),
+        (["sigma=nan"], ConfigError, "sigma must be a positive number"),
+        (["sigma=1,1.0"], ConfigError, "has a value twice"),
+        (["sigma=1,1"], ConfigError, "has a value twice"),
+        (["sigma=1", "--sigma=2"], ConfigError, "sigma is swept twice"),
+        (["seed=1,2"], ConfigError, r"seed cannot be swept\. Give several seeds by --seed 1 2 3"),
+        (["env=ant-gather"], ConfigError, "Runs of a folder have one environment"),
+        (["algorithm=se"], UnknownNameError, "unknown algorithm 'se'. Did you mean"),
+        (["population_size=1.5"], ConfigError, "population_size must be a whole number"),
+    ],
+)
+def test_a_wrong_sweep_is_refused(texts, error, message):
+    with pytest.raises(error, match=message):
+        read_sweep(texts)
+
+
+def test_everything_is_refused_before_there_is_a_folder(tmp_path, capsys):
+    base = ["train", "point-gather", *runs.flags(**SEVERAL, out=tmp_path / "all")]
+    assert "population_size" in refused(capsys, *base[:4], "--out", tmp_path / "all", "--sweep", "population_size=8,7")
+    assert "seed 1 is given twice" in refused(capsys, *base, "--seed", "1", "1")
+    assert "sigma is both given and swept" in refused(capsys, *base, "--sigma", "1", "--sweep", "sigma=1,2")
+    assert "at most 1,000 are allowed" in refused(
+        capsys, *base, *("--sweep", f"sigma={','.join(map(str, range(1, 502)))}"), "--seed", "1", "2"
+    )
+    assert "seed must be" in refused(capsys, *base, "--seed", "1", "-2")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_places_differ_even_where_values_cannot_be_file_names():
+    found = vary("point-gather", "smoke", {}, [1], {"sigma": {"0.1": 0.1, "0.1 ": 0.2}})
+    assert len(found) == 2
+    assert all("/" not in name.partition("/")[2] and " " not in name for name in found)
+
+
+def test_runs_are_found_in_natural_order(tmp_path, tiny_run):
+    (tmp_path / "other.json").write_text("{}")
+    for seed in (10, 9, 1):
+        path = tmp_path / "sigma-0.5" / f"seed-{seed}"
+        path.mkdir(parents=True)
+        for file in ("config.json", "progress.csv"):
+            (path / file).write_bytes((tiny_run / file).read_bytes())
+    assert [run.path.name for run in find_runs(tmp_path)] == ["seed-1", "seed-9", "seed-10"]
+    assert [run.path for run in find_runs(tiny_run)] == [tiny_run]
+    with pytest.raises(RunFolderError, match="is not a run folder"):
+        find_runs(tmp_path / "other.json")
+
+
+@pytest.mark.parametrize("command", ["evaluate", "info", "render"])
+def test_a_command_for_one_run_names_one_of_the_folder(tmp_path, tiny_run, capsys, command):
+    for name in ("seed-1", "seed-2"):
+        (tmp_path / "all" / name).mkdir(parents=True)
+        (tmp_path / "all" / name / "config.json").write_bytes((tiny_run / "config.json").read_bytes())
+    error = refused(capsys, command, tmp_path / "all")
+    assert f"all is a folder of runs: give one of them, such as {tmp_path}/all/seed-1." in error
