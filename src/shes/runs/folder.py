@@ -13,7 +13,7 @@ from typing import Any
 
 from shes.envs.registry import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
-from shes.runs.checkpoint import Checkpoint, load_checkpoint
+from shes.runs.checkpoint import Checkpoint, HeaderCheck, accept_headers, load_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.device import device_changes
 from shes.runs.provenance import provenance
@@ -176,8 +176,8 @@ class RunFolder:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
-    def load(self, name: str | int) -> Checkpoint:
-        """Return checkpoint `name` of this run.
+    def load(self, name: str | int, check: HeaderCheck = accept_headers) -> Checkpoint:
+        """Return checkpoint `name` of this run. `check` is that of `load_checkpoint`.
 
         Raises:
             CheckpointError: It is missing, damaged, or from another run.
@@ -187,7 +187,7 @@ class RunFolder:
             raise CheckpointError(
                 f"the shipped agent {agent} has the checkpoint best alone, got {name!r}. Leave --checkpoint away."
             )
-        checkpoint, config = load_checkpoint(path), self.read_config()
+        checkpoint, config = load_checkpoint(path, check), self.read_config()
         mine = config.numbers()
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
         missing = {name: config.setting(name).default for name in mine if name not in checkpoint.numbers}

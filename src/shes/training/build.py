@@ -113,9 +113,9 @@ def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> Ope
         CheckpointError: The checkpoint is missing or damaged.
     """
     folder = RunFolder.open(run)
-    loaded = folder.load(checkpoint)
     config = folder.read_config().having(**execution)
     algorithm = build_algorithm(config)
+    loaded = folder.load(checkpoint, algorithm.check_headers)
     state = restore(loaded, algorithm.from_arrays, folder.checkpoint_path(checkpoint))
     return OpenedRun(folder=folder, config=config, algorithm=algorithm, state=state)
 

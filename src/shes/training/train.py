@@ -119,7 +119,8 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
     check_asked_device(config, settings)
     check_device(config)
     with folder.lock():
-        checkpoint = folder.load("last")
+        algorithm = build_algorithm(config)
+        checkpoint = folder.load("last", algorithm.check_headers)
         done, steps = checkpoint.generation, checkpoint.env_steps
         if config.run.is_over(done, steps):
             is_long = done >= config.run.generations
@@ -129,7 +130,6 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
                 f"{end}. To go on: shes resume {shlex.quote(str(path))} "
                 f"{'--generations' if is_long else '--env-steps'} {2 * made}"
             )
-        algorithm = build_algorithm(config)
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
         changes = folder.record_resume(done, config)
         if changes:
