@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -23,6 +24,8 @@ from shes.storage import storage_errors, write_atomically
 __all__ = ["RunFolder", "new_folder"]
 
 _FORMAT = 2
+_OBJECTS = ("config", "versions", "machine", "device", "controller", "primitive")
+"""Entries of the record that are objects, where there are any."""
 
 
 def new_folder(config: TrainConfig) -> Path:
@@ -40,6 +43,14 @@ def new_folder(config: TrainConfig) -> Path:
             path.mkdir(parents=True)
             return path
         number += 1
+
+
+def _is_part(record: Any) -> bool:
+    """Return whether `record` can be what `provenance` says of a part of a run, with other entries."""
+    if not isinstance(record, dict) or not all(isinstance(record.get(name, {}), dict) for name in _OBJECTS):
+        return False
+    command = record.get("command", [])
+    return isinstance(command, list) and all(isinstance(word, str) for word in command)
 
 
 class RunFolder:
@@ -61,7 +72,8 @@ class RunFolder:
         """Hold the lock of the folder, so that no other process trains in it.
 
         Raises:
-            RunFolderError: Another process holds it, or the folder belongs to a shipped agent.
+            RunFolderError: Another process holds it, the folder belongs to a shipped agent, or a symbolic link in it
+                leads out of it.
             StorageError: The folder cannot be written.
         """
         name = shipped_name(self.path)
@@ -71,6 +83,7 @@ class RunFolder:
                 f"primitive: shes train ENV --primitive {name}. Or copy {self.path} to a folder of your own, with its "
                 "checkpoints/best.npz as checkpoints/last.npz, and resume that."
             )
+        self._check_links()
         with storage_errors(self._lock):
             file = self._lock.open("w")
         with file:
@@ -81,6 +94,22 @@ class RunFolder:
                     f"{self.path} is in use: another process trains in it. Wait for its end, or choose another folder."
                 ) from error
             yield
+
+    def _check_links(self) -> None:
+        """Check that no file is written through a symbolic link out of the folder.
+
+        Raises:
+            RunFolderError: A file or folder of the run is such a link.
+        """
+        home = os.path.realpath(self.path)
+        files = (self.config, self.progress, self.evaluation, self.log, self._lock)
+        for place in (*files, self.checkpoints, self.tensorboard):
+            target = os.path.realpath(place)
+            if not Path(target).is_relative_to(home):
+                raise RunFolderError(
+                    f"{place} is a symbolic link that leads out of the run folder, to {target}: nothing is written "
+                    "there. Replace it by a copy."
+                )
 
     @classmethod
     def create(cls, path: Path) -> RunFolder:
@@ -207,12 +236,20 @@ class RunFolder:
         """
         try:
             record = json.loads(self.config.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise RunFolderError(f"{self.config} cannot be read: {error}. Restore it from a copy.") from error
         if not isinstance(record, dict) or record.get("format") != _FORMAT:
             raise RunFolderError(
                 f"{self.config} is not the record of a SHES run of format {_FORMAT}. Give the folder that `shes train` "
                 "printed; a run of another version of SHES needs that version."
+            )
+        resumed = record.get("resumed", [])
+        parts = [record, *resumed] if isinstance(resumed, list) else [None]
+        if not all(_is_part(part) for part in parts):
+            raise RunFolderError(
+                f"{self.config} is damaged: {', '.join(_OBJECTS)} must be objects, command a list of "
+                "words and resumed a list of objects. "
+                "Restore it from a copy."
             )
         return record
 

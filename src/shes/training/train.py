@@ -18,7 +18,7 @@ from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
 from shes.runs.rooms import execution_settings, known_settings
-from shes.runs.tables import Records
+from shes.runs.tables import Records, check_tables
 from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
 from shes.training.interruption import Interruption
@@ -131,6 +131,7 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
                 f"{'--generations' if is_long else '--env-steps'} {2 * made}"
             )
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
+        check_tables(folder, done)
         changes = folder.record_resume(done, config)
         if changes:
             event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
