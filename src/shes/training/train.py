@@ -22,6 +22,7 @@ from shes.runs.tables import Records, check_tables
 from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
 from shes.training.interruption import Interruption
+from shes.training.limits import Workload, check_limits
 from shes.training.presets import make_config
 from shes.training.session import Listener, Session
 from shes.training.transfer import check_robot, transfer
@@ -61,7 +62,7 @@ def train(
 
     Raises:
         UnknownNameError: The environment, the preset or another name is unknown.
-        ConfigError: A setting is unknown or out of range.
+        ConfigError: A setting is unknown or out of range, or the run does not fit this machine.
         RunFolderError: `out` already holds a run.
         StorageError: A file cannot be written.
         WorkerError: A worker failed, or workers keep dying.
@@ -75,6 +76,7 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: List
     check_device(config)
     check_robot(config)
     algorithm = build_algorithm(config)
+    check_limits(Workload.of(config), algorithm.design)
     algorithm.plan()  # errors of the noise table or a transfer arise before there is a folder
     state, origins = transfer(algorithm, algorithm.start(config.run.seed))
     folder = RunFolder.create(new_folder(config) if out is None else _path(out))
@@ -120,6 +122,7 @@ def resume(path: Path | str, *, listener: Listener | None = None, **settings: An
     check_device(config)
     with folder.lock():
         algorithm = build_algorithm(config)
+        check_limits(Workload.of(config), algorithm.design)
         checkpoint = folder.load("last", algorithm.check_headers)
         done, steps = checkpoint.generation, checkpoint.env_steps
         if config.run.is_over(done, steps):
@@ -179,7 +182,7 @@ def _go_on(
         interruption = stack.enter_context(Interruption())
         records = stack.enter_context(closing(Records(folder, checkpoint.generation)))
         writer = stack.enter_context(closing(CheckpointWriter()))
-        backend = stack.enter_context(build_backend(config, algorithm.plan()))
+        backend = stack.enter_context(build_backend(config, algorithm.plan(), Workload.of(config).num_episodes))
         session = Session(folder, algorithm, checkpoint, records, writer, backend, listener)
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
