@@ -1,6 +1,7 @@
 """Checkpoints that no run has written: each is one clear error, and nothing is allocated or read for it."""
 
 import io
+import shutil
 import tracemalloc
 import zipfile
 
@@ -12,6 +13,7 @@ from shes.errors import CheckpointError
 from shes.runs import checkpoint as checkpoints
 from shes.runs.checkpoint import load_checkpoint
 from shes.training.build import open_run
+from tests.e2e import runs
 
 THETA = "controller/theta.npy"
 MOST_BYTES = 20_000_000
@@ -158,3 +160,23 @@ def test_levels_of_another_run_are_refused(change, levels):
 
 def test_the_arrays_of_an_unknown_algorithm_are_all_read(tmp_path, tiny_run):
     assert len(load_checkpoint(tiny_run / "checkpoints" / "last.npz").arrays) > 10
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    """A run whose episodes go on from generation to generation."""
+    settings = {"primitive_estimate": "interval", "horizon": 1000, "generations": 1}
+    return runs.train_tiny(tmp_path_factory.mktemp("running") / "run", "point-flagrun", **settings)
+
+
+@pytest.mark.parametrize("name", ["running/states", "running/steps"])
+@pytest.mark.parametrize("axis", [0, -1])
+def test_running_episodes_of_another_number_or_robot_are_refused(tmp_path, running, name, axis):
+    run = shutil.copytree(running, tmp_path / "run")
+    assert shes.resume(run, generations=2).generation == 2
+    path = run / "checkpoints" / "last.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **{**arrays, name: np.delete(arrays[name], 0, axis)})
+    with pytest.raises(CheckpointError, match=rf"last\.npz holds {name} of shape .*, where this run has \("):
+        shes.resume(run, generations=3)

@@ -88,6 +88,23 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         levels = [name.removesuffix("/theta") for name in headers if name.endswith("/theta")]
         self._check_levels(levels, has_all=set(levels) <= set(self.level_names))
         check_headers(headers, self.start(0))
+        self._check_running(headers)
+
+    def _check_running(self, headers: Mapping[str, ArrayHeader]) -> None:
+        """Raise CheckpointError unless there is a state of this robot for each pair, if any episodes are running."""
+        intervals = self.hyperparameters.intervals
+        if intervals is None or "running/states" not in headers:
+            return
+        task = self.problem.make_task()
+        size = task.states(np.array([0])).shape[1]
+        task.close()
+        expected = {"running/states": (intervals.num_pairs, size), "running/steps": (intervals.num_pairs,)}
+        for name, shape in expected.items():
+            if headers[name].shape != shape:
+                raise CheckpointError(
+                    f"holds {name} of shape {headers[name].shape}, where this run has {shape}. "
+                    "Put back the checkpoint of this run."
+                )
 
     def _check_levels(self, levels: Sequence[str], *, has_all: bool) -> None:
         """Raise CheckpointError unless this run has all `levels` of a checkpoint."""
