@@ -72,7 +72,9 @@ def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path, lengt
 def test_a_damaged_table_is_refused_and_kept(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("generation,x\none,2\n")
-    with pytest.raises(RunFolderError, match=r"a\.csv is damaged: .*'one'.*Restore it from a copy"):
+    with pytest.raises(
+        RunFolderError, match=r"a\.csv cannot be read as a table of numbers: .*'one'.*Restore it from a copy"
+    ):
         CsvTable(path, 4)
     assert path.read_text() == "generation,x\none,2\n"
 
