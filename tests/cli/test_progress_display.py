@@ -99,6 +99,16 @@ def test_a_terminal_shows_everything_within_its_width(clock, width):
     assert set(lines[-10 if width == 40 else -9]) <= set("━╸╺")
 
 
+def test_a_warning_is_shown_at_once_even_before_the_first_generation(clock):
+    console = terminal(80)
+    with ProgressDisplay(console) as display:
+        for generation in (0, 1):
+            if generation:
+                display.on_generation(row(generation))
+            display.on_event(f"worker {generation} has given no answer for 60 s")
+            assert lines_of(console)[-1] == f"worker {generation} has given no answer for 60 s"
+
+
 def test_lines_without_a_terminal_come_first_last_and_every_ten_seconds(clock):
     console = plain(width=40)
     play(console, clock, generations=40)

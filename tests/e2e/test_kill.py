@@ -97,6 +97,19 @@ def test_a_worker_killed_inside_a_generation_is_replaced_and_the_numbers_stay_th
     assert runs.differences(undisturbed, path) == []
 
 
+def test_a_stopped_worker_is_told_of_and_replaced_and_the_numbers_stay_the_same(started, undisturbed):
+    process, path = started(worker_warning_s=0.5, worker_timeout_s=2)
+    runs.wait_for_generation(process, path, 2)
+    worker = runs.workers_of(process.pid)[0]
+    runs.wait_until_at_work(worker)
+    os.kill(worker, signal.SIGSTOP)
+    code, out, err = runs.finish(process)
+    assert (code, err) == (0, ""), out
+    assert re.search(rf"worker {worker} has given no answer for \d+ s; it is replaced after \d+ s", out)
+    assert re.search(rf"worker {worker} was ended \(no answer for \d+ s\); \d+ tasks are done again", out)
+    assert runs.differences(undisturbed, path) == []
+
+
 @pytest.mark.extras
 def test_a_run_killed_before_its_first_generation_ended_goes_on_from_the_start(started, undisturbed):
     process, path = started()

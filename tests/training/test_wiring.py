@@ -78,6 +78,16 @@ def num_workers(b):
         return backend.num_workers
 
 
+def backend_option(name):
+    """Return what reads an option of the backend."""
+
+    def read(b):
+        with build_backend(b.config, b.plan) as backend:
+            return getattr(backend, name)
+
+    return read
+
+
 def backend_name(b):
     with build_backend(b.config, b.plan) as backend:
         return type(backend).__name__
@@ -248,6 +258,12 @@ ROWS: dict[str, Row] = {
     # workers
     "num_workers": Row(2, num_workers, 2, CORES, beside={"backend": "processes"}),
     "backend": Row("serial", backend_name, "SerialBackend", "ProcessesBackend"),
+    "worker_warning_s": Row(
+        5.0, backend_option("worker_warning_s"), 5.0, 60.0, beside={"backend": "processes", "num_workers": 1}
+    ),
+    "worker_timeout_s": Row(
+        None, backend_option("worker_timeout_s"), None, 600.0, beside={"backend": "processes", "num_workers": 1}
+    ),
     "chunk_size": Row(3, lambda b: b.plan.chunk_size, 3, 0),
     "device": Row("warp-cpu", lambda b: b.plan.device, "warp-cpu", "cpu"),
     "nconmax": Row(40, lambda b: b.plan.nconmax, 40, None, beside={"device": "warp-cpu"}),

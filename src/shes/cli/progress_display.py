@@ -106,9 +106,11 @@ class ProgressDisplay:
         self._scores.append(row["score_mean"])
 
     def on_event(self, event: str) -> None:
-        """Show a warning."""
+        """Show a warning at once."""
         self._events.append(event)
-        if self._live is None:
+        if self._live is not None:
+            self._live.update(self._view(), refresh=True)
+        else:
             self._console.print(event, style="yellow", highlight=False, markup=False, soft_wrap=True)
 
     def _seconds_left(self) -> float | None:
@@ -152,6 +154,9 @@ class ProgressDisplay:
 
     def _view(self) -> Group:
         """Return the redrawn block; it fits 40 columns and uses up to 100."""
+        events = [Text(event, style="yellow") for event in self._events]
+        if not self._row:  # before the first generation
+            return Group(*events)
         width = min(self._console.width, 100)
         table = Table.grid(padding=(0, 2))
         table.add_column(style="dim", no_wrap=True)
@@ -172,4 +177,4 @@ class ProgressDisplay:
             total, done = 1000, round(1000 * min(1.0, max(shares)))
         bar = Table.grid()  # ends the line, which the bar alone does not
         bar.add_row(ProgressBar(total=total, completed=done, width=width))
-        return Group(bar, table, *(Text(event, style="yellow") for event in self._events))
+        return Group(bar, table, *events)

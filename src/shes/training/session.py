@@ -54,6 +54,7 @@ class Session:
         self._records, self._writer, self._backend, self._listener = records, writer, backend, listener
         self._earlier_s = _wall_time(folder)
         self._start = self._generation_start = perf_counter()
+        backend.on_event = self._tell_event
         if listener is not None:
             listener.on_start(folder.path, self._config, checkpoint.generation, backend.num_workers)
 
