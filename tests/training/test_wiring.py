@@ -13,10 +13,12 @@ import pytest
 from shes.algorithms.evolution.populations import generation_work
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
+from shes.errors import DivergenceError
 from shes.runs.folder import RunFolder
 from shes.runs.rooms import WorkerSettings, known_settings
 from shes.runs.tables import read_csv
 from shes.training.build import build_backend
+from shes.training.divergence import Divergence
 from tests.e2e import runs
 from tests.training.built import INTERVALS, Built
 
@@ -91,6 +93,18 @@ def backend_option(name):
 def backend_name(b):
     with build_backend(b.config, b.plan) as backend:
         return type(backend).__name__
+
+
+def diverged_limit(b):
+    """Return after how many generations in which every episode diverges a run ends."""
+    count, generation = Divergence(b.config), 0
+    while True:
+        generation += 1
+        count.add({"generation": generation, "diverged_rate": 1.0})
+        try:
+            count.check(is_over=False)
+        except DivergenceError:
+            return generation
 
 
 def sizes(b):
@@ -269,6 +283,7 @@ ROWS: dict[str, Row] = {
     "nconmax": Row(40, lambda b: b.plan.nconmax, 40, None, beside={"device": "warp-cpu"}),
     "njmax": Row(40, lambda b: b.plan.njmax, 40, None, beside={"device": "warp-cpu"}),
     # run
+    "max_diverged_generations": Row(2, diverged_limit, 2, 10),
     "seed": Row(9, lambda b: b.state.seed, 9, 1),
 }  # fmt: skip
 BESIDE_IT = {
