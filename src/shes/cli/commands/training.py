@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 
-from shes.cli.output import print_facts, print_line, quote
+from shes.cli.output import make_console, print_facts, print_line, quote
 from shes.cli.parsing import DEFAULT_ENV, Checkpoint, Env, ExecutionFlags, Json, Run
 from shes.cli.progress_display import ProgressDisplay
 from shes.errors import ConfigError
@@ -48,7 +47,7 @@ def _show_progress(work: Callable[[ProgressDisplay], FinishedRun], path: Path | 
         work: Trains, and reports to the display.
         path: The run folder, if it is known before.
     """
-    display = ProgressDisplay(Console())
+    display = ProgressDisplay(make_console())
     try:
         with display:
             run = work(display)
