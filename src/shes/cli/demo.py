@@ -14,7 +14,9 @@ from typing import Any
 
 from rich.console import Console
 
+from shes.cli.output import make_console, print_error
 from shes.cli.progress_display import ProgressDisplay, format_duration
+from shes.cli.streams import INTERRUPTED, with_streams
 from shes.errors import ShesError
 from shes.training.evaluate import evaluate
 from shes.training.train import train
@@ -32,8 +34,12 @@ VIDEO_STEPS = {"ant": 100, "point": 200}
 
 def main() -> int:
     """Run the demo in the working directory; return the exit code."""
-    console, start = Console(), monotonic()
-    robot = sys.argv[1] if len(sys.argv) > 1 else "ant"
+    return with_streams(lambda: _demo(sys.argv[1] if len(sys.argv) > 1 else "ant"))
+
+
+def _demo(robot: str) -> int:
+    """Run the demo of `robot`; return the exit code."""
+    console, start = make_console(), monotonic()
     if robot not in _DEMOS:
         print(f"unknown robot {robot!r}; there are demos of {' and '.join(_DEMOS)}", file=sys.stderr)
         return 2
@@ -42,15 +48,16 @@ def main() -> int:
         last = _DEMOS[robot](console, folder)
     except KeyboardInterrupt:
         console.print(f"Stopped; the runs so far are in {folder}.", highlight=False, soft_wrap=True)
-        return 130
+        return INTERRUPTED
     except ShesError as error:
-        Console(stderr=True).print(f"Error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
+        print_error(str(error))
         return error.exit_code
     console.print(
         f"\nThe demo took {format_duration(monotonic() - start)}.\n"
         f"Next: .venv/bin/shes resume {last} --generations 200   (continues training)\n"
         f"      .venv/bin/shes evaluate {last} --episodes 200\n"
         "      .venv/bin/shes --help",
+        markup=False,
         highlight=False,
         soft_wrap=True,
     )
@@ -108,7 +115,7 @@ def _draw(console: Console, runs: dict[str, Path], folder: Path, steps: int) -> 
     for name, path in runs.items():
         curves = plot([path], path / "curves.png")
         video = render(path, folder / f"{name}.mp4", checkpoints=("0", "best"), size=320, steps=steps)
-        console.print(f"{name}: {video}   curves: {curves}", highlight=False, soft_wrap=True)
+        console.print(f"{name}: {video}   curves: {curves}", markup=False, highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -92,6 +92,7 @@ def train(
         StorageError: A file cannot be written.
         WorkerError: A worker failed, or workers keep dying.
         PolicyError: A policy returned NaN.
+        DivergenceError: Every episode of `max_diverged_generations` generations in a row diverged.
     """
     return start_run(make_config(env, preset, settings), out, listener)
 
