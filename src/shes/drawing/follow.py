@@ -17,7 +17,7 @@ _AZIMUTH_DEG = 90.0
 _DISTANCE_M = 11.0
 _ELEVATIONS_DEG = range(42, 90)
 """Heights of the camera above the horizon; the first from which the robot is visible is used."""
-_SPARE_DEG = 8
+_SPARE_DEG = 12
 """The robot must be visible from this much lower too, so that its legs are."""
 _EDGE_M = 4.0
 """The camera does not point nearer to the edge of the world than this, so that walls do not fill the picture."""
