@@ -103,8 +103,9 @@ $(DOCS_STAMP): $(STAMP)
 	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,docs]'
 	@touch $(DOCS_STAMP)
 
-docs: $(DOCS_STAMP) ## build the documentation into site/
+docs: $(DOCS_STAMP) ## build the documentation: site/index.html
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --site-dir site
+	@echo "docs: open $(CURDIR)/site/index.html in a browser"
 
 bench: $(STAMP) ## measure speed on this machine
 	$(PY) benchmarks/run.py

@@ -8,11 +8,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 from rich.console import Console
+from rich.progress import Progress, TaskID
 
 from shes.cli.output import make_console, print_error
 from shes.cli.progress_display import ProgressDisplay, format_duration
@@ -30,6 +32,8 @@ GATHER_MINUTES = 1.25
 """Training time of the ant's controller; with that of the walker the demo stays below four minutes."""
 VIDEO_STEPS = {"ant": 100, "point": 200}
 """Control steps of each video; without a GPU a step of two views takes a fifth of a second."""
+
+_BEFORE_AFTER = ("0", "best")  # checkpoints
 
 
 def main() -> int:
@@ -105,17 +109,24 @@ def _learn(console: Console, env: str, path: Path, **settings: Any) -> None:
 
 def _show(console: Console, path: Path, what: str, number: Callable[[Any], float]) -> None:
     """Print a result of the run at `path` on fresh episodes, before and after training."""
-    before, after = (number(evaluate(path, episodes=EPISODES, checkpoint=name)) for name in ("0", "best"))
+    before, after = (number(evaluate(path, episodes=EPISODES, checkpoint=name)) for name in _BEFORE_AFTER)
     console.print(f"\nMean {what}, {EPISODES} fresh episodes: {before:.2f} before training, {after:.2f} after.\n")
 
 
 def _draw(console: Console, runs: dict[str, Path], folder: Path, steps: int) -> None:
-    """Draw curves, and a video before and after training, of each run."""
+    """Draw curves, and a video before and after training, of each run, with live progress."""
     console.print("Drawing the untrained and the trained agents ...", highlight=False)
     for name, path in runs.items():
         curves = plot([path], path / "curves.png")
-        video = render(path, folder / f"{name}.mp4", checkpoints=("0", "best"), size=320, steps=steps)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            show = partial(_show_step, progress, progress.add_task(name, total=steps))
+            video = render(path, folder / f"{name}.mp4", checkpoints=_BEFORE_AFTER, size=320, steps=steps, on_step=show)
         console.print(f"{name}: {video}   curves: {curves}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _show_step(progress: Progress, task: TaskID, done: int, total: int) -> None:
+    """Show how many of `total` control steps are drawn."""
+    progress.update(task, completed=done, total=total)
 
 
 if __name__ == "__main__":
