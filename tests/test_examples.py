@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+import shes
+
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
-MAX_LINES = {"random_search": 80}
+MAX_LINES = {"random_search": 80, "run_exported": 115, "optuna_search": 25, "wandb_logging": 25}
 """Maximum number of lines of an example; 60 by default."""
 PRINTS = {
     "es_on_sphere": r"generation 200: distance 0\.0\d+",
@@ -17,6 +19,7 @@ PRINTS = {
     "flat_es": r"generation 30: return [1-9]\.\d+",
     "hierarchical_run": r"one episode of 500 steps: return [+-]\d+",
     "own_environment": r"checkpoint last: score ([89]|\d\d)\.\d",
+    "run_exported": r"ant-gather: 50 observed values become 8 controls",
     "random_search": r"Best\(generation=\d+, score=.*",
     "own_reward": r"after: primitive return [3-9]\d\.\d per episode",
 }
@@ -39,6 +42,8 @@ def test_an_example_is_short_and_what_it_prints_is_known(path):
 
 @pytest.mark.parametrize("path", [named(path) for path in EXAMPLES])
 def test_an_example_runs(path, tmp_path):
+    if path.stem == "run_exported":
+        shes.export("ant-gather", tmp_path / "policy.npz")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
         [sys.executable, path], capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=110, check=False

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from shes.hierarchy.outputs import register_controller_output
     from shes.hierarchy.rewards import register_primitive_reward
     from shes.training.evaluate import Evaluation, evaluate
+    from shes.training.export import export
     from shes.training.play import Agent, load
     from shes.training.train import Run, resume, train
 
@@ -36,6 +37,7 @@ __all__ = [
     "__version__",
     "es",
     "evaluate",
+    "export",
     "load",
     "register_algorithm",
     "register_controller_output",
@@ -53,6 +55,7 @@ _HOMES = {
     "Evaluation": "shes.training.evaluate",
     "Run": "shes.training.train",
     "evaluate": "shes.training.evaluate",
+    "export": "shes.training.export",
     "load": "shes.training.play",
     "register_algorithm": "shes.algorithms.registry",
     "register_controller_output": "shes.hierarchy.outputs",

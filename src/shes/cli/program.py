@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plot": ("viewing", "plot the learning curves of runs"),
     "render": ("viewing", "make a video of a run's policy"),
     "watch": ("viewing", "watch a run's policy in a window"),
+    "export": ("export", "write a run's policy to a file that needs no SHES"),
     "experiment": ("experiment", "run a study of many runs, with tables and figures"),
     "bench": ("training", "measure the speed of this machine"),
     "completion": ("completion", "print a script that completes commands and flags with the Tab key"),
