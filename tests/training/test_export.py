@@ -160,6 +160,50 @@ def test_wrong_files_formats_and_runs_are_refused_before_anything_is_written(tra
     assert [path.name for path in tmp_path.iterdir()] == ["folder.npz"]
 
 
+@pytest.mark.parametrize("name", ["best", "other"])
+def test_no_checkpoint_is_written_over(trained, name):
+    file = trained("flat") / "checkpoints" / f"{name}.npz"
+    before = file.read_bytes() if file.exists() else None
+    with pytest.raises(ConfigError, match=r"would be among the checkpoints of a run.*Set --out"):
+        shes.export(trained("flat"), file)
+    assert (file.read_bytes() if file.exists() else None) == before
+
+
+def test_an_external_robot_is_told_its_pose(tmp_path):
+    shes.register_external("exported-point", PointMass, locate=located)
+    path = runs.train_tiny(tmp_path / "run", "exported-point", generations=1, goal_encoding="angle")
+    (file,) = shes.export(path, tmp_path / "policy.npz")
+    exported, ours, env = run_exported.ExportedAgent(file), shes.load(path), PointMass()
+    assert exported.spec["pose"] is None
+    observation, info = env.reset(seed=1)
+    for _ in range(STEPS):
+        action = ours.act(observation, info)
+        flat = gymnasium.spaces.flatten(env.observation_space, observation)
+        np.testing.assert_array_equal(exported.act(flat, pose=located(flat, info)), action)
+        observation, _, _, _, info = env.step(action)
+
+
+def located(observation, info):
+    """Return x, y and heading of a `PointMass`."""
+    return (*observation[:2], 0.5)
+
+
+class PointMass(gymnasium.Env):
+    """A point that moves by its action."""
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,))
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = self.np_random.standard_normal(3)
+        return self.state.copy(), {}
+
+    def step(self, action):
+        self.state[:2] += 0.1 * action
+        return self.state.copy(), 0.0, False, False, {}
+
+
 def test_without_the_package_onnx_the_error_names_the_extra(trained, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'shes\[onnx\]'"):

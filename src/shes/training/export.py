@@ -54,7 +54,7 @@ def export(
 
     Raises:
         UnknownNameError: There is no such format.
-        ConfigError: `out` does not end with the name of the format.
+        ConfigError: `out` does not end with the name of the format, or is among the checkpoints of a run.
         RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
         MissingExtraError: `onnx` is not installed.
@@ -65,6 +65,9 @@ def export(
     path = Path(f"policy.{format}" if out is None else out)
     if path.suffix != f".{format}":
         raise ConfigError(f"a file of format {format} ends with .{format}, got {str(path)!r}. Set --out or --format.")
+    folder = path.resolve().parent
+    if folder.name == "checkpoints" and (folder.parent / "config.json").exists():
+        raise ConfigError(f"{path} would be among the checkpoints of a run, as which it cannot be read. Set --out.")
     opened = open_run(run, checkpoint)
     design, parameters = opened.algorithm.design, opened.algorithm.parameters(opened.state)
     levels = zip(design.level_names, design.policies, parameters, strict=True)
