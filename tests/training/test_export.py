@@ -40,7 +40,13 @@ KINDS = {
         {**EGOCENTRIC, "symmetry": "rotation", "controller_view": "egocentric", "controller_output": "heading_vector"},
     ),
 }
+SECONDS = {"ant with two levels", "flat with a clock", "one-hot controller"}
+"""Kinds whose parts others have, too."""
 STEPS = 60
+
+
+def marked(kind):
+    return pytest.param(kind, marks=[pytest.mark.extras] if kind in SECONDS else [])
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +77,7 @@ def episode(path):
     env.close()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [marked(kind) for kind in KINDS])
 def test_numpy_alone_acts_as_our_agent_to_the_bit(trained, tmp_path, kind):
     path = trained(kind)
     (file,) = shes.export(path, tmp_path / "policy.npz")
@@ -83,7 +89,7 @@ def test_numpy_alone_acts_as_our_agent_to_the_bit(trained, tmp_path, kind):
     assert len(np.unique(actions, axis=0)) > STEPS / 2  # the episode proves something
 
 
-@pytest.mark.parametrize("name", ["ant-gather", "ant-gather-coevolved"])
+@pytest.mark.parametrize("name", ["ant-gather-coevolved", pytest.param("ant-gather", marks=pytest.mark.extras)])
 def test_a_shipped_agent_is_exported_by_its_name(tmp_path, name):
     (file,) = shes.export(name, tmp_path / "policy.npz")
     exported = run_exported.ExportedAgent(file)
