@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from time import time
+from types import MappingProxyType
 from typing import Any
-
-import numpy as np
-from tensorboardX.event_file_writer import EventsWriter
-from tensorboardX.proto.event_pb2 import Event, SessionLog  # type: ignore[attr-defined] - made when imported
-from tensorboardX.summary import scalar
 
 from shes.errors import RunFolderError
 from shes.runs.folder import RunFolder
+from shes.runs.tensorboard import Events
 from shes.storage import storage_errors, write_atomically
 
 __all__ = ["CsvTable", "Records", "Row", "check_tables", "csv_text", "read_csv"]
@@ -132,46 +127,20 @@ class CsvTable:
             file.write(text)
 
 
-class _Events:
-    """A file of TensorBoard events, written in this thread.
-
-    The thread of tensorboardX's `SummaryWriter` dies when the disk is full, and then blocks the run for ever.
-    """
-
-    def __init__(self, folder: Path, generation: int) -> None:
-        """Open a file that supersedes the events of earlier files after `generation`."""
-        self._folder = folder
-        with storage_errors(folder):
-            folder.mkdir(exist_ok=True)
-            # The name contains the second; two parts of a run that begin in the same second need different files.
-            self._writer = EventsWriter(str(folder / "events"), f".{os.getpid()}.{generation}")
-            if generation:
-                start = SessionLog(status=SessionLog.START)
-                self._writer.write_event(Event(wall_time=time(), step=generation + 1, session_log=start))
-
-    def add(self, group: str, row: Row) -> None:
-        """Write the values of `row`, by generation."""
-        with storage_errors(self._folder):
-            for name, value in row.items():
-                if name != "generation" and np.isfinite(value):
-                    summary = scalar(f"{group}/{name}", value)
-                    self._writer.write_event(Event(wall_time=time(), step=row["generation"], summary=summary))
-            self._writer.flush()  # before the checkpoint marks this generation as done
-
-    def close(self) -> None:
-        """Close the file."""
-        with storage_errors(self._folder):
-            self._writer.close()
-
-
 class Records:
     """The tables of a run and its TensorBoard events."""
 
-    def __init__(self, folder: RunFolder, generation: int) -> None:
-        """Open the tables and remove the rows after `generation`."""
+    def __init__(
+        self,
+        folder: RunFolder,
+        generation: int,
+        env_steps: int = 0,
+        hyperparameters: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        """Open the tables and remove the rows after `generation`, which ended at `env_steps`."""
         self._progress = CsvTable(folder.progress, generation)
         self._evaluation = CsvTable(folder.evaluation, generation)
-        self._events = _Events(folder.tensorboard, generation)
+        self._events = Events(folder.tensorboard, generation, env_steps, hyperparameters)
 
     def add_progress(self, row: Row) -> None:
         """Add the row of a generation."""
@@ -184,5 +153,5 @@ class Records:
         self._events.add("evaluation", row)
 
     def close(self) -> None:
-        """Close the event file."""
+        """Close the event files."""
         self._events.close()

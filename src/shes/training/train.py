@@ -241,7 +241,8 @@ def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint:
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))
         interruption = stack.enter_context(Interruption())
-        records = stack.enter_context(closing(Records(folder, checkpoint.generation)))
+        records = Records(folder, checkpoint.generation, checkpoint.env_steps, config.numbers())
+        stack.enter_context(closing(records))
         writer = stack.enter_context(closing(CheckpointWriter()))
         backend = stack.enter_context(build_backend(config, algorithm.plan(), Workload.of(config).num_episodes))
         session = Session(folder, algorithm, checkpoint, records, writer, backend, audience)
