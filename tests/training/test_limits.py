@@ -124,9 +124,9 @@ def started(monkeypatch):
     """The numbers of workers that are started; one is, each time."""
     numbers, original = [], ProcessesBackend.__init__
 
-    def init(self, factory, num_workers):
+    def init(self, factory, num_workers, **options):
         numbers.append(num_workers)
-        original(self, factory, 1)
+        original(self, factory, 1, **options)
 
     monkeypatch.setattr(ProcessesBackend, "__init__", init)
     return numbers
