@@ -18,7 +18,7 @@ from shes.cores import num_cores
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
 from shes.errors import ConfigError
 from shes.options import with_options
-from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shown, Unasked, setting_fields
+from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown, Unasked, setting_fields
 from shes.sim.warp_device import DEVICES
 
 __all__ = ["EpisodeSettings", "EvaluationSettings", "RunSettings", "WorkerSettings", "check_names"]
@@ -114,10 +114,14 @@ def learner(run: RunSettings) -> type[Algorithm[Any]]:
 
 
 def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run by room, in the order of the help."""
+    """Return the settings classes of a run by room, in the order of the help.
+
+    Raises:
+        ConfigError: Two settings have one name.
+    """
     env = find_environment(run.env)
     body = env.body.Options if isinstance(env, Environment) else Settings
-    return with_options(
+    rooms = with_options(
         {
             "run": RunSettings,
             "workers": WorkerSettings,
@@ -128,6 +132,27 @@ def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
             "evaluation": EvaluationSettings,
         }
     )
+    _check_distinct(rooms)
+    return rooms
+
+
+def _check_distinct(rooms: Mapping[str, type[Settings]]) -> None:
+    """Check that settings of different rooms have different names, except one that is shared.
+
+    Raises:
+        ConfigError: Two have the same name.
+    """
+    first: dict[str, tuple[str, Setting]] = {}
+    for room, cls in rooms.items():
+        for name, setting in settings_in([cls]).items():
+            home, other = first.setdefault(name, (room, setting))
+            if home == room or (setting.has(Shared) and setting.default == other.default):
+                continue
+            fix = "Give both the same default" if setting.has(Shared) else "Choose another name for one of them"
+            raise ConfigError(
+                f"{name!r} is a setting of room {home!r} (default {other.default!r}) and another one of room {room!r} "
+                f"(default {setting.default!r}, {setting.owner.__qualname__}). {fix}."
+            )
 
 
 def settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
