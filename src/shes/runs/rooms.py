@@ -22,7 +22,7 @@ from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Sha
 from shes.sim.warp_device import DEVICES
 
 __all__ = ["EpisodeSettings", "EvaluationSettings", "RunSettings", "WorkerSettings", "check_names"]
-__all__ += ["execution_settings", "known_settings", "learner", "rooms_of", "settings_in"]
+__all__ += ["check_record", "execution_settings", "known_settings", "learner", "rooms_of", "settings_in"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +100,7 @@ class EvaluationSettings(Settings):
     """Generations between the checkpoints kept beside `last` and `best`."""
 
 
+_NO_ENVIRONMENT = "the configuration names no environment (key 'env')."
 _OF_EVERY_RUN: dict[str, type[Settings]] = {
     "run": RunSettings,
     "workers": WorkerSettings,
@@ -180,20 +181,76 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
 
     Raises:
         ConfigError: `env` is missing, or a name is unknown or not a setting of this run.
+        UnknownNameError: A value is an unknown name.
     """
     if "env" not in values:
-        raise ConfigError("the configuration names no environment (key 'env').")
+        raise ConfigError(_NO_ENVIRONMENT)
     classes = rooms_of(RunSettings.of(values))
-    here, everywhere = settings_in(classes.values()), known_settings()
-    for name, value in values.items():
-        if name in here:
-            continue
-        if name in everywhere:
-            raise ConfigError(
-                f"{name} is not a setting of a run of {values['env']} with algorithm "
-                f"{values.get('algorithm', 'shes')!r}, got {value!r}. Leave {everywhere[name].flag} away."
-            )
-        close = difflib.get_close_matches(name, here, n=1)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise ConfigError(f"unknown setting {name!r}.{hint} Settings: {', '.join(here)}.")
+    here = settings_in(classes.values())
+    _check_choices(here, values)
+    for name in values:
+        if name not in here:
+            raise _not_here(name, values, here)
     return classes
+
+
+def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
+    """Return the settings classes of a run with this record, which holds exactly the settings of the run, by room.
+
+    Raises:
+        ConfigError: A room or a setting is unknown or missing.
+        UnknownNameError: A value is an unknown name.
+    """
+    for room, values in rooms.items():
+        if not isinstance(values, Mapping):
+            raise ConfigError(f"settings are kept in rooms, and {room!r} is none: {values!r}.")
+    run = rooms.get("run", {})
+    if "env" not in run:
+        raise ConfigError(_NO_ENVIRONMENT)
+    classes = rooms_of(RunSettings.of(run))
+    settings = {room: settings_in([cls]) for room, cls in classes.items()}
+    for room, values in rooms.items():
+        if room not in classes:
+            raise ConfigError(f"a run of {run['env']} has no room of settings {room!r}.")
+        _check_choices(settings[room], values)
+    for room, here in settings.items():
+        if room not in rooms:
+            raise ConfigError(f"the settings lack room {room!r}. Restore it from a copy.")
+        for name in rooms[room]:
+            if name not in here:
+                raise _unknown(name, here, f" in room {room!r}")
+        missing = [name for name in here if name not in rooms[room]]
+        if missing:
+            raise ConfigError(f"the settings lack {', '.join(missing)} in room {room!r}. Restore them from a copy.")
+    return classes
+
+
+def _check_choices(settings: Mapping[str, Setting], values: Mapping[str, Any]) -> None:
+    """Check the values of settings that choose a name, because a class that is not registered has options.
+
+    Raises:
+        ConfigError: A value is not a name.
+        UnknownNameError: A value is an unknown name.
+    """
+    for name, setting in settings.items():
+        if name in values and setting.has(Choices):
+            setting.checked(values[name])
+
+
+def _not_here(name: str, values: Mapping[str, Any], here: Mapping[str, Setting]) -> ConfigError:
+    """Return the error for setting `name`, which is none of the settings `here` of a run with `values`."""
+    everywhere = known_settings()
+    if name not in everywhere:
+        return _unknown(name, here)
+    return ConfigError(
+        f"{name} is not a setting of a run of {values['env']} with algorithm {values.get('algorithm', 'shes')!r}, "
+        f"got {values[name]!r}. Leave {everywhere[name].flag} away."
+    )
+
+
+def _unknown(name: str, known: Iterable[str], where: str = "") -> ConfigError:
+    """Return the error for the unknown setting `name`, with the nearest of the `known` names."""
+    close = difflib.get_close_matches(name, known, n=3)
+    hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."
+    similar = f" Similar: {', '.join(close[1:])}." if close[1:] else ""
+    return ConfigError(f"unknown setting {name!r}{where}. {hint}{similar}")
