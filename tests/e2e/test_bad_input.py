@@ -309,7 +309,7 @@ CONFIGS = {
     ),
     "missing_key": (
         lambda text: re.sub(r'"sigma": [\d.]+,', "", text),
-        r"config\.json: the settings lack sigma in room 'evolution'\. Restore them from a copy\.",
+        r"config\.json: the settings lack sigma in room 'evolution'\. The record is damaged",
     ),
     "wrong_type": (
         lambda text: re.sub(r'"sigma": [\d.]+', '"sigma": "big"', text),

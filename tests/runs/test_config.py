@@ -159,8 +159,11 @@ def record(env="point-gather", **changes):
         ({"workers": {"sigma": 0.1}}, r"unknown setting 'sigma' in room 'workers'"),
         ({"attic": {}}, r"a run of point-gather has no room of settings 'attic'"),
         ({"evolution": 1}, r"settings are kept in rooms, and 'evolution' is none: 1"),
-        ({"evolution": ...}, r"the settings lack room 'evolution'\. Restore it from a copy\."),
-        ({"evolution": {"sigma": ...}}, r"the settings lack sigma in room 'evolution'\. Restore them from a copy\."),
+        (
+            {"evolution": ...},
+            r"the settings lack room 'evolution'\. The record is damaged or of another version: restore it",
+        ),
+        ({"evolution": {"sigma": ...}}, r"the settings lack sigma in room 'evolution'\. The record is damaged"),
         ({"run": {"preset": ..., "seed": ...}}, r"the settings lack preset, seed in room 'run'"),
     ],
 )

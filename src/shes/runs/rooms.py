@@ -101,6 +101,7 @@ class EvaluationSettings(Settings):
 
 
 _NO_ENVIRONMENT = "the configuration names no environment (key 'env')."
+_RESTORE = "The record is damaged or of another version: restore it from a copy, or use the version that wrote it."
 _OF_EVERY_RUN: dict[str, type[Settings]] = {
     "run": RunSettings,
     "workers": WorkerSettings,
@@ -215,13 +216,13 @@ def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Setti
         _check_choices(settings[room], values)
     for room, here in settings.items():
         if room not in rooms:
-            raise ConfigError(f"the settings lack room {room!r}. Restore it from a copy.")
+            raise ConfigError(f"the settings lack room {room!r}. {_RESTORE}")
         for name in rooms[room]:
             if name not in here:
                 raise _unknown(name, here, f" in room {room!r}")
         missing = [name for name in here if name not in rooms[room]]
         if missing:
-            raise ConfigError(f"the settings lack {', '.join(missing)} in room {room!r}. Restore them from a copy.")
+            raise ConfigError(f"the settings lack {', '.join(missing)} in room {room!r}. {_RESTORE}")
     return classes
 
 
