@@ -70,7 +70,7 @@ test: $(STAMP) ## fast tests, no extras: at most 3 minutes on 2 cores
 # Optional parts come only with the tests that need them.
 $(EXTRAS_STAMP): $(DOCS_STAMP)
 	@echo "setup: installing the optional parts"
-	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,docs,robotics,warp]'
+	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,docs,onnx,release,robotics,warp]'
 	@touch $(EXTRAS_STAMP)
 
 # pytest exits 5 when the markers select nothing.
@@ -103,8 +103,9 @@ $(DOCS_STAMP): $(STAMP)
 	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,docs]'
 	@touch $(DOCS_STAMP)
 
-docs: $(DOCS_STAMP) ## build the documentation into site/
+docs: $(DOCS_STAMP) ## build the documentation: site/index.html
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --site-dir site
+	@echo "docs: open $(CURDIR)/site/index.html in a browser"
 
 bench: $(STAMP) ## measure speed on this machine
 	$(PY) benchmarks/run.py

@@ -22,7 +22,8 @@ from shes.settings import Unasked, setting_fields
 from shes.training.presets import PRESETS, make_config
 
 _SRC = Path(__file__).parents[1] / "src"
-_TERMINAL = {"COLUMNS": "96", "NO_COLOR": "1", "TERM": "dumb"}
+_TERMINAL = {"NO_COLOR": "1", "TERM": "dumb"}
+_COLUMNS = {"wide": "96", "narrow": "42"}  # of a window and of a telephone; extra.css shows one of them
 _DEVIATION = re.compile(r"^Deviation: (.+?)(?=\n\n|\n(?:Source|Deviation): |\Z)", flags=re.MULTILINE | re.DOTALL)
 
 
@@ -38,12 +39,15 @@ def commands() -> str:
 
 
 def _help(*words: str) -> str:
-    """Return what `shes WORDS... --help` prints, as a code block."""
-    with patch.dict(os.environ, _TERMINAL), redirect_stdout(io.StringIO()) as out:
-        if code := main([*words, "--help"]):
-            raise RuntimeError(f"shes {' '.join(words)} --help ended with exit code {code}.")
+    """Return what `shes WORDS... --help` prints, as a code block for each width."""
     title = " ".join(("shes", *words, "--help"))
-    return f'```{{ .text .help title="{title}" }}\n{out.getvalue().strip()}\n```'
+    blocks = []
+    for width, columns in _COLUMNS.items():
+        with patch.dict(os.environ, _TERMINAL | {"COLUMNS": columns}), redirect_stdout(io.StringIO()) as out:
+            if code := main([*words, "--help"]):
+                raise RuntimeError(f"{title} ended with exit code {code}.")
+        blocks.append(f'```{{ .text .help .{width} title="{title}" }}\n{out.getvalue().strip()}\n```')
+    return "\n\n".join(blocks)
 
 
 def settings() -> str:

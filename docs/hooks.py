@@ -5,6 +5,7 @@ A page that is named in `_GENERATED` holds `<!-- generated -->` on a line of its
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,9 @@ _GENERATED = {
     "reference/shes.md": public_names,
 }
 
+_CELL = re.compile(r"<t[dh]\b.*?</t[dh]>", flags=re.DOTALL)
+_CODE = re.compile(r"(?<=<code>)[^<]+(?=</code>)")
+
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
     """Add a page and a picture of every environment, and the pictures of `results/README.md`."""
@@ -41,3 +45,12 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Put its generated table into a page."""
     uri = page.file.src_uri
     return markdown.replace("<!-- generated -->", _GENERATED[uri]()) if uri in _GENERATED else markdown
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Mark the words of code in tables, which are not broken: a browser would break a flag after its hyphens."""
+    return _CELL.sub(lambda cell: _CODE.sub(_marked_words, cell[0]), html)
+
+
+def _marked_words(code: re.Match[str]) -> str:
+    return re.sub(r"\S+", r'<span class="word">\g<0></span>', code[0])

@@ -20,6 +20,7 @@ from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.settings import flag, setting_fields
 from shes.training.presets import make_config
+from tests.page_layout import find_browser, layout_faults
 
 pytestmark = pytest.mark.timeout(400)  # the first test that needs the site waits for its build
 
@@ -141,6 +142,16 @@ def test_resources_are_there(site, pages):
         for resource in page.resources if name != "404.html" else []:
             if not resource.startswith("data:"):
                 assert ((site / name).parent / unquote(urlsplit(resource).path)).is_file(), f"{name}: {resource}"
+
+
+@pytest.mark.extras
+@pytest.mark.timeout(1000)  # a browser opens every page
+def test_at_the_width_of_a_window_and_of_a_telephone_nothing_is_cut_or_broken(site, pages, tmp_path):
+    browser = find_browser()
+    if browser is None:
+        pytest.skip("there is no Chromium here")
+    names = [name for name in pages if name != "404.html"]
+    assert layout_faults(browser, site, names, [1280, 400], tmp_path) == []
 
 
 @pytest.mark.extras
@@ -267,7 +278,8 @@ def flags():
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
 def test_flags_and_commands_exist(path, flags):
     text = path.read_text(encoding="utf-8")
-    own = {flag(name) for name in re.findall(r"^ +(\w+): Annotated\[", text, flags=re.MULTILINE)}  # of an example
+    own = {"--logdir"}  # of TensorBoard
+    own |= {flag(name) for name in re.findall(r"^ +(\w+): Annotated\[", text, flags=re.MULTILINE)}  # of an example
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= flags | own
     commands = re.findall(r"(?:^|`)(?:PYTHONPATH=\. )?shes ([a-z]+)", text, flags=re.MULTILINE)
     assert set(commands) <= set(COMMANDS)
@@ -277,6 +289,15 @@ def test_flags_and_commands_exist(path, flags):
 def test_code_that_a_page_links_to_exists(path):
     for name in re.findall(r"\]\[(shes[\w.]*)\]", path.read_text(encoding="utf-8")):
         pkgutil.resolve_name(name)
+
+
+def test_the_home_page_and_the_readme_name_every_guide():
+    guides = {path.relative_to(DOCS).as_posix() for path in PAGES if path.parent.name != "reference"} - {"index.md"}
+    guides |= {"reference/index.md", "reference/command-line.md", "reference/settings.md"}
+    assert guides <= set(re.findall(r"\]\(([\w/-]+\.md)\)", (DOCS / "index.md").read_text(encoding="utf-8")))
+    made = {"changelog.md", "results.md", *(name for name in guides if name.startswith("reference/"))}
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert guides - made <= set(re.findall(r"\]\(docs/([\w/-]+\.md)\)", readme))
 
 
 def test_getting_started_names_every_example():

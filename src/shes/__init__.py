@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from shes.hierarchy.outputs import register_controller_output
     from shes.hierarchy.rewards import register_primitive_reward
     from shes.training.evaluate import Evaluation, evaluate
+    from shes.training.export import export
     from shes.training.listening import StopTraining
     from shes.training.play import Agent, load
     from shes.training.train import Run
@@ -41,6 +42,7 @@ __all__ = [
     "__version__",
     "es",
     "evaluate",
+    "export",
     "load",
     "plot",
     "register_algorithm",
@@ -61,6 +63,7 @@ _HOMES = {
     "Run": "shes.training.train",
     "StopTraining": "shes.training.listening",
     "evaluate": "shes.training.evaluate",
+    "export": "shes.training.export",
     "load": "shes.training.play",
     "plot": "shes.viewing.plot",
     "register_algorithm": "shes.algorithms.registry",

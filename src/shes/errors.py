@@ -11,6 +11,7 @@ from collections.abc import Iterable
 __all__ = [
     "CheckpointError",
     "ConfigError",
+    "DivergenceError",
     "MissingExtraError",
     "PolicyError",
     "RunFolderError",
@@ -71,6 +72,12 @@ class StorageError(ShesError, OSError):
 
 class PolicyError(ShesError):
     """A policy returned NaN or infinity."""
+
+    exit_code = 1
+
+
+class DivergenceError(ShesError):
+    """Every episode of several generations diverged, for example because an environment returns NaN."""
 
     exit_code = 1
 

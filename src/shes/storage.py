@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from typing import IO
 
 from shes.errors import StorageError
 
-__all__ = ["storage_errors", "write_atomically"]
+__all__ = ["remove_abandoned", "storage_errors", "write_atomically"]
+
+_UNFINISHED = ".part"
 
 _FIXES = {
     errno.ENOSPC: "the disk is full: make room, then start again (a run that had begun: `shes resume`)",
@@ -50,32 +54,27 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     Raises:
         StorageError: The file cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}{_UNFINISHED}")
     with storage_errors(path):
-        _remove_abandoned(path)
+        remove_abandoned(path.parent, escape(path.name))
         try:
-            with temporary.open("wb") as file:
+            with temporary.open("xb") as file:  # never through a symbolic link
+                with suppress(OSError):  # a file system without locks
+                    fcntl.flock(file, fcntl.LOCK_EX)
                 write(file)
                 file.flush()
                 os.fsync(file.fileno())
-            temporary.replace(path)
+                temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
 
 
-def _remove_abandoned(path: Path) -> None:
-    """Remove unfinished copies of `path` whose writers no longer run."""
-    for part in path.parent.glob(f".{path.name}.*.part"):
-        writer = part.name.removeprefix(f".{path.name}.").partition(".")[0]
-        if writer.isdecimal() and not _is_alive(int(writer)):
+def remove_abandoned(folder: Path, name: str) -> None:
+    """Remove unfinished copies of the files called `name`, a pattern, whose writers no longer run.
+
+    A writer holds a lock on its copy, which ends with it, on any machine that shares the folder.
+    """
+    for part in folder.glob(f".{name}.*.*{_UNFINISHED}"):
+        with suppress(OSError), part.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             part.unlink(missing_ok=True)
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

@@ -8,12 +8,12 @@ group, S numbers of a full physics state; H and W pixels.
 
 from __future__ import annotations
 
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CONTROLLER", "PRIMITIVE", "BoolArray", "F32Array", "F64Array", "FloatArray", "IntArray"]
+__all__ = ["CONTROLLER", "PRIMITIVE", "ArrayHeader", "BoolArray", "F32Array", "F64Array", "FloatArray", "IntArray"]
 
 F32Array: TypeAlias = NDArray[np.float32]
 F64Array: TypeAlias = NDArray[np.float64]
@@ -25,3 +25,17 @@ CONTROLLER: Final = 0
 """Index of the controller's level in a hierarchical state."""
 PRIMITIVE: Final = 1
 """Index of the primitive's level in a hierarchical state."""
+
+
+class ArrayHeader(Protocol):
+    """Shape and type of an array, which may still be in a file."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Length of each axis."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the elements."""
+        ...

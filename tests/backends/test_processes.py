@@ -1,12 +1,14 @@
 """The processes backend: workers that die are replaced, those that keep dying end the work, and none is left behind."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
 import types
+from multiprocessing.connection import wait
 
 import psutil
 import pytest
@@ -24,8 +26,8 @@ def backend():
         yield made
 
 
-def test_every_worker_is_a_process_of_its_own_and_has_the_state(backend):
-    done = list(backend.map([("where", 0.05)] * 12))
+def test_every_worker_is_a_process_of_its_own_and_has_the_state(backend, tmp_path):
+    done = list(backend.map([("meet", tmp_path)] * 12))
     assert {pid for pid, _ in done} == set(backend.pids())
     assert len(set(backend.pids())) == 2
     assert {state for _, state in done} == {100}
@@ -64,11 +66,11 @@ def test_workers_killed_between_two_maps_are_replaced_and_get_the_state(backend)
     assert not any(psutil.pid_exists(pid) for pid in before)  # not even zombies
 
 
-def test_a_worker_killed_before_a_broadcast_is_replaced_and_gets_the_new_state(backend):
+def test_a_worker_killed_before_a_broadcast_is_replaced_and_gets_the_new_state(backend, tmp_path):
     list(backend.map([("add", 1)] * 4))
     os.kill(backend.pids()[0], signal.SIGKILL)
     backend.broadcast(200)
-    done = list(backend.map([("where", 0.05)] * 12))
+    done = list(backend.map([("meet", tmp_path)] * 12))
     assert {state for _, state in done} == {200}
     assert {pid for pid, _ in done} == set(backend.pids())
 
@@ -201,6 +203,77 @@ def test_starting_workers_leaves_the_signal_mask_as_it_was():
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     with ProcessesBackend(Worker, 1):
         assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+
+
+def test_a_stopped_worker_is_told_of_and_replaced_and_its_tasks_are_done_again(tmp_path):
+    told = []
+    with ProcessesBackend(Worker, 2, worker_warning_s=0.5, worker_timeout_s=3) as backend:
+        backend.on_event = told.append
+        backend.broadcast(100)
+        tasks = [("add", 1), ("stop_once", tmp_path / "marker"), *[("add", i) for i in range(2, 10)]]
+        assert list(backend.map(tasks)) == [101, 100, *range(102, 110)]
+    stopped = int((tmp_path / "marker").read_text())
+    assert not psutil.pid_exists(stopped)
+    *_, first, last = [event for event in told if event.startswith(f"worker {stopped} ")]
+    assert re.fullmatch(
+        rf"worker {stopped} has given no answer for \d s; it is replaced after \d+ s \(--worker-timeout-s\)", first
+    )
+    assert re.fullmatch(rf"worker {stopped} was ended \(no answer for \d+ s\); [1-3] tasks are done again", last)
+
+
+def test_a_worker_that_is_stopped_between_two_maps_blocks_no_broadcast():
+    with ProcessesBackend(Worker, 2, worker_timeout_s=1) as backend:
+        list(backend.map([("where", 0)] * 4))
+        stopped = backend.pids()[0]
+        os.kill(stopped, signal.SIGSTOP)
+        for state in (b"x" * 10_000_000, 7):  # more than a pipe holds
+            backend.broadcast(state)
+        assert list(backend.map([("add", i) for i in range(4)])) == [7, 8, 9, 10]
+        assert stopped not in backend.pids()
+
+
+def test_a_worker_that_is_stopped_while_it_sends_a_result_is_replaced(monkeypatch):
+    with ProcessesBackend(lambda: Worker(at_once=1), 1, worker_timeout_s=1) as backend:
+        (process,) = backend._processes
+        pid = process.popen.pid
+
+        def wait_and_stop(*arguments):
+            """Stop the worker when it has begun to send its first result, which is larger than what a pipe holds."""
+            ready = wait(*arguments)
+            if ready and process.tasks and runs.is_alive(pid):
+                os.kill(pid, signal.SIGSTOP)
+                runs.wait_until(lambda: psutil.Process(pid).status() == psutil.STATUS_STOPPED, "it is stopped")
+            return ready
+
+        monkeypatch.setattr("shes.backends.processes.wait", wait_and_stop)
+        assert [len(result) for result in backend.map([("repeat", 10_000_000)] * 2)] == [10_000_000] * 2
+        assert pid not in backend.pids()
+
+
+def test_a_worker_that_goes_on_is_told_of_and_loses_no_work():
+    with ProcessesBackend(Worker, 1, worker_warning_s=0.2, worker_timeout_s=60) as backend:
+        (pid,) = backend.pids()
+        assert list(backend.map([("where", 1.0)])) == [(pid, None)]
+        *_, last = backend.take_events()
+        assert re.fullmatch(rf"worker {pid} answers again, after \d+ s", last)
+
+
+def test_a_task_that_takes_longer_than_the_limit_gets_more_time_when_it_is_done_again():
+    with ProcessesBackend(Worker, 2, worker_timeout_s=1) as backend:
+        before = backend.pids()
+        assert [state for _, state in backend.map([("where", 2.0)])] == [None]
+        assert backend.pids() != before
+        after = backend.pids()
+        assert [state for _, state in backend.map([("where", 2.0)])] == [None]  # now it is known to take so long
+        assert backend.pids() == after
+
+
+def test_a_task_that_is_never_answered_is_an_error_that_names_the_flag(tmp_path):
+    many = r"(on the same task, \d times|at once)"  # on a busy machine even the start takes longer than this limit
+    message = rf"workers keep giving no answer for \d+ s {many}\. .* raise --worker-timeout-s\. Every"
+    with ProcessesBackend(Worker, 1, worker_timeout_s=0.3) as backend, pytest.raises(WorkerError, match=message):
+        list(backend.map([("oversleep", tmp_path)]))
+    assert psutil.Process().children() == []
 
 
 def test_replacing_workers_leaves_no_open_file(backend, tmp_path):

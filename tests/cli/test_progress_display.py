@@ -99,6 +99,16 @@ def test_a_terminal_shows_everything_within_its_width(clock, width):
     assert set(lines[-10 if width == 40 else -9]) <= set("━╸╺")
 
 
+def test_a_warning_is_shown_at_once_even_before_the_first_generation(clock):
+    console = terminal(80)
+    with ProgressDisplay(console) as display:
+        for generation in (0, 1):
+            if generation:
+                display.on_generation(row(generation))
+            display.on_event(f"worker {generation} has given no answer for 60 s")
+            assert lines_of(console)[-1] == f"worker {generation} has given no answer for 60 s"
+
+
 def test_lines_without_a_terminal_come_first_last_and_every_ten_seconds(clock):
     console = plain(width=40)
     play(console, clock, generations=40)
@@ -113,6 +123,23 @@ def test_lines_without_a_terminal_come_first_last_and_every_ten_seconds(clock):
     assert lines[-1].endswith("time left 0 s")
     assert "worker 123 died (exit code -9); 4 tasks are done again" in lines
     assert "\x1b" not in console.file.getvalue()
+
+
+def test_a_terminal_that_cannot_redraw_shows_a_line_for_every_generation(clock, monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    console = terminal(80)
+    play(console, clock)
+    shown = [int(line.split()[1]) for line in console.file.getvalue().splitlines() if line.startswith("generation")]
+    assert shown == list(range(1, 13))
+
+
+def test_a_terminal_without_plus_minus_and_blocks_shows_ascii(clock):
+    file = io.TextIOWrapper(io.BytesIO(), "ascii", errors="strict")
+    play(Console(file=file, force_terminal=True, width=80, height=30), clock)
+    file.flush()
+    text = file.buffer.getvalue().decode("ascii")
+    assert "5.00 +/- 0.50" in text
+    assert "_:#" in text  # the score so far
 
 
 def test_time_left_is_the_pace_times_what_is_left_but_no_more_than_the_minutes(clock):
@@ -157,6 +184,16 @@ def test_a_folder_with_brackets_is_shown_as_it_is(clock):
     console = plain()
     ProgressDisplay(console).on_start(Path("runs/[b] [/b] x"), CONFIG, 0, 1)
     assert console.export_text().endswith("Run folder: runs/[b] [/b] x\n")
+
+
+def test_names_with_brackets_are_shown_as_they_are(clock):
+    console = terminal(80)
+    with ProgressDisplay(console) as display:
+        display.on_event("pip install 'shes[robotics]' [/b]")
+        display.on_generation({**row(1), "[/b]_return_mean": 1.0, "[/b]_return_max": 2.0})
+    text = "\n".join(lines_of(console))
+    assert "pip install 'shes[robotics]' [/b]" in text
+    assert "[/b] return        1.00 (best 2.00)" in text
 
 
 @pytest.mark.parametrize(

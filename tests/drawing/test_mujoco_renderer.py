@@ -76,6 +76,16 @@ def test_the_camera_follows_the_robot():
     assert (pictures[0] != pictures[1]).any()
 
 
+@pytest.mark.render
+@pytest.mark.parametrize(("name", "place"), [("point-gather", (0, -11.7)), ("ant-fall", (8, 12.8, 0.75))])
+def test_the_following_camera_sees_the_robot_behind_a_wall(name, place):
+    task, renderer = make(name)
+    task.sim.qpos[0, : len(place)] = place
+    picture = renderer.draw(task.sim.qpos[0], (), "follow")
+    renderer.close()
+    assert share(picture, ROBOT) > 0.002
+
+
 def test_looks_are_for_a_copy_and_change_nothing_that_a_robot_in_the_open_feels():
     task = make_task("ant-gather", 1)
     plain = task.build_world(task.body, task.options).compile()

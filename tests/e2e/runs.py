@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from shes.cores import num_cores
 from shes.training.build import open_run
 from shes.training.train import train
 
@@ -33,9 +34,17 @@ TINY = {
 
 COMMAND = (sys.executable, "-m", "shes")
 PATIENCE_S = 60.0
-"""Longest wait for something that is about to happen: a busy machine is no failure."""
+"""Longest wait for something that is about to happen; longer on a busy machine, see `patient`."""
 GONE_WITHIN_S = 2.0
-"""No worker outlives its run for longer."""
+"""No worker outlives its run for longer; the same."""
+
+
+STANDING = (psutil.STATUS_STOPPED, psutil.STATUS_ZOMBIE)
+
+
+def patient(seconds):
+    """Return a limit of `seconds` as it has to be on a machine that is as busy as now: that is no failure."""
+    return seconds * max(1.0, os.getloadavg()[0] / num_cores())
 
 
 def train_tiny(path, env="point-gather", **settings):
@@ -108,7 +117,7 @@ def start(*words):
 
 def finish(process):
     """Wait for the end of a process; return its exit code and what it printed to stdout and stderr."""
-    out, err = process.communicate(timeout=PATIENCE_S)
+    out, err = process.communicate(timeout=patient(PATIENCE_S))
     return process.returncode, out, err
 
 
@@ -119,13 +128,13 @@ def run(*words):
 
 def wait_until(condition, what, within_s=PATIENCE_S):
     """Return the first true value of `condition()`."""
-    end = time.monotonic() + within_s
+    start = time.monotonic()
     while True:
         value = condition()
         if value:
             return value
-        if time.monotonic() > end:
-            raise AssertionError(f"not within {within_s} s: {what}")
+        if time.monotonic() > start + patient(within_s):
+            raise AssertionError(f"not within {patient(within_s):.0f} s: {what}")
         time.sleep(0.002)
 
 
@@ -136,7 +145,7 @@ def log_lines(path):
 
 
 def wait_for_generation(process, path, generation):
-    """Wait until `generation` has begun."""
+    """Wait until `generation` has begun, in this run or in an earlier part of it."""
     text = f"generation {generation} begins"
     wait_until(lambda: text in log_lines(path) or process.poll() is not None, text)
     assert process.poll() is None, f"the run ended too soon: {process.communicate()}"
@@ -144,32 +153,27 @@ def wait_for_generation(process, path, generation):
 
 def generation_under_way(path):
     """Return the generation that has begun and not ended, by the log; None between generations."""
-    begun = re.fullmatch(r"generation (\d+) begins", log_lines(path)[-1])
-    return int(begun[1]) if begun else None
+    found = [re.fullmatch(r"generation (\d+) (begins|ends)", line) for line in log_lines(path)]
+    *_, last = [None, *filter(None, found)]
+    return int(last[1]) if last and last[2] == "begins" else None
 
 
 def stop_inside_generation(process, path, generation):
     """Stop (SIGSTOP) the run's main process while it is inside `generation` or a later one, and return which.
 
-    A stopped process writes no log, so what the log says then is where it stands.
+    The process runs for moments only, from its first generation on: else it ends before a test on a busy machine has
+    looked twice. A stopped process writes no log, so what the log says then is where it stands.
     """
-    wait_for_generation(process, path, generation)
-    wait_until_at_work(workers_of(process.pid)[0])
+    wait_for_generation(process, path, 1)
     while True:
+        assert process.poll() is None, f"the run ended too soon: {process.communicate()}"
         os.kill(process.pid, signal.SIGSTOP)
-        wait_until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_STOPPED, "the process stops")
+        wait_until(lambda: psutil.Process(process.pid).status() in STANDING, "the process stops")
         inside = generation_under_way(path)
-        if inside is not None:
+        if inside is not None and inside >= generation:
             return inside
         os.kill(process.pid, signal.SIGCONT)
         time.sleep(0.02)
-
-
-def wait_until_at_work(pid):
-    """Wait until process `pid` has used some more processor time: a worker without work uses none."""
-    process = psutil.Process(pid)
-    before = sum(process.cpu_times()[:2])
-    wait_until(lambda: sum(process.cpu_times()[:2]) >= before + 0.03, f"worker {pid} works")
 
 
 def workers_of(pid):

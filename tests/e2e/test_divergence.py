@@ -9,16 +9,32 @@ from gymnasium.spaces import Box
 
 import shes
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
+from shes.errors import DivergenceError
 from shes.es.novelty import NSRA
 from shes.hierarchy.fitness import advance_novelty
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
+from shes.training.divergence import Divergence
 from shes.training.evaluate import evaluate
+from shes.training.presets import make_config
 from tests.e2e import runs
 
 STEPS = 20
 TINY = {**runs.TINY, "horizon": STEPS, "evaluation_horizon": STEPS, "evaluation_interval": 1, "keep_checkpoints": 1}
+
+
+class Fog(gymnasium.Env):
+    """Its reward is NaN."""
+
+    observation_space = Box(-np.inf, np.inf, (3,), np.float64)
+    action_space = Box(-1, 1, (2,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        return np.zeros(3), {}
+
+    def step(self, action):
+        return np.zeros(3), float("nan"), False, False, {}
 
 
 class Glass(gymnasium.Env):
@@ -48,6 +64,7 @@ def registries():
     before = dict(EXTERNAL_ENVIRONMENTS)
     for name, breaks_at in (("glass", 0.0), ("steel", 2.0), ("dust", -2.0)):
         shes.register_external(name, partial(Glass, breaks_at), locate=lambda seen, _: (seen[0], seen[1], 0.0))
+    shes.register_external("fog", Fog, locate=lambda seen, _: (seen[0], seen[1], 0.0))
     yield
     EXTERNAL_ENVIRONMENTS.clear()
     EXTERNAL_ENVIRONMENTS.update(before)
@@ -75,6 +92,70 @@ def test_the_ties_of_those_that_broke_are_in_the_table(glass):
     level = "policy" if "policy_return_max" in table else "controller"
     broken, worst = np.array(table["diverged_rate"]), 1 / 40  # all that broke, and the one that they share the rank of
     np.testing.assert_allclose(table[f"{level}_rank_ties"], broken + worst)
+
+
+class Events:
+    """A listener that keeps the warnings and counts the generations before each."""
+
+    def __init__(self):
+        self.generation, self.seen = 0, []
+
+    def on_start(self, *arguments):
+        pass
+
+    def on_generation(self, row):
+        self.generation = row["generation"]
+
+    def on_evaluation(self, row):
+        pass
+
+    def on_event(self, event):
+        self.seen.append((self.generation + 1, event))
+
+
+@pytest.mark.parametrize("algorithm", ["shes", "es"])
+def test_a_reward_that_is_nan_is_told_at_once_and_ends_the_run_with_its_likely_cause(tmp_path, algorithm):
+    events = Events()
+    message = (
+        r"every episode of the last 3 generations diverged\. Likely cause: a reward or an observation of fog is NaN .*"
+        r"Everything up to the last checkpoint is kept; --max-diverged-generations sets"
+    )
+    settings = {**TINY, "generations": 9, "evaluation_interval": 9, "algorithm": algorithm}
+    with pytest.raises(DivergenceError, match=message) as caught:
+        runs.train_tiny(tmp_path / "run", "fog", **settings, max_diverged_generations=3, listener=events)
+    assert caught.value.exit_code == 1
+    assert [generation for generation, event in events.seen if event.startswith("all 8 episodes of gen")] == [1, 2, 3]
+    assert (1, "all 3 episodes of the evaluation diverged: its score does not count") in events.seen
+    assert RunFolder.open(tmp_path / "run").load("last").generation == 3
+    assert any("all 8 episodes of generation 2 diverged" in line for line in runs.log_lines(tmp_path / "run"))
+
+
+def test_a_short_run_in_which_everything_diverged_is_never_done_calmly(tmp_path):
+    with pytest.raises(DivergenceError, match="every episode of the last 1 generation diverged"):
+        runs.train_tiny(tmp_path / "run", "fog", **{**TINY, "generations": 1})
+
+
+def row(generation, rate, **columns):
+    return {"generation": generation, "diverged_rate": rate, "diverged_episodes": round(8 * rate), **columns}
+
+
+def test_one_sound_generation_begins_the_count_anew():
+    count = Divergence(make_config("point-gather", "smoke", {"max_diverged_generations": 2}))
+    for generation, rate in enumerate([1, 0.9, 1, 0, 1], 1):
+        assert (count.add(row(generation, rate)) is not None) == (rate == 1)
+        count.check(is_over=False)
+    count.check(is_over=True)  # not all was in vain
+    count.add(row(6, 1))
+    with pytest.raises(DivergenceError, match="last 2 generations"):
+        count.check(is_over=False)
+
+
+def test_returns_of_another_algorithm_that_are_nan_count_too():
+    count = Divergence(make_config("point-gather", "smoke", {"max_diverged_generations": 1}))
+    assert count.add({"generation": 7, "policy_return_mean": 0.0}) is None
+    assert "no return of generation 8 is finite" in count.add({"generation": 8, "policy_return_mean": float("nan")})
+    with pytest.raises(DivergenceError):
+        count.check(is_over=False)
 
 
 def set_bias(run, push, slope=0.0):
@@ -110,7 +191,9 @@ def test_an_evaluation_that_diverges_does_not_beat_one_that_does_not(tmp_path):
 @pytest.mark.parametrize("algorithm", ["shes", "es"])
 def test_an_evaluation_in_which_everything_broke_is_never_the_best(tmp_path, algorithm):
     """Its score, 0 for each broken episode, is above all scores of whole ones."""
-    run = runs.train_tiny(tmp_path / "dust", "dust", **TINY, algorithm=algorithm)
+    run = tmp_path / "dust"
+    with pytest.raises(DivergenceError, match="last 4 generations"):
+        runs.train_tiny(run, "dust", **TINY, algorithm=algorithm)
     assert set(read_csv(run / "evaluation.csv")["diverged_episodes"]) == {3}
     assert RunFolder.open(run).load("last").best.generation == -1
     assert RunFolder.open(run).load("best").generation == 0

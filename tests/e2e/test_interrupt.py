@@ -17,6 +17,7 @@ from tests.e2e import runs
 from tests.e2e.conftest import KILLED
 
 INTERRUPTED = 130
+pytestmark = pytest.mark.timeout(3600)  # on a machine with a load of 100; what they wait for has its own limit
 
 
 def assert_interrupted(process, path, workers):

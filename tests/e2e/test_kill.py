@@ -12,6 +12,8 @@ from shes.training import session
 from tests.e2e import runs
 from tests.e2e.conftest import BRANCHED
 
+pytestmark = pytest.mark.timeout(3600)  # on a machine with a load of 100; what they wait for has its own limit
+
 
 def resume(path):
     """Go on with the run in a process of its own, to its end."""
@@ -35,18 +37,18 @@ def kill_main_inside(process, path, generation):
     return inside
 
 
-def kill_worker_inside(process, path, generation):
-    """Kill a worker that is at work in `generation` or a later one; return its number and the generation.
+def kill_worker_inside(process, path, generation, *, stops_others=False):
+    """Kill a worker inside `generation` or a later one; return it, the other workers and the generation.
 
-    It is stopped first: without it the generation cannot end before it is killed.
+    If the others are stopped, the run cannot end before they go on.
     """
-    runs.wait_for_generation(process, path, generation)
-    worker = runs.workers_of(process.pid)[0]
-    runs.wait_until_at_work(worker)
-    os.kill(worker, signal.SIGSTOP)
-    inside = runs.wait_until(lambda: runs.generation_under_way(path), "the other worker goes on")
+    inside = runs.stop_inside_generation(process, path, generation)
+    worker, *others = runs.workers_of(process.pid)
     kill(worker)
-    return worker, inside
+    for pid in others if stops_others else ():
+        os.kill(pid, signal.SIGSTOP)
+    os.kill(process.pid, signal.SIGCONT)
+    return worker, others, inside
 
 
 def losses(path):
@@ -79,21 +81,33 @@ def test_a_run_killed_inside_a_generation_goes_on_with_the_same_numbers(started,
 
 def test_a_worker_killed_inside_a_generation_is_replaced_and_the_numbers_stay_the_same(started, undisturbed):
     process, path = started()
-    worker, inside = kill_worker_inside(process, path, 2)
-    new = runs.wait_until(
-        lambda: [pid for pid in runs.workers_of(process.pid) if pid != worker and runs.is_alive(pid)][1:],
-        "there are two living workers again",
+    worker, others, inside = kill_worker_inside(process, path, 2, stops_others=True)
+    workers = runs.wait_until(
+        lambda: len(found := set(runs.workers_of(process.pid)) - {worker}) == 2 and found, "there are two workers again"
     )
-    assert new
     assert worker not in [child.pid for child in psutil.Process(process.pid).children()]  # not even as a zombie
-    workers = runs.workers_of(process.pid)
+    for pid in others:
+        os.kill(pid, signal.SIGCONT)
     code, out, err = runs.finish(process)
     assert (code, err) == (0, ""), out
     runs.assert_gone(process.pid, workers)
     ((lost, generation, tasks),) = losses(path)
-    assert (lost, generation) == (worker, inside)
-    assert tasks > 0
+    # A worker that had just finished its share is missed in the next generation.
+    assert (lost, generation - inside) in {(worker, 0), (worker, 1)}
     assert f"worker {worker} died (exit code -9); {tasks} tasks are done again" in out  # and it is said
+    assert runs.differences(undisturbed, path) == []
+
+
+def test_a_stopped_worker_is_told_of_and_replaced_and_the_numbers_stay_the_same(started, undisturbed):
+    process, path = started(worker_warning_s=0.5, worker_timeout_s=3)
+    runs.stop_inside_generation(process, path, 2)
+    worker, _ = runs.workers_of(process.pid)
+    os.kill(worker, signal.SIGSTOP)
+    os.kill(process.pid, signal.SIGCONT)
+    code, out, err = runs.finish(process)
+    assert code == 0, out + err
+    assert re.search(rf"worker {worker} has given no answer for \d+ s; it is replaced after \d+ s", out)
+    assert re.search(rf"worker {worker} was ended \(no answer for \d+ s\); \d+ tasks are done again", out)
     assert runs.differences(undisturbed, path) == []
 
 
@@ -139,7 +153,6 @@ def test_a_worker_killed_in_the_last_evaluation_is_told_and_changes_no_number(tm
 
 
 @pytest.mark.extras
-@pytest.mark.timeout(300)
 def test_a_run_killed_in_every_generation_has_the_same_numbers(started, undisturbed):
     process, path = started()
     killed = [kill_main_inside(process, path, 1)]
@@ -156,34 +169,34 @@ def test_a_run_killed_in_every_generation_has_the_same_numbers(started, undistur
 
 
 @pytest.mark.extras
-@pytest.mark.timeout(300)
 def test_workers_killed_twice_in_every_generation_change_no_number(started, undisturbed):
     process, path = started()
     killed = []
     for generation in (1, 2, 3, 4):
         for _ in range(2):
-            worker, inside = kill_worker_inside(process, path, generation)
-            killed.append((worker, inside))
+            worker, others, _ = kill_worker_inside(process, path, generation, stops_others=True)
+            killed.append(worker)
             runs.wait_until(lambda worker=worker: not runs.is_alive(worker), "it is gone")
-            runs.wait_until(lambda: len(runs.workers_of(process.pid)) == 2 or process.poll() is not None, "replaced")
+            runs.wait_until(lambda: len(runs.workers_of(process.pid)) == 2, "replaced")
+            for pid in others:
+                os.kill(pid, signal.SIGCONT)
     code, out, err = runs.finish(process)
     assert (code, err) == (0, ""), out
     found = losses(path)
-    assert [(worker, generation) for worker, generation, _ in found] == killed
-    # A worker that still starts has no task to lose.
-    assert len({generation for _, generation, tasks in found if tasks > 0}) >= 2
+    assert [worker for worker, _, _ in found] == killed
+    # A worker that still starts, or has just finished its share, has no task to lose.
+    assert any(tasks > 0 for _, _, tasks in found)
     assert runs.differences(undisturbed, path) == []
 
 
 @pytest.mark.extras
 def test_all_workers_killed_at_once_change_no_number(started, undisturbed):
     process, path = started()
-    runs.wait_for_generation(process, path, 2)
+    runs.stop_inside_generation(process, path, 2)
     workers = runs.workers_of(process.pid)
     for worker in workers:
-        runs.wait_until_at_work(worker)
-    for worker in workers:
         kill(worker)
+    os.kill(process.pid, signal.SIGCONT)
     code, out, err = runs.finish(process)
     assert (code, err) == (0, ""), out
     assert {worker for worker, _, _ in losses(path)} == set(workers)

@@ -3,6 +3,9 @@
 import errno
 import io
 import os
+import subprocess
+import sys
+import zlib
 
 import numpy as np
 import pytest
@@ -64,7 +67,7 @@ def test_another_seed_gives_another_table_beside_the_first(tmp_path):
     first, second = (NoiseTable.open(1000, seed, directory=tmp_path) for seed in (123, 124))
     assert not np.array_equal(first.values, second.values)
     assert first.path != second.path
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.glob("*.f32"))) == 2
 
 
 def test_the_table_holds_standard_normals(content):
@@ -98,7 +101,7 @@ def test_opening_again_does_not_write_the_file(tmp_path, monkeypatch):
     monkeypatch.setattr(NoiseTable, "_build", staticmethod(refuse))
     assert NoiseTable.open(9000, directory=tmp_path).size == 9000
     assert (path.stat().st_mtime_ns, path.stat().st_ino) == (1, inode)
-    assert list(tmp_path.iterdir()) == [path]
+    assert set(tmp_path.iterdir()) == {path, path.with_suffix(".crc32")}
 
 
 def test_the_file_is_mapped_not_loaded(table):
@@ -136,14 +139,54 @@ def _zero_end(path):
         file.write(bytes(40))
 
 
-@pytest.mark.parametrize("damage", [_truncate, _cut_inside_a_number, _lengthen, _empty, _zero_beginning, _zero_end])
-@pytest.mark.parametrize("size", [2000, BLOCK + 3000])
+def _flip_a_bit_in_the_middle(path):
+    with path.open("r+b") as file:
+        file.seek(path.stat().st_size // 2 + 20_000)
+        byte = file.read(1)[0]
+        file.seek(-1, io.SEEK_CUR)
+        file.write(bytes([byte ^ 1]))
+
+
+def _lose_the_checksums(path):
+    path.with_suffix(".crc32").unlink()
+
+
+def _cut_the_checksums(path):
+    _cut_inside_a_number(path.with_suffix(".crc32"))
+
+
+DAMAGES = [
+    _truncate,
+    _cut_inside_a_number,
+    _lengthen,
+    _empty,
+    _zero_beginning,
+    _zero_end,
+    _flip_a_bit_in_the_middle,
+    _lose_the_checksums,
+    _cut_the_checksums,
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("size", [20_000, BLOCK + 3000])
 def test_a_damaged_file_is_built_again(tmp_path, content, damage, size):
     path = NoiseTable.open(size, directory=tmp_path).path
     damage(path)
     again = NoiseTable.open(size, directory=tmp_path)
     assert np.array_equal(again.values, content[:size])
-    assert list(tmp_path.iterdir()) == [path]
+    sums = path.with_suffix(".crc32")
+    assert set(tmp_path.iterdir()) == {path, sums}
+    data = path.read_bytes()
+    blocks = [data[first : first + 4 * BLOCK] for first in range(0, len(data), 4 * BLOCK)]
+    assert np.fromfile(sums, "<u4").tolist() == [zlib.crc32(block) for block in blocks]
+
+
+def test_a_table_of_other_numbers_with_checksums_of_its_own_is_built_again(tmp_path, content):
+    other = NoiseTable.open(3000, 7, directory=tmp_path).path
+    for suffix in (".f32", ".crc32"):
+        other.with_suffix(suffix).rename(tmp_path / f"noise-v1-3000-{NOISE_SEED}{suffix}")
+    assert np.array_equal(NoiseTable.open(3000, directory=tmp_path).values, content[:3000])
 
 
 def test_a_damaged_end_is_found_wherever_the_last_block_ends(tmp_path, content):
@@ -188,7 +231,53 @@ def test_a_failed_rebuild_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
     monkeypatch.setattr(storage.os, "fsync", _full_disk)
     with pytest.raises(StorageError):
         NoiseTable.open(5000, directory=tmp_path)
-    assert [p.read_bytes() for p in tmp_path.iterdir()] == [b"old"]
+    assert path.read_bytes() == b"old"
+    assert set(tmp_path.iterdir()) == {path, path.with_suffix(".crc32")}
+
+
+@pytest.mark.parametrize(("size", "what"), [("memory", "of memory"), ("disk", "on the disk of .*")])
+def test_a_table_that_does_not_fit_is_refused_with_the_size_that_would(tmp_path, monkeypatch, size, what):
+    monkeypatch.setattr(noise, f"free_{size}", lambda *_: 4 * 2_500_000)
+    with pytest.raises(
+        ConfigError,
+        match=rf"noise_table_size is 3,000,000, which takes 0\.0 GB, but 0\.0 GB {what} are free\. "
+        r"Set --noise-table-size 2000000 at most, or point SHES_CACHE_DIR",
+    ):
+        NoiseTable.open(3_000_000, directory=tmp_path / "cache")
+    assert list(tmp_path.iterdir()) == []
+    NoiseTable.open(2_000_000, directory=tmp_path / "cache")
+
+
+def test_a_table_that_is_there_needs_no_free_disk(tmp_path, monkeypatch):
+    NoiseTable.open(5000, directory=tmp_path)
+    monkeypatch.setattr(noise, "free_disk", lambda *_: 0)
+    assert NoiseTable.open(5000, directory=tmp_path).size == 5000
+
+
+BUILDER = """
+import os, sys
+from pathlib import Path
+from shes.es import noise
+def stop(*_):
+    print("builds", flush=True)
+    sys.stdin.read()
+original, noise._block = noise._block, stop
+noise.NoiseTable.open(5000, directory=Path(sys.argv[1]))
+"""
+
+
+def test_the_unfinished_file_of_a_killed_builder_goes_with_the_next_table_of_any_size(tmp_path):
+    builder = subprocess.Popen(
+        [sys.executable, "-c", BUILDER, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert builder.stdout.readline() == b"builds\n"
+    (part,) = tmp_path.glob(".*.part")
+    NoiseTable.open(100, directory=tmp_path)
+    assert part.exists()  # its writer is at work
+    builder.kill()
+    builder.communicate()
+    NoiseTable.open(100, directory=tmp_path)  # it is there already
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["noise-v1-100-123.crc32", "noise-v1-100-123.f32"]
 
 
 def test_an_interrupted_build_leaves_nothing_behind(tmp_path, monkeypatch):

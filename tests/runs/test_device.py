@@ -187,9 +187,9 @@ def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy, monkeypatch
     shes.resume(run_copy, device="cuda", nconmax=9, generations=5)
     plans = []
 
-    def noted(config, plan):
+    def noted(config, plan, *rest):
         plans.append(plan)
-        return build_backend(config, plan)
+        return build_backend(config, plan, *rest)
 
     monkeypatch.setattr("shes.training.evaluate.build_backend", noted)
     on_cpu = evaluate(run_copy, episodes=2, num_workers=1)

@@ -10,6 +10,7 @@ import threading
 import numpy as np
 import pytest
 from tensorboardX.proto.event_pb2 import Event, SessionLog
+from tensorboardX.proto.plugin_hparams_pb2 import HParamsPluginData
 
 from shes.errors import RunFolderError, StorageError
 from shes.runs.folder import RunFolder
@@ -72,7 +73,9 @@ def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path, lengt
 def test_a_damaged_table_is_refused_and_kept(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("generation,x\none,2\n")
-    with pytest.raises(RunFolderError, match=r"a\.csv is damaged: .*'one'.*Restore it from a copy"):
+    with pytest.raises(
+        RunFolderError, match=r"a\.csv cannot be read as a table of numbers: .*'one'.*Restore it from a copy"
+    ):
         CsvTable(path, 4)
     assert path.read_text() == "generation,x\none,2\n"
 
@@ -98,7 +101,7 @@ def test_a_table_without_rows_has_no_columns(tmp_path):
 def events(folder):
     """Return the events of all files of a folder, file after file, as TensorBoard reads them."""
     found = []
-    for path in sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime_ns):
+    for path in sorted(folder.glob("events*"), key=lambda path: path.stat().st_mtime_ns):
         data = path.read_bytes()
         while data:
             (length,) = struct.unpack("Q", data[:8])
@@ -111,8 +114,15 @@ def scalars(folder):
     return [
         (event.summary.value[0].tag, event.step, event.summary.value[0].simple_value)
         for event in events(folder)
-        if event.summary.value
+        if event.summary.value and not event.summary.value[0].HasField("metadata")
     ]
+
+
+def hyperparameters(folder):
+    """Return the hyperparameters of each session in a folder."""
+    contents = [value.metadata.plugin_data.content for event in events(folder) for value in event.summary.value]
+    data = [HParamsPluginData.FromString(content) for content in contents if content]
+    return [each.session_start_info.hparams for each in data if each.HasField("session_start_info")]
 
 
 @pytest.fixture
@@ -120,35 +130,90 @@ def folder(tmp_path):
     return RunFolder.create(tmp_path / "run")
 
 
-def test_events_hold_every_column_by_generation(folder):
+def test_charts_are_in_named_groups_against_generations_and_learning_curves_against_steps(folder):
     records = Records(folder, 0)
-    records.add_progress({"generation": 1, "x": 0.5, "y": 2})
-    records.add_evaluation({"generation": 1, "score_mean": 1.5})
+    records.add_progress(
+        {
+            "generation": 1,
+            "env_steps": 160,
+            "wall_time_s": 2.0,
+            "env_steps_per_s": 80.0,
+            "controller_return_mean": 0.5,
+            "controller_return_max": 9.0,
+            "primitive_update_ratio": 0.25,
+            "rollout_s": 0.1,
+        }
+    )
+    records.add_evaluation({"generation": 1, "env_steps": 160, "score_mean": 1.5, "score_std": 3.0})
     records.close()
     assert scalars(folder.tensorboard) == [
-        ("progress/x", 1, 0.5),
-        ("progress/y", 1, 2.0),
+        ("training/controller_return_mean", 1, 0.5),
+        ("update/primitive_update_ratio", 1, 0.25),
+        ("speed/env_steps_per_s", 1, 80.0),
         ("evaluation/score_mean", 1, 1.5),
     ]
+    assert scalars(folder.tensorboard / "env_steps") == [
+        ("training_by_env_steps/controller_return_mean", 160, 0.5),
+        ("evaluation_by_env_steps/score_mean", 160, 1.5),
+    ]
     assert events(folder.tensorboard)[0].file_version == "brain.Event:2"
+
+
+def test_a_hierarchical_run_has_a_dozen_charts(tiny_run):
+    tied = {"update/controller_halves_cosine"}  # this run's controllers are tied: their gradient is 0
+    assert tied | {tag for tag, _, _ in scalars(tiny_run / "tensorboard")} == {
+        "episodes/episode_steps_mean",
+        "evaluation/return_mean",
+        "evaluation/score_mean",
+        "evaluation/success_rate",
+        "speed/env_steps_per_s",
+        "training/controller_return_mean",
+        "training/primitive_return_mean",
+        "training/score_mean",
+        "update/controller_halves_cosine",
+        "update/controller_update_ratio",
+        "update/primitive_halves_cosine",
+        "update/primitive_update_ratio",
+    }
+    curves = [(tag, step) for tag, step, _ in scalars(tiny_run / "tensorboard" / "env_steps")]
+    assert {tag.partition("/")[0] for tag, _ in curves} == {"evaluation_by_env_steps", "training_by_env_steps"}
+    assert [step for tag, step in curves if tag == "training_by_env_steps/score_mean"] == [160, 320, 480, 640]
+
+
+def test_hyperparameters_are_written_once_and_a_resumed_run_hides_what_it_does_again(run_copy):
+    import shes
+
+    shes.resume(run_copy, generations=5)
+    starts = [event.step for event in events(run_copy / "tensorboard" / "env_steps") if event.HasField("session_log")]
+    assert starts == [641]
+    found = hyperparameters(run_copy / "tensorboard")
+    assert len(found) == 1
+    assert (found[0]["sigma"].number_value, found[0]["env"].string_value) == (0.07, "point-gather")
+    assert found[0]["hidden"].string_value == "[4]"
+    assert found[0]["seed"].number_value == 5
 
 
 def test_a_run_that_goes_on_hides_later_events_and_keeps_earlier_files(folder):
     """Even within a second, which is all that the library's file names hold."""
     for generation in (0, 1):
-        records = Records(folder, generation)
-        records.add_progress({"generation": generation + 1, "x": generation + 0.5})
+        records = Records(folder, generation, 100 * generation)
+        row = {"generation": generation + 1, "env_steps": 100 * generation + 100, "score_mean": generation + 0.5}
+        records.add_progress(row)
         records.close()
-    assert len(list(folder.tensorboard.iterdir())) == 2
-    assert sorted(scalars(folder.tensorboard)) == [("progress/x", 1, 0.5), ("progress/x", 2, 1.5)]
-    starts = [e for e in events(folder.tensorboard) if e.session_log.status == SessionLog.START]
-    assert [event.step for event in starts] == [2]
+    for place, group, unit in (
+        (folder.tensorboard, "training", 1),
+        (folder.tensorboard / "env_steps", "training_by_env_steps", 100),
+    ):
+        assert len(list(place.glob("events*"))) == 2
+        assert sorted(scalars(place)) == [(f"{group}/score_mean", unit, 0.5), (f"{group}/score_mean", 2 * unit, 1.5)]
+        starts = [e for e in events(place) if e.session_log.status == SessionLog.START]
+        assert [event.step for event in starts] == [unit + 1]
 
 
 def test_events_need_no_thread(folder):
     before = threading.active_count()
     records = Records(folder, 0)
-    records.add_progress({"generation": 1, "x": 0.5})
+    records.add_progress({"generation": 1, "score_mean": 0.5})
     assert threading.active_count() == before
     records.close()
 
@@ -161,7 +226,7 @@ def test_a_full_disk_is_told_at_once(folder, monkeypatch):
 
     monkeypatch.setattr("tensorboardX.record_writer.RecordWriter.write", full)
     with pytest.raises(StorageError, match=r"cannot write .*tensorboard: the disk is full"):
-        records.add_progress({"generation": 1, "x": 0.5})
+        records.add_progress({"generation": 1, "score_mean": 0.5})
     records.close()
 
 
@@ -216,10 +281,9 @@ def test_a_level_that_was_not_perturbed_has_no_gradient(in_turns):
 def test_tensorboard_gets_no_number_that_is_none(in_turns):
     found = scalars(in_turns / "tensorboard")
     assert all(math.isfinite(value) for _, _, value in found)
-    steps = {step for tag, step, _ in found if tag == "progress/controller_gradient_norm"}
-    assert steps == {1, 3}
-    assert {step for tag, step, _ in found if tag == "progress/primitive_update_ratio"} == {2, 4}
-    assert {step for tag, step, _ in found if tag == "progress/controller_theta_norm"} == {1, 2, 3, 4}
+    assert {step for tag, step, _ in found if tag == "update/controller_update_ratio"} == {1, 3}
+    assert {step for tag, step, _ in found if tag == "update/primitive_update_ratio"} == {2, 4}
+    assert {step for tag, step, _ in found if tag == "training/score_mean"} == {1, 2, 3, 4}
 
 
 def test_the_time_of_an_evaluation_is_in_its_generations_row(tiny_run):

@@ -354,7 +354,9 @@ def test_a_source_that_is_not_there_or_damaged_is_refused(plain, tmp_path, comma
         assert not (tmp_path / "run").exists()
 
     refused(RunFolderError, "gone does not exist", primitive=str(tmp_path / "gone"))
-    refused(RunFolderError, "is not a run folder: it has no config.json", primitive=str(tmp_path))
+    (tmp_path / "empty").mkdir()
+    refused(RunFolderError, "is not a run folder: it has no config.json", primitive=str(tmp_path / "empty"))
+    refused(RunFolderError, "is a folder of runs: give one of them", primitive=str(tmp_path))
     refused(
         CheckpointError,
         r"source has no checkpoint '77'; it has best, 0, 1, 2, 3, last\. Set --primitive-checkpoint to one of these\.",

@@ -13,10 +13,12 @@ import pytest
 from shes.algorithms.evolution.populations import generation_work
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
+from shes.errors import DivergenceError
 from shes.runs.folder import RunFolder
 from shes.runs.rooms import WorkerSettings, known_settings
 from shes.runs.tables import read_csv
 from shes.training.build import build_backend
+from shes.training.divergence import Divergence
 from tests.e2e import runs
 from tests.training.built import INTERVALS, Built
 
@@ -78,9 +80,31 @@ def num_workers(b):
         return backend.num_workers
 
 
+def backend_option(name):
+    """Return what reads an option of the backend."""
+
+    def read(b):
+        with build_backend(b.config, b.plan) as backend:
+            return getattr(backend, name)
+
+    return read
+
+
 def backend_name(b):
     with build_backend(b.config, b.plan) as backend:
         return type(backend).__name__
+
+
+def diverged_limit(b):
+    """Return after how many generations in which every episode diverges a run ends."""
+    count, generation = Divergence(b.config), 0
+    while True:
+        generation += 1
+        count.add({"generation": generation, "diverged_rate": 1.0})
+        try:
+            count.check(is_over=False)
+        except DivergenceError:
+            return generation
 
 
 def sizes(b):
@@ -248,11 +272,18 @@ ROWS: dict[str, Row] = {
     # workers
     "num_workers": Row(2, num_workers, 2, CORES, beside={"backend": "processes"}),
     "backend": Row("serial", backend_name, "SerialBackend", "ProcessesBackend"),
+    "worker_warning_s": Row(
+        5.0, backend_option("worker_warning_s"), 5.0, 60.0, beside={"backend": "processes", "num_workers": 1}
+    ),
+    "worker_timeout_s": Row(
+        None, backend_option("worker_timeout_s"), None, 600.0, beside={"backend": "processes", "num_workers": 1}
+    ),
     "chunk_size": Row(3, lambda b: b.plan.chunk_size, 3, 0),
     "device": Row("warp-cpu", lambda b: b.plan.device, "warp-cpu", "cpu"),
     "nconmax": Row(40, lambda b: b.plan.nconmax, 40, None, beside={"device": "warp-cpu"}),
     "njmax": Row(40, lambda b: b.plan.njmax, 40, None, beside={"device": "warp-cpu"}),
     # run
+    "max_diverged_generations": Row(2, diverged_limit, 2, 10),
     "seed": Row(9, lambda b: b.state.seed, 9, 1),
 }  # fmt: skip
 BESIDE_IT = {

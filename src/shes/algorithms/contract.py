@@ -21,6 +21,7 @@ from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
 from shes.settings import Settings
+from shes.types import ArrayHeader
 
 __all__ = ["Algorithm", "AnyState", "Report"]
 
@@ -112,6 +113,13 @@ class Algorithm(ABC, Generic[StateT]):
         Raises:
             KeyError: An array is missing.
             ValueError: An array has a wrong value.
+        """
+
+    def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
+        """Check names, shapes and types of the arrays of a checkpoint before they are read. By default all are read.
+
+        Raises:
+            CheckpointError: They are not those of this problem.
         """
 
     @abstractmethod

@@ -40,6 +40,8 @@ class Backend(ABC):
     """Settings of this backend. Mark each field with `Execution`: a backend never changes the numbers of a run."""
     num_workers: int = 1
     """Number of workers."""
+    on_event: Callable[[str], None] | None = None
+    """Receives messages about silent, lost and replaced workers at once. If None, they wait for `take_events`."""
 
     @abstractmethod
     def broadcast(self, state: Any) -> None:
@@ -59,7 +61,7 @@ class Backend(ABC):
         """Stop the workers immediately, even if they are busy."""
 
     def take_events(self) -> list[str]:
-        """Return messages about lost and replaced workers since the last call."""
+        """Return messages about silent, lost and replaced workers since the last call."""
         return []
 
     def __enter__(self) -> Backend:

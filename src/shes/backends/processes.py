@@ -1,4 +1,4 @@
-"""The processes backend: worker processes on this machine. A lost worker is replaced and its work repeated.
+"""The processes backend: worker processes on this machine. A lost or silent worker is replaced, its work repeated.
 
 `ProcessPoolExecutor` is not used, because it breaks as a whole when one worker is killed, and outlives a killed parent.
 Workers are started as a module, so a caller's script needs no `__main__` guard.
@@ -9,68 +9,43 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-import socket
-import subprocess
 import sys
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from multiprocessing.connection import Connection, wait
+from dataclasses import dataclass
+from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any
+from time import monotonic
+from typing import Annotated, Any, ClassVar
 
 import cloudpickle
 
 from shes.backends.backend import Backend, WorkerFactory
+from shes.backends.process import WorkerProcess, cause_of_death
 from shes.errors import ConfigError, WorkerError
+from shes.settings import Execution, Gt, Settings
 
 __all__ = ["ProcessesBackend"]
 
 MAX_LOSSES = 3
 """The run ends when this many workers died on one task, or as many per worker in a row without a result."""
-_ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
-)
+_TOLD_AT, _REPLACED_AT = 2, 10
+"""A worker is told of, and replaced, only if its silence is this many times the longest that ended with a result."""
+_PATIENCE = 4
+"""Factor of the limit after each loss of the same task, or each loss in a row: maybe the work just takes long."""
+_TICK_S = 1.0
 
 
-class _Process:
-    """A worker process and the tasks it is working on."""
+@dataclass(frozen=True, kw_only=True)
+class ProcessesSettings(Settings):
+    """Limits for workers that give no answer."""
 
-    def __init__(self, factory: bytes, import_path: str) -> None:
-        ours, theirs = socket.socketpair()
-        read_end, self._lifeline = os.pipe()
-        # -P: a file in the working directory must not replace a module of the standard library.
-        module = [sys.executable, "-P", "-m", "shes.backends.process_worker"]
-        arguments = [str(theirs.fileno()), str(read_end), str(os.getpid())]
-        # The worker inherits the mask: a Ctrl-C in a terminal reaches it even before it can ignore it.
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            self.popen = subprocess.Popen(
-                [*module, *arguments],
-                pass_fds=(theirs.fileno(), read_end),
-                env={**os.environ, **_ONE_THREAD, "PYTHONPATH": import_path},
-                stdin=subprocess.DEVNULL,
-            )
-        except OSError:
-            ours.close()
-            os.close(self._lifeline)
-            raise
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-            theirs.close()
-            os.close(read_end)
-        self.connection = Connection(ours.detach())
-        self.tasks: dict[int, None] = {}  # numbers of the tasks at work, in the order they were given
-        self.is_running = False
-        with suppress(OSError):  # the next read notices that the process is gone
-            self.connection.send_bytes(factory)
-
-    def end(self) -> None:
-        """End the process immediately."""
-        self.popen.kill()
-        self.connection.close()
-        os.close(self._lifeline)
-        self.popen.wait()
+    worker_warning_s: Annotated[float, Gt(0), Execution()] | None = 60.0
+    """Seconds without an answer after which a warning names the worker; none for no warning. Long tasks get longer."""
+    worker_timeout_s: Annotated[float, Gt(0), Execution()] | None = 600.0
+    """Seconds without an answer after which a worker (stopped, swapped out) is replaced; none for never. If tasks take
+    long, ten times the longest so far."""
 
 
 class _Run:
@@ -87,23 +62,43 @@ class _Run:
 class ProcessesBackend(Backend):
     """Worker processes on this machine, each with one thread."""
 
-    def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
-        """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles."""
+    Options: ClassVar[type[Settings]] = ProcessesSettings
+
+    def __init__(
+        self,
+        factory: WorkerFactory,
+        num_workers: int,
+        *,
+        worker_warning_s: float | None = None,
+        worker_timeout_s: float | None = None,
+    ) -> None:
+        """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles.
+
+        Args:
+            factory: Function that creates a worker.
+            num_workers: Number of processes.
+            worker_warning_s: Seconds without an answer after which an event names the worker; none for never.
+            worker_timeout_s: Seconds without an answer after which a worker is replaced; none for never.
+        """
         self.num_workers = num_workers
+        self.worker_warning_s, self.worker_timeout_s = worker_warning_s, worker_timeout_s
+        limits = [limit for limit in (worker_warning_s, worker_timeout_s) if limit is not None]
+        self._tick_s = max(0.01, min([_TICK_S, *(limit / 4 for limit in limits)]))
+        self._longest_s = 0.0  # of the silences that ended with a result
         self._factory = _pickle_factory(factory)
         self._import_path = os.pathsep.join(_import_path())
         self._state: bytes | None = None
         self._events: list[str] = []
         self._deaths_in_a_row = 0
-        self._processes: list[_Process] = []
+        self._processes: list[WorkerProcess] = []
         self._start_missing()
 
     def broadcast(self, state: Any) -> None:
         """Send `state` to every worker, and later to the replacements of lost ones."""
         self._state = _pickle(state)
+        for process in self._processes:
+            process.send("state", self._state)
         self._start_missing()
-        for process in list(self._processes):
-            self._send(process, "state", self._state)
 
     def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
         """Yield the result of every task, in order."""
@@ -111,8 +106,7 @@ class ProcessesBackend(Backend):
         is_finished = False
         try:
             self._start_missing()
-            for process in self._processes:
-                self._start_run(process, run)
+            self._start_run(run)
             next_number = 0
             while next_number < len(tasks):
                 self._serve(run)
@@ -127,7 +121,7 @@ class ProcessesBackend(Backend):
                 self.close()
 
     def take_events(self) -> list[str]:
-        """Return messages about workers that were lost and replaced since the last call."""
+        """Return messages about silent, lost and replaced workers since the last call."""
         events, self._events = self._events, []
         return events
 
@@ -144,9 +138,13 @@ class ProcessesBackend(Backend):
         return [process.popen.pid for process in self._processes]
 
     def _start_missing(self) -> None:
+        """Start the processes that are missing, and send them the state."""
         try:
             while len(self._processes) < self.num_workers:
-                self._processes.append(_Process(self._factory, self._import_path))
+                process = WorkerProcess(self._factory, self._import_path, self.worker_timeout_s)
+                self._processes.append(process)
+                if self._state is not None:
+                    process.send("state", self._state)
         except OSError as error:
             self.close()
             raise WorkerError(
@@ -154,36 +152,79 @@ class ProcessesBackend(Backend):
                 "Lower --workers, or raise the limit on processes and open files (ulimit)."
             ) from error
 
-    def _start_run(self, process: _Process, run: _Run) -> None:
-        process.is_running = True
-        self._send(process, "run", run.share)
+    def _start_run(self, run: _Run) -> None:
+        """Let the processes that have no work request tasks."""
+        for process in self._processes:
+            if not process.is_running:
+                process.is_running, process.silent_s = True, 0.0
+                process.send("run", run.share)
 
     def _serve(self, run: _Run) -> None:
-        """Wait for messages and answer them."""
+        """Wait for messages and answer them. Replace workers that have died or given no answer for too long."""
         connections = {process.connection: process for process in self._processes}
-        for connection in wait(list(connections)):
+        start = monotonic()
+        ready = wait(list(connections), self._tick_s)
+        # Time in which this process has been stopped, for example by Ctrl-Z together with its workers, does not count.
+        waited_s = min(monotonic() - start, self._tick_s)
+        for process in connections.values():
+            process.silent_s += waited_s
+        for connection in ready:
             process = connections[connection]  # type: ignore[index] - wait returns what it was given
             try:
                 message = process.connection.recv()
+            except BlockingIOError:  # it was stopped while it sent a message
+                process.silent_s += self.worker_timeout_s or 0.0
+                self._replace(process, run, is_silent=True)
             except (EOFError, OSError):
                 self._replace(process, run)
             else:
                 self._answer(process, message, run)
+                self._end_silence(process)
+        for process in list(self._processes):
+            if process.is_running:
+                self._judge_silence(process, run)
 
-    def _answer(self, process: _Process, message: tuple[Any, ...], run: _Run) -> None:
+    def _end_silence(self, process: WorkerProcess) -> None:
+        """Note that the process has sent a message."""
+        if process.is_told:
+            self._tell(f"worker {process.popen.pid} answers again, after {process.silent_s:.0f} s")
+        process.silent_s, process.is_told = 0.0, False
+
+    def _judge_silence(self, process: WorkerProcess, run: _Run) -> None:
+        """Tell of a process that has been silent for long, or replace it."""
+        losses = max(self._deaths_in_a_row, *(run.losses[number] for number in process.tasks), 0)
+        limit_s = max(self.worker_timeout_s or 0.0, _REPLACED_AT * self._longest_s) * _PATIENCE ** min(
+            losses, MAX_LOSSES - 1
+        )
+        if self.worker_timeout_s is not None and process.silent_s >= limit_s:
+            self._replace(process, run, is_silent=True)
+        elif (
+            self.worker_warning_s is not None
+            and not process.is_told
+            and process.silent_s >= max(self.worker_warning_s, _TOLD_AT * self._longest_s)
+        ):
+            process.is_told = True
+            end = "never replaced" if self.worker_timeout_s is None else f"replaced after {limit_s:.0f} s"
+            self._tell(
+                f"worker {process.popen.pid} has given no answer for {process.silent_s:.0f} s; it is {end} "
+                "(--worker-timeout-s)"
+            )
+
+    def _answer(self, process: WorkerProcess, message: tuple[Any, ...], run: _Run) -> None:
         kind, *content = message
         if kind == "want":
             if run.queue:
                 number = run.queue.popleft()
                 process.tasks[number] = None
-                self._send(process, "task", number, _pickle(run.tasks[number]))
+                process.send("task", number, _pickle(run.tasks[number]))
             else:
-                self._send(process, "end")
+                process.send("end")
         elif kind == "result":
             number, result = content
             process.tasks.pop(number)
             run.results[number] = result
             self._deaths_in_a_row = 0
+            self._longest_s = max(self._longest_s, process.silent_s)
         elif kind == "done":
             process.is_running = False
         elif kind == "refused":
@@ -192,35 +233,31 @@ class ProcessesBackend(Backend):
             at_work = ", ".join(repr(run.tasks[number]) for number in list(process.tasks)[:3])
             raise WorkerError(f"a worker failed while at work on {at_work or 'nothing yet'}:\n{content[0]}")
 
-    def _replace(self, process: _Process, run: _Run) -> None:
-        """Replace a worker that died, and put its tasks back at the front of the queue."""
+    def _replace(self, process: WorkerProcess, run: _Run, *, is_silent: bool = False) -> None:
+        """Replace a worker that died or is silent, and put its tasks back at the front of the queue."""
         self._processes.remove(process)
         process.end()
         lost = list(process.tasks)
         run.queue.extendleft(reversed(lost))
         run.losses.update(lost)
         self._deaths_in_a_row += 1
-        code = process.popen.returncode
-        self._events.append(f"worker {process.popen.pid} died (exit code {code}); {len(lost)} tasks are done again")
+        code, silence = process.popen.returncode, f"no answer for {process.silent_s:.0f} s"
+        end = f"was ended ({silence})" if is_silent else f"died (exit code {code})"
+        self._tell(f"worker {process.popen.pid} {end}; {len(lost)} tasks are done again")
         worst = max(run.losses.values(), default=0)
         if worst >= MAX_LOSSES or self._deaths_in_a_row >= MAX_LOSSES * self.num_workers:
+            fault = f"giving {silence}" if is_silent else f"dying ({cause_of_death(code)})"
+            advice = "If its work takes so long, raise --worker-timeout-s." if is_silent else _advice(code)
             raise WorkerError(
-                f"workers keep dying ({_cause(code)}) {f'on the same task, {worst} times' if worst else 'at once'}. "
-                f"{_advice(code)} Everything up to the last checkpoint is kept."
+                f"workers keep {fault} {f'on the same task, {worst} times' if worst else 'at once'}. "
+                f"{advice} Everything up to the last checkpoint is kept."
             )
-        replacement = _Process(self._factory, self._import_path)
-        self._processes.append(replacement)
-        if self._state is not None:
-            self._send(replacement, "state", self._state)
-        for idle in self._processes:
-            if not idle.is_running:
-                self._start_run(idle, run)
+        self._start_missing()
+        self._start_run(run)
 
-    @staticmethod
-    def _send(process: _Process, *message: Any) -> None:
-        """Send a message. If the worker is gone, the next read notices it."""
-        with suppress(OSError):
-            process.connection.send(message)
+    def _tell(self, event: str) -> None:
+        """Pass a message on at once, or keep it for `take_events`."""
+        (self._events.append if self.on_event is None else self.on_event)(event)
 
 
 def _pickle(value: Any) -> bytes:
@@ -256,18 +293,7 @@ def _import_path() -> list[str]:
     return path
 
 
-def _cause(code: int) -> str:
-    """Return in words how a process with this exit code ended."""
-    if code >= 0:
-        return f"exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = f"signal {-code}"
-    return f"killed by {name}, exit code {code}"
-
-
-def _advice(code: int) -> str:
+def _advice(code: int | None) -> str:
     """Return advice to the user about a process that ended with this exit code."""
     if code == -signal.SIGKILL:
         return "Usually memory ran out: lower --workers or --chunk-size."

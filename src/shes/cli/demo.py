@@ -8,13 +8,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 from rich.console import Console
+from rich.progress import Progress, TaskID
 
+from shes.cli.output import make_console, print_error
 from shes.cli.progress_display import ProgressDisplay, format_duration
+from shes.cli.streams import INTERRUPTED, with_streams
 from shes.errors import ShesError
 from shes.training.evaluate import evaluate
 from shes.training.train import train
@@ -29,11 +33,17 @@ GATHER_MINUTES = 1.25
 VIDEO_STEPS = {"ant": 100, "point": 200}
 """Control steps of each video; without a GPU a step of two views takes a fifth of a second."""
 
+_BEFORE_AFTER = ("0", "best")  # checkpoints
+
 
 def main() -> int:
     """Run the demo in the working directory; return the exit code."""
-    console, start = Console(), monotonic()
-    robot = sys.argv[1] if len(sys.argv) > 1 else "ant"
+    return with_streams(lambda: _demo(sys.argv[1] if len(sys.argv) > 1 else "ant"))
+
+
+def _demo(robot: str) -> int:
+    """Run the demo of `robot`; return the exit code."""
+    console, start = make_console(), monotonic()
     if robot not in _DEMOS:
         print(f"unknown robot {robot!r}; there are demos of {' and '.join(_DEMOS)}", file=sys.stderr)
         return 2
@@ -42,15 +52,16 @@ def main() -> int:
         last = _DEMOS[robot](console, folder)
     except KeyboardInterrupt:
         console.print(f"Stopped; the runs so far are in {folder}.", highlight=False, soft_wrap=True)
-        return 130
+        return INTERRUPTED
     except ShesError as error:
-        Console(stderr=True).print(f"Error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
+        print_error(str(error))
         return error.exit_code
     console.print(
         f"\nThe demo took {format_duration(monotonic() - start)}.\n"
         f"Next: .venv/bin/shes resume {last} --generations 200   (continues training)\n"
         f"      .venv/bin/shes evaluate {last} --episodes 200\n"
         "      .venv/bin/shes --help",
+        markup=False,
         highlight=False,
         soft_wrap=True,
     )
@@ -98,17 +109,24 @@ def _learn(console: Console, env: str, path: Path, **settings: Any) -> None:
 
 def _show(console: Console, path: Path, what: str, number: Callable[[Any], float]) -> None:
     """Print a result of the run at `path` on fresh episodes, before and after training."""
-    before, after = (number(evaluate(path, episodes=EPISODES, checkpoint=name)) for name in ("0", "best"))
+    before, after = (number(evaluate(path, episodes=EPISODES, checkpoint=name)) for name in _BEFORE_AFTER)
     console.print(f"\nMean {what}, {EPISODES} fresh episodes: {before:.2f} before training, {after:.2f} after.\n")
 
 
 def _draw(console: Console, runs: dict[str, Path], folder: Path, steps: int) -> None:
-    """Draw curves, and a video before and after training, of each run."""
+    """Draw curves, and a video before and after training, of each run, with live progress."""
     console.print("Drawing the untrained and the trained agents ...", highlight=False)
     for name, path in runs.items():
         curves = plot([path], path / "curves.png")
-        video = render(path, folder / f"{name}.mp4", checkpoints=("0", "best"), size=320, steps=steps)
-        console.print(f"{name}: {video}   curves: {curves}", highlight=False, soft_wrap=True)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            show = partial(_show_step, progress, progress.add_task(name, total=steps))
+            video = render(path, folder / f"{name}.mp4", checkpoints=_BEFORE_AFTER, size=320, steps=steps, on_step=show)
+        console.print(f"{name}: {video}   curves: {curves}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _show_step(progress: Progress, task: TaskID, done: int, total: int) -> None:
+    """Show how many of `total` control steps are drawn."""
+    progress.update(task, completed=done, total=total)
 
 
 if __name__ == "__main__":

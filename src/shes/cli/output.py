@@ -6,11 +6,25 @@ import json
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["print_error", "print_facts", "print_line", "print_table", "quote"]
+from shes.cli.streams import showable
 
-# rich is imported where it is used: `shes --help` has to be quick.
+if TYPE_CHECKING:  # rich is imported where it is used: `shes --help` has to be quick
+    from rich.console import Console
+
+__all__ = ["make_console", "print_error", "print_facts", "print_line", "print_table", "quote"]
+
+
+def make_console(*, stderr: bool = False) -> Console:
+    """Return a console that raises BrokenPipeError if nobody reads its output, where rich would exit with code 1."""
+    from rich.console import Console
+
+    class _Console(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    return _Console(stderr=stderr)
 
 
 def print_facts(facts: dict[str, Any], *, as_json: bool) -> None:
@@ -24,28 +38,26 @@ def print_facts(facts: dict[str, Any], *, as_json: bool) -> None:
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table, with a heading over each column if there are headings."""
-    from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
+    console = make_console()
     table = Table(*headings, show_header=bool(headings))
     for row in rows:
-        table.add_row(*row)
-    Console().print(table)
+        table.add_row(*(Text(showable(cell, console.encoding)) for cell in row))
+    console.print(table)
 
 
 def print_line(text: str) -> None:
     """Print `text` without wrapping or markup."""
-    from rich.console import Console
-
-    Console().print(text, highlight=False, markup=False, soft_wrap=True)
+    make_console().print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def print_error(text: str) -> None:
     """Print an error message on one line of standard error."""
-    from rich.console import Console
     from rich.text import Text
 
-    Console(stderr=True).print(Text.assemble(("Error:", "bold red"), " ", text), highlight=False, soft_wrap=True)
+    make_console(stderr=True).print(Text.assemble(("Error:", "bold red"), " ", text), highlight=False, soft_wrap=True)
 
 
 def quote(path: Path | str) -> str:

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import sys
 from collections.abc import Callable, Sequence
 
 import shes
 from shes.cli.output import print_error
+from shes.cli.streams import INTERRUPTED, with_streams
 from shes.errors import ConfigError, ShesError, UnknownNameError
 
 __all__ = ["COMMANDS", "find_command", "main"]
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
-BROKEN_PIPE = 141
-"""Exit code if the reader of the output has gone, as after SIGPIPE."""
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "envs": ("envs", "list the environments"),
@@ -30,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compare": ("comparison", "compare two runs, or groups of runs, with an interval and a p value"),
     "render": ("viewing", "make a video of a run's policy"),
     "watch": ("viewing", "watch a run's policy in a window"),
+    "export": ("export", "write a run's policy to a file that needs no SHES"),
     "experiment": ("experiment", "run a study of many runs, with tables and figures"),
     "bench": ("training", "measure the speed of this machine"),
     "completion": ("completion", "print a script that completes commands and flags with the Tab key"),
@@ -56,8 +52,14 @@ First steps: shes train point-gather --generations 60, then shes plot RUN, then 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code.
 
-    0: success; 1: the run failed; 2: the command line, a file or a package has to be corrected; 130: Ctrl-C.
+    0: success; 1: the run failed; 2: the command line, a file or a package has to be corrected; 130: Ctrl-C; 141: the
+    reader of the output has gone, as head does.
     """
+    return with_streams(lambda: _run(arguments))
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    """Run a command and print its error, if any; return the exit code."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--debug", action="store_true")
     parser.add_argument("--import", action="append", nargs="?", default=[], dest="modules")
@@ -66,13 +68,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for name in asked.modules:
             _import(name)
         status = _dispatch(words)
-        sys.stdout.flush()  # a broken pipe or a full disk shows here, not when Python exits
+        sys.stdout.flush()  # a full disk shows here, not when Python exits
     except KeyboardInterrupt:
         print("Interrupted.", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # the reader of the output has gone, as head does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes when it exits
-        return BROKEN_PIPE
+    except BrokenPipeError:
+        raise
     except (ShesError, OSError) as error:  # OSError: standard output is on a full disk, a path cannot be read, ...
         if asked.debug:
             raise

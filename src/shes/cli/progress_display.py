@@ -9,11 +9,11 @@ from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.markup import escape
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from shes.cli.streams import showable
 from shes.runs.config import TrainConfig
 
 __all__ = ["ProgressDisplay", "format_duration"]
@@ -21,7 +21,7 @@ __all__ = ["ProgressDisplay", "format_duration"]
 Row = dict[str, Any]
 
 _BLOCKS = "▁▂▃▄▅▆▇█"
-_LINE_EVERY_S = 10.0  # if not in a terminal
+_LINE_EVERY_S = 10.0  # if not in a terminal; in one that cannot redraw, every generation is a line
 _REMEMBERED = 20  # generations from which the time left is estimated
 
 
@@ -54,7 +54,9 @@ class ProgressDisplay:
         self.path: Path | None = None
         """The run folder, once there is one."""
         self._console = console
-        self._live = Live(console=console, auto_refresh=False, transient=False) if console.is_terminal else None
+        can_redraw = console.is_terminal and not console.is_dumb_terminal
+        self._live = Live(console=console, auto_refresh=False, transient=False) if can_redraw else None
+        self._line_every_s = 0.0 if console.is_terminal else _LINE_EVERY_S
         self._config: TrainConfig | None = None
         self._row: Row = {}
         self._evaluation: Row = {}
@@ -82,12 +84,13 @@ class ProgressDisplay:
         if config.workers.device != "cpu":
             workers = f"device {config.workers.device}"
         after = f" after generation {generation}" if generation else ""
-        self._console.print(
-            f"Training [bold]{config.run.env}[/bold] ({config.run.preset}) on {workers}{after}. "
-            f"Run folder: [cyan]{escape(str(path))}[/cyan]",
-            highlight=False,
-            soft_wrap=True,
+        text = Text.assemble(
+            "Training ",
+            (config.run.env, "bold"),
+            f" ({config.run.preset}) on {workers}{after}. Run folder: ",
+            (str(path), "cyan"),
         )
+        self._console.print(text, highlight=False, soft_wrap=True)
 
     def on_generation(self, row: Row) -> None:
         """Show a generation."""
@@ -96,7 +99,7 @@ class ProgressDisplay:
         is_last = self._config is not None and self._config.run.is_over(row["generation"], row["env_steps"])
         if self._live is not None:
             self._live.update(self._view(), refresh=True)
-        elif monotonic() - self._last_line >= _LINE_EVERY_S or is_last or row["generation"] == 1:
+        elif monotonic() - self._last_line >= self._line_every_s or is_last or row["generation"] == 1:
             self._last_line = monotonic()
             self._console.print(self._line(), highlight=False, soft_wrap=True)
 
@@ -106,9 +109,11 @@ class ProgressDisplay:
         self._scores.append(row["score_mean"])
 
     def on_event(self, event: str) -> None:
-        """Show a warning."""
+        """Show a warning at once."""
         self._events.append(event)
-        if self._live is None:
+        if self._live is not None:
+            self._live.update(self._view(), refresh=True)
+        else:
             self._console.print(event, style="yellow", highlight=False, markup=False, soft_wrap=True)
 
     def _seconds_left(self) -> float | None:
@@ -133,7 +138,7 @@ class ProgressDisplay:
         left = self._seconds_left()
         score = "-"
         if evaluation:
-            score = f"{evaluation['score_mean']:.2f} ± {evaluation['score_std']:.2f}"
+            score = self._shown(f"{evaluation['score_mean']:.2f} ± {evaluation['score_std']:.2f}")
         total = self._config.run.generations if self._config else 0
         names = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
         return [
@@ -147,20 +152,26 @@ class ProgressDisplay:
             ("time left", "-" if left is None else format_duration(left)),
         ]
 
+    def _shown(self, text: str) -> str:
+        return showable(text, self._console.encoding)
+
     def _line(self) -> Text:
         return Text("  ".join(f"{name} {value}" for name, value in self._facts()))
 
     def _view(self) -> Group:
         """Return the redrawn block; it fits 40 columns and uses up to 100."""
+        events = [Text(event, style="yellow") for event in self._events]
+        if not self._row:  # before the first generation
+            return Group(*events)
         width = min(self._console.width, 100)
         table = Table.grid(padding=(0, 2))
         table.add_column(style="dim", no_wrap=True)
         table.add_column(no_wrap=True, overflow="ellipsis")
         for name, value in self._facts():
-            table.add_row(name, value)
+            table.add_row(Text(name), Text(value))
         course = _sparkline(self._scores, max(10, width - 22))
         if course:
-            table.add_row("score so far", Text(course, style="green"))
+            table.add_row("score so far", Text(self._shown(course), style="green"))
         total = self._config.run.generations if self._config else 1
         done = self._row["generation"]
         if self._config is not None:
@@ -172,4 +183,4 @@ class ProgressDisplay:
             total, done = 1000, round(1000 * min(1.0, max(shares)))
         bar = Table.grid()  # ends the line, which the bar alone does not
         bar.add_row(ProgressBar(total=total, completed=done, width=width))
-        return Group(bar, table, *(Text(event, style="yellow") for event in self._events))
+        return Group(bar, table, *events)

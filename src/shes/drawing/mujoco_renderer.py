@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from shes.drawing.drawer import Picture
+from shes.drawing.follow import follow_view
 from shes.drawing.opengl import use_opengl
 from shes.drawing.renderer import Renderer, check_camera
 from shes.drawing.scenery import FOLLOW_FIELD_OF_VIEW_DEG, decorate
@@ -16,8 +17,6 @@ from shes.types import F64Array
 
 __all__ = ["MujocoRenderer", "add_markers"]
 
-_FOLLOW = (90.0, -42.0, 11.0)  # azimuth and elevation in degrees, distance in metres
-_ROBOT_BODY = 1  # the first body of every world
 _TOP_MARGIN = 1.02
 _TOP_DISTANCE_M = 120.0  # nearly no perspective, so that walls hide nothing
 _MAX_GEOMS = 4000
@@ -53,8 +52,9 @@ class MujocoRenderer(Renderer):
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         if name == "follow":
             self.model.vis.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
-            camera.azimuth, camera.elevation, camera.distance = _FOLLOW
-            camera.lookat[:] = self.data.xpos[_ROBOT_BODY]
+            camera.lookat[:], camera.azimuth, camera.elevation, camera.distance = follow_view(
+                self.model, self.data, self.extent
+            )
             return
         x, y, half = self.top_view
         self.model.vis.global_.fovy = np.rad2deg(2 * np.arctan2(half * _TOP_MARGIN, _TOP_DISTANCE_M))

@@ -17,7 +17,7 @@ from shes.types import F64Array
 __all__ = ["CAMERAS", "Renderer", "between", "check_camera"]
 
 CAMERAS = ("follow", "top")
-"""`follow` is behind and above the robot and moves with it; `top` shows the whole world from above."""
+"""`follow` is behind and above the robot, and moves with it; `top` shows the whole world from above."""
 _RIM_M = 1.0
 """Visible part of the outer walls, seen from above."""
 _OPEN_HALF_M = 10.0

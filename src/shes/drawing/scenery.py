@@ -7,11 +7,13 @@ import numpy as np
 
 from shes.envs.markers import ROBOT
 
-__all__ = ["FOLLOW_FIELD_OF_VIEW_DEG", "MAX_PIXELS", "decorate"]
+__all__ = ["FOLLOW_FIELD_OF_VIEW_DEG", "MAX_PIXELS", "SCENERY_GROUP", "decorate"]
 
 MAX_PIXELS = 2048
 """Largest width or height of a picture."""
 FOLLOW_FIELD_OF_VIEW_DEG = 45.0
+SCENERY_GROUP = 0
+"""Geom group of ground, walls, platforms and blocks, and of nothing else."""
 
 _SKY = ([0.62, 0.76, 0.90], [0.93, 0.96, 0.98])
 _GROUND = ([0.80, 0.83, 0.80], [0.87, 0.89, 0.86])
@@ -21,6 +23,7 @@ _WALL_HALF_HEIGHT_M = 0.4
 _CHASM = [0.55, 0.57, 0.58, 1.0]
 _BLOCK = [0.78, 0.62, 0.42, 1.0]
 _GROUND_SQUARES_M = 2.0
+_ROBOT_GROUP = 1
 
 
 def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -64,6 +67,7 @@ def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
             geom.rgba = _BLOCK
         else:
             geom.rgba = ROBOT
+            geom.group = geom.group or _ROBOT_GROUP
     return spec
 
 

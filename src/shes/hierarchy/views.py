@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,10 @@ class View(ABC):
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the values, given the names of the observed values."""
 
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return the view as JSON types, for an exported agent."""
+
     def on(self, xp: ModuleType) -> View:
         """Return this view for arrays of `xp`."""
         return self
@@ -64,6 +69,10 @@ class ColumnsView(View):
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the selected values."""
         return tuple(observation_names[i] for i in self.indices or range(len(observation_names)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the indices; None stands for all values."""
+        return {"kind": "columns", "columns": None if self.indices is None else list(self.indices)}
 
     def on(self, xp: ModuleType) -> ColumnsView:
         """Return this view for arrays of `xp`."""
@@ -109,6 +118,18 @@ class EgocentricView(View):
         """Return the names of the robot's own values, then of the others."""
         own = (f"egocentric {element.name}" for element in self.body.egocentric)
         return (*own, *(observation_names[i] for i in self._places[1]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the name of the body, and the indices of its qpos and qvel and of the other values."""
+        robot, others = self._places
+        qpos, qvel = robot[: self.body.num_qpos], robot[self.body.num_qpos :]
+        return {
+            "kind": "egocentric",
+            "body": self.body.name,
+            "qpos": list(qpos),
+            "qvel": list(qvel),
+            "columns": list(others),
+        }
 
     def on(self, xp: ModuleType) -> EgocentricView:
         """Return this view for arrays of `xp`."""

@@ -10,34 +10,53 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from tokenize import TokenError
+from typing import IO, Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from shes.errors import CheckpointError, ConfigError
+from shes.free_space import free_memory
+from shes.runs.headers import SUFFIX, Header, read_headers
 from shes.storage import write_atomically
 
-__all__ = ["Best", "Checkpoint", "CheckpointWriter", "load_checkpoint", "restore", "save_checkpoint"]
+__all__ = ["Best", "Checkpoint", "CheckpointWriter", "HeaderCheck", "accept_headers", "load_checkpoint"]
+__all__ += ["restore", "save_checkpoint"]
 
 StateT = TypeVar("StateT")
 
 FORMAT = 2
 _OWN = ("format", "best_generation", "best_score", "best_return", "settings")
 """Arrays that do not belong to the algorithm."""
+_SCALARS = dict(zip((*_OWN, "seed", "generation", "env_steps"), "iiffUiii", strict=True))
+"""Arrays of every checkpoint, all of them scalars, with the kind of their type."""
+_MOST_SETTINGS = 2**22  # bytes
+_MOST_TEXT = 200  # characters of the cause in a message, which may quote the file
 _END_OF_ZIP = 22  # bytes of the end-of-central-directory record of a zip file without a comment
 # Raised by NumPy and zipfile for a file that is truncated, damaged, or of another kind.
 _DAMAGES = (
     AttributeError,
     EOFError,
     KeyError,
+    MemoryError,
     NotImplementedError,
     OSError,
     RuntimeError,
+    SyntaxError,
+    TokenError,
     TypeError,
     ValueError,
     zipfile.BadZipFile,
     zlib.error,
 )
+
+
+HeaderCheck: TypeAlias = Callable[[Mapping[str, Header]], object]
+"""Checks the names, shapes and types of an algorithm's arrays."""
+
+
+def accept_headers(headers: Mapping[str, Header]) -> None:
+    """Accept any arrays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,11 +130,16 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool =
     write_atomically(path, write)
 
 
-def load_checkpoint(path: Path) -> Checkpoint:
+def load_checkpoint(path: Path, check: HeaderCheck = accept_headers) -> Checkpoint:
     """Read the checkpoint at `path`, without executing code from it.
 
+    Args:
+        path: The file.
+        check: Raises CheckpointError if the algorithm's arrays have other names, shapes or types than it expects. It is
+            called before any of them is read.
+
     Raises:
-        CheckpointError: The file is missing, truncated, or not a checkpoint of this version.
+        CheckpointError: The file is missing, truncated, too large, or not a checkpoint of this version.
     """
     if not path.is_file():
         others = sorted(other.stem for other in path.parent.glob("*.npz")) if path.parent.is_dir() else []
@@ -125,12 +149,69 @@ def load_checkpoint(path: Path) -> Checkpoint:
             "to resume from it, copy it to last.npz."
         )
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-            _check_count(file, len(arrays))
-        return _from_arrays(arrays, path)
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            headers = read_headers(archive)
+            _check_count(file, len(headers))
+            _check_own(headers)
+            own = {name: _read(archive, name) for name in _OWN}
+            _check_format(int(own["format"]))
+            check({name: header for name, header in headers.items() if name not in _OWN})
+            _check_memory(headers)
+            arrays = {name: _read(archive, name) for name in headers if name not in _OWN}
+        return _from_arrays(own, arrays)
+    except CheckpointError as error:
+        raise CheckpointError(f"{path} {error}") from error
     except _DAMAGES as error:
         raise _damaged(path, error) from error
+
+
+def _read(archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    """Return the array called `name`."""
+    with archive.open(name + SUFFIX) as member:
+        return np.lib.format.read_array(member, allow_pickle=False)
+
+
+def _check_own(headers: Mapping[str, Header]) -> None:
+    """Check the arrays that every checkpoint has.
+
+    Raises:
+        KeyError: One of them is missing.
+        ValueError: One of them is not a scalar of the right type, or the settings are too long.
+    """
+    missing = [name for name in _SCALARS if name not in headers]
+    if missing:
+        raise KeyError(", ".join(missing))
+    for name, kind in _SCALARS.items():
+        header = headers[name]
+        if header.shape or header.dtype.kind != kind or header.nbytes > _MOST_SETTINGS:
+            raise ValueError(f"{name} is {header.dtype} of shape {header.shape}")
+
+
+def _check_format(version: int) -> None:
+    """Check the version of the format.
+
+    Raises:
+        CheckpointError: It is another one.
+    """
+    if version != FORMAT:
+        raise CheckpointError(
+            f"has checkpoint format {version}; this version of SHES reads {FORMAT}. "
+            "Use the version that wrote it (config.json of the run names it)."
+        )
+
+
+def _check_memory(headers: Mapping[str, Header]) -> None:
+    """Check that all arrays fit into the memory.
+
+    Raises:
+        CheckpointError: They do not.
+    """
+    size, free = sum(header.nbytes for header in headers.values()), free_memory()
+    if size > free:
+        raise CheckpointError(
+            f"holds {size / 1e9:,.1f} GB of arrays, but {free / 1e9:,.1f} GB of memory are free. "
+            "Take another one with --checkpoint, or a machine with more memory."
+        )
 
 
 def _check_count(file: IO[bytes], count: int) -> None:
@@ -146,33 +227,38 @@ def _check_count(file: IO[bytes], count: int) -> None:
 
 
 def _damaged(path: Path, error: Exception) -> CheckpointError:
+    text = " ".join(str(error).split())[:_MOST_TEXT]
     return CheckpointError(
-        f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {error}). It may be truncated or another "
+        f"{path} is not a whole SHES checkpoint ({type(error).__name__}: {text}). It may be truncated or another "
         "program's file. Take another one with --checkpoint last, best or a generation; "
         "to resume from another one, copy it over last.npz."
     )
 
 
-def _from_arrays(arrays: dict[str, np.ndarray], path: Path) -> Checkpoint:
-    """Return the checkpoint from the result of `_arrays`."""
-    version = int(arrays["format"])
-    if version != FORMAT:
-        raise CheckpointError(
-            f"{path} has checkpoint format {version}; this version of SHES reads {FORMAT}. "
-            "Use the version that wrote it (config.json of the run names it)."
-        )
-    missing = [name for name in ("seed", "generation", "env_steps", *_OWN) if name not in arrays]
-    if missing:
-        raise KeyError(", ".join(missing))
-    return Checkpoint(
-        arrays={name: array for name, array in arrays.items() if name not in _OWN},
+def _from_arrays(own: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray]) -> Checkpoint:
+    """Return the checkpoint from the result of `_arrays`.
+
+    Raises:
+        TypeError: The settings are not an object of JSON.
+        ValueError: A number cannot have been written by a run.
+    """
+    checkpoint = Checkpoint(
+        arrays=arrays,
         best=Best(
-            generation=int(arrays["best_generation"]),
-            score=float(arrays["best_score"]),
-            mean_return=float(arrays["best_return"]),
+            generation=int(own["best_generation"]),
+            score=float(own["best_score"]),
+            mean_return=float(own["best_return"]),
         ),
-        numbers=json.loads(str(arrays["settings"])),
+        numbers=json.loads(str(own["settings"])),
     )
+    best = checkpoint.best
+    if min(int(arrays["seed"]), checkpoint.generation, checkpoint.env_steps, best.generation + 1) < 0:
+        raise ValueError("a count is negative")
+    if np.isnan(best.score) or np.isnan(best.mean_return):
+        raise ValueError("the best score or return is NaN")
+    if not isinstance(checkpoint.numbers, dict):
+        raise TypeError("the settings are not a JSON object")
+    return checkpoint
 
 
 def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarray]], StateT], path: Path) -> StateT:

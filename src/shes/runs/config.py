@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 __all__ = ["TrainConfig"]
 
+_WHOLE_GROUPS = 48
+"""Members of a population that has whole mirrored groups, however they are mirrored and perturbed."""
+
 
 class TrainConfig:
     """The settings of a training run, immutable, in rooms: `config.evolution.sigma`. See `shes.runs.rooms`."""
@@ -240,7 +243,12 @@ class TrainConfig:
                 "Set --primitive-view egocentric, or --symmetry none."
             )
         perturbation = self.hierarchy.perturbation if len(self.level_names) > 1 else "many_to_many"
-        PERTURBATIONS.find(perturbation)().signs(0, evolution.population_size, evolution.mirrored, self.by_episodes)
+        # A population of the same remainder tells as much, without an array of every member.
+        small = min(evolution.population_size, _WHOLE_GROUPS + evolution.population_size % _WHOLE_GROUPS)
+        try:
+            PERTURBATIONS.find(perturbation)().signs(0, small, evolution.mirrored, self.by_episodes)
+        except ConfigError:  # the message is to have the size that was asked for
+            PERTURBATIONS.find(perturbation)().signs(0, evolution.population_size, evolution.mirrored, self.by_episodes)
 
     def _check_branches(self) -> None:
         """Check that the primitive's episodes can be branched."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -13,7 +14,7 @@ from typing import Any
 
 from shes.envs.registry import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
-from shes.runs.checkpoint import Checkpoint, load_checkpoint
+from shes.runs.checkpoint import Checkpoint, HeaderCheck, accept_headers, load_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.device import device_changes
 from shes.runs.provenance import provenance
@@ -25,6 +26,8 @@ __all__ = ["RunFolder", "new_folder"]
 _FORMAT = 2
 _BELOW = ("*/config.json", "*/*/config.json")
 """Records of the runs in a folder of runs."""
+_OBJECTS = ("config", "versions", "machine", "device", "controller", "primitive")
+"""Entries of the record that are objects, where there are any."""
 
 
 def new_folder(config: TrainConfig, kind: str = "") -> Path:
@@ -47,6 +50,14 @@ def new_folder(config: TrainConfig, kind: str = "") -> Path:
         number += 1
 
 
+def _is_part(record: Any) -> bool:
+    """Return whether `record` can be what `provenance` says of a part of a run, with other entries."""
+    if not isinstance(record, dict) or not all(isinstance(record.get(name, {}), dict) for name in _OBJECTS):
+        return False
+    command = record.get("command", [])
+    return isinstance(command, list) and all(isinstance(word, str) for word in command)
+
+
 class RunFolder:
     """`config.json`, `progress.csv`, `evaluation.csv`, `checkpoints/`, `tensorboard/`, `log.txt`."""
 
@@ -66,7 +77,8 @@ class RunFolder:
         """Hold the lock of the folder, so that no other process trains in it.
 
         Raises:
-            RunFolderError: Another process holds it, or the folder belongs to a shipped agent.
+            RunFolderError: Another process holds it, the folder belongs to a shipped agent, or a symbolic link in it
+                leads out of it.
             StorageError: The folder cannot be written.
         """
         name = shipped_name(self.path)
@@ -76,6 +88,7 @@ class RunFolder:
                 f"primitive: shes train ENV --primitive {name}. Or copy {self.path} to a folder of your own, with its "
                 "checkpoints/best.npz as checkpoints/last.npz, and resume that."
             )
+        self._check_links()
         with storage_errors(self._lock):
             file = self._lock.open("w")
         with file:
@@ -86,6 +99,22 @@ class RunFolder:
                     f"{self.path} is in use: another process trains in it. Wait for its end, or choose another folder."
                 ) from error
             yield
+
+    def _check_links(self) -> None:
+        """Check that no file is written through a symbolic link out of the folder.
+
+        Raises:
+            RunFolderError: A file or folder of the run is such a link.
+        """
+        home = os.path.realpath(self.path)
+        files = (self.config, self.progress, self.evaluation, self.log, self._lock)
+        for place in (*files, self.checkpoints, self.tensorboard):
+            target = os.path.realpath(place)
+            if not Path(target).is_relative_to(home):
+                raise RunFolderError(
+                    f"{place} is a symbolic link that leads out of the run folder, to {target}: nothing is written "
+                    "there. Replace it by a copy."
+                )
 
     @classmethod
     def create(cls, path: Path) -> RunFolder:
@@ -184,8 +213,8 @@ class RunFolder:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
-    def load(self, name: str | int) -> Checkpoint:
-        """Return checkpoint `name` of this run.
+    def load(self, name: str | int, check: HeaderCheck = accept_headers) -> Checkpoint:
+        """Return checkpoint `name` of this run. `check` is that of `load_checkpoint`.
 
         Raises:
             CheckpointError: It is missing, damaged, or from another run.
@@ -195,7 +224,7 @@ class RunFolder:
             raise CheckpointError(
                 f"the shipped agent {agent} has the checkpoint best alone, got {name!r}. Leave --checkpoint away."
             )
-        checkpoint, config = load_checkpoint(path), self.read_config()
+        checkpoint, config = load_checkpoint(path, check), self.read_config()
         mine = config.numbers()
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
         missing = {name: config.setting(name).default for name in mine if name not in checkpoint.numbers}
@@ -215,12 +244,20 @@ class RunFolder:
         """
         try:
             record = json.loads(self.config.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise RunFolderError(f"{self.config} cannot be read: {error}. Restore it from a copy.") from error
         if not isinstance(record, dict) or record.get("format") != _FORMAT:
             raise RunFolderError(
                 f"{self.config} is not the record of a SHES run of format {_FORMAT}. Give the folder that `shes train` "
                 "printed; a run of another version of SHES needs that version."
+            )
+        resumed = record.get("resumed", [])
+        parts = [record, *resumed] if isinstance(resumed, list) else [None]
+        if not all(_is_part(part) for part in parts):
+            raise RunFolderError(
+                f"{self.config} is damaged: {', '.join(_OBJECTS)} must be objects, command a list of "
+                "words and resumed a list of objects. "
+                "Restore it from a copy."
             )
         return record
 

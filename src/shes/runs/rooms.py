@@ -47,6 +47,8 @@ class RunSettings(Settings):
     """Environment steps of training; the run ends with the generation that reaches them, if not before."""
     minutes: Annotated[float, Gt(0), Execution(), Shown(everyday=True)] | None = None
     """Minutes after which this call ends, if not before."""
+    max_diverged_generations: Annotated[int, Ge(1), Execution()] = 10
+    """Generations in a row in which every episode diverges (NaN) after which the run ends with an error."""
 
     def is_over(self, generation: int, env_steps: int) -> bool:
         """Return whether a run ends after `generation` generations and `env_steps` environment steps."""

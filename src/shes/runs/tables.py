@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from time import time
+from types import MappingProxyType
 from typing import Any
-
-import numpy as np
-from tensorboardX.event_file_writer import EventsWriter
-from tensorboardX.proto.event_pb2 import Event, SessionLog  # type: ignore[attr-defined] - made when imported
-from tensorboardX.summary import scalar
 
 from shes.errors import RunFolderError
 from shes.runs.folder import RunFolder
+from shes.runs.tensorboard import Events
 from shes.storage import storage_errors, write_atomically
 
-__all__ = ["CsvTable", "Records", "Row", "csv_text", "read_csv"]
+__all__ = ["CsvTable", "Records", "Row", "check_tables", "csv_text", "read_csv"]
+
+_MOST_TEXT = 200  # characters of the cause in a message, which may quote the file
 
 Row = dict[str, Any]
 
@@ -30,12 +27,60 @@ def read_csv(path: Path) -> dict[str, list[float]]:
     Raises:
         RunFolderError: The file is missing or damaged.
     """
+    header, *rows = _read_rows(path) or [[]]
+    try:
+        return {name: [float(row[i]) for row in rows] for i, name in enumerate(header if rows else ())}
+    except (ValueError, IndexError) as error:
+        raise _damaged(path, error) from error
+
+
+def _read_rows(path: Path) -> list[list[str]]:
+    """Return the rows of a CSV file, its header first; those without a value are left out.
+
+    Raises:
+        RunFolderError: The file is missing or damaged.
+    """
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        return {name: [float(row[name]) for row in rows] for name in (rows[0] if rows else {})}
-    except (OSError, ValueError, TypeError) as error:
-        raise RunFolderError(f"{path} cannot be read as a table of numbers: {error}.") from error
+            return [row for row in csv.reader(file) if row]
+    except (OSError, ValueError, csv.Error) as error:
+        raise _damaged(path, error) from error
+
+
+def _kept_rows(path: Path, generation: int) -> list[list[str]]:
+    """Return the header and the whole rows up to `generation`. Later ones may be cut off.
+
+    Raises:
+        RunFolderError: The file is missing or damaged.
+    """
+    rows = _read_rows(path)
+    try:
+        kept = [row for row in rows[1:] if len(row) == len(rows[0]) and int(row[0]) <= generation]
+        for row in kept:
+            [float(value) for value in row]
+    except ValueError as error:
+        raise _damaged(path, error) from error
+    return rows[:1] + kept
+
+
+def _damaged(path: Path, error: Exception) -> RunFolderError:
+    text = " ".join(str(error).split())[:_MOST_TEXT]
+    return RunFolderError(f"{path} cannot be read as a table of numbers: {text}. Restore it from a copy.")
+
+
+def check_tables(folder: RunFolder, generation: int) -> None:
+    """Check that the tables of a run are there and can be read after `generation`.
+
+    Raises:
+        RunFolderError: A table is missing or damaged.
+    """
+    for path in (folder.progress, folder.evaluation) if generation else ():
+        if not path.is_file():
+            raise RunFolderError(
+                f"{path} is missing, but the run has made {generation} generations. Restore it from a copy, or make an "
+                "empty file of this name to go on without the rows so far."
+            )
+        _kept_rows(path, generation)
 
 
 def csv_text(rows: Iterable[Sequence[Any]]) -> str:
@@ -61,20 +106,13 @@ class CsvTable:
             self._truncate(keep_until)
 
     def _truncate(self, keep_until: int) -> None:
-        with storage_errors(self._path), self._path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
-        if not rows:
-            return
-        self._columns = rows[0]
-        try:
-            kept = [row for row in rows[1:] if len(row) == len(rows[0]) and int(row[0]) <= keep_until]
-        except ValueError as error:
-            raise RunFolderError(f"{self._path} is damaged: {error}. Restore it from a copy.") from error
+        header, *kept = _kept_rows(self._path, keep_until) or [[]]
+        self._columns = header
         if not kept:  # the header may be incomplete: it is written again with the first row
             self._columns = None
             write_atomically(self._path, lambda file: file.write(b""))
             return
-        write_atomically(self._path, lambda file: file.write(csv_text([rows[0], *kept]).encode()))
+        write_atomically(self._path, lambda file: file.write(csv_text([header, *kept]).encode()))
 
     def add(self, row: Row) -> None:
         """Append `row`, with one write.
@@ -89,46 +127,20 @@ class CsvTable:
             file.write(text)
 
 
-class _Events:
-    """A file of TensorBoard events, written in this thread.
-
-    The thread of tensorboardX's `SummaryWriter` dies when the disk is full, and then blocks the run for ever.
-    """
-
-    def __init__(self, folder: Path, generation: int) -> None:
-        """Open a file that supersedes the events of earlier files after `generation`."""
-        self._folder = folder
-        with storage_errors(folder):
-            folder.mkdir(exist_ok=True)
-            # The name contains the second; two parts of a run that begin in the same second need different files.
-            self._writer = EventsWriter(str(folder / "events"), f".{os.getpid()}.{generation}")
-            if generation:
-                start = SessionLog(status=SessionLog.START)
-                self._writer.write_event(Event(wall_time=time(), step=generation + 1, session_log=start))
-
-    def add(self, group: str, row: Row) -> None:
-        """Write the values of `row`, by generation."""
-        with storage_errors(self._folder):
-            for name, value in row.items():
-                if name != "generation" and np.isfinite(value):
-                    summary = scalar(f"{group}/{name}", value)
-                    self._writer.write_event(Event(wall_time=time(), step=row["generation"], summary=summary))
-            self._writer.flush()  # before the checkpoint marks this generation as done
-
-    def close(self) -> None:
-        """Close the file."""
-        with storage_errors(self._folder):
-            self._writer.close()
-
-
 class Records:
     """The tables of a run and its TensorBoard events."""
 
-    def __init__(self, folder: RunFolder, generation: int) -> None:
-        """Open the tables and remove the rows after `generation`."""
+    def __init__(
+        self,
+        folder: RunFolder,
+        generation: int,
+        env_steps: int = 0,
+        hyperparameters: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        """Open the tables and remove the rows after `generation`, which ended at `env_steps`."""
         self._progress = CsvTable(folder.progress, generation)
         self._evaluation = CsvTable(folder.evaluation, generation)
-        self._events = _Events(folder.tensorboard, generation)
+        self._events = Events(folder.tensorboard, generation, env_steps, hyperparameters)
 
     def add_progress(self, row: Row) -> None:
         """Add the row of a generation."""
@@ -141,5 +153,5 @@ class Records:
         self._events.add("evaluation", row)
 
     def close(self) -> None:
-        """Close the event file."""
+        """Close the event files."""
         self._events.close()

@@ -113,9 +113,9 @@ def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> Ope
         CheckpointError: The checkpoint is missing or damaged.
     """
     folder = RunFolder.open(run)
-    loaded = folder.load(checkpoint)
     config = folder.read_config().having(**execution)
     algorithm = build_algorithm(config)
+    loaded = folder.load(checkpoint, algorithm.check_headers)
     state = restore(loaded, algorithm.from_arrays, folder.checkpoint_path(checkpoint))
     return OpenedRun(folder=folder, config=config, algorithm=algorithm, state=state)
 
@@ -144,9 +144,13 @@ def check_device(config: TrainConfig) -> None:
         ) from error
 
 
-def build_backend(config: TrainConfig, plan: WorkerPlan) -> Backend:
-    """Return the started backend of `config`; a device has one worker, in this process."""
+def build_backend(config: TrainConfig, plan: WorkerPlan, num_episodes: int | None = None) -> Backend:
+    """Return the started backend of `config`, with at most `num_episodes` workers.
+
+    A device has one worker, in this process.
+    """
     factory = partial(RolloutWorker, plan)
     cls: Any = BACKENDS.find(config.workers.backend if config.workers.device == "cpu" else "serial")
     options = cls.Options.of(config.settings)
-    return cls(factory, config.workers.count, **{name: getattr(options, name) for name in setting_fields(cls.Options)})
+    count = config.workers.count if num_episodes is None else min(config.workers.count, num_episodes)
+    return cls(factory, count, **{name: getattr(options, name) for name in setting_fields(cls.Options)})

@@ -17,6 +17,7 @@ from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.runs.device import check_asked_device
 from shes.training.build import build_backend, open_run
+from shes.training.limits import Workload, check_limits
 from shes.types import F64Array
 
 __all__ = ["TARGETS", "Evaluation", "evaluate", "evaluate_state", "evaluation_seeds", "fresh_seeds"]
@@ -151,7 +152,8 @@ def evaluate(
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: `episodes` is not positive, `seed` is negative, or the machine has no such device.
+        ConfigError: `episodes` is not positive, `seed` is negative, the machine has no such device, or there are more
+            episodes or workers than it can have.
         UnknownNameError: `targets` or `device` is unknown.
         MissingExtraError: The device needs a package that is not installed.
     """
@@ -165,8 +167,10 @@ def evaluate(
     execution = {"num_workers": num_workers, "device": device, **buffers}
     opened = open_run(run, checkpoint, **execution, evaluation_episodes=episodes)
     check_asked_device(opened.config, execution)
+    workload = Workload.of(opened.config, is_evaluation=True)
+    check_limits(workload, opened.algorithm.design, {"evaluation_episodes": "episodes"})
     plan = opened.algorithm.plan()
     if targets == "training":
         plan = replace(plan, evaluation=plan.training)
-    with build_backend(opened.config, plan) as backend:
+    with build_backend(opened.config, plan, workload.num_episodes) as backend:
         return evaluate_state(opened.algorithm, opened.state, fresh_seeds(opened.state, episodes, seed), backend)

@@ -33,7 +33,7 @@ class Listener(Protocol):
         """Receive a row of `evaluation.csv`."""
 
     def on_event(self, event: str) -> bool | None:
-        """Receive a warning: a lost worker, or one of the simulator."""
+        """Receive a warning: a silent or lost worker, diverged episodes, or one of the simulator."""
 
 
 AnyListener: TypeAlias = "Callable[[Row], Any] | object | Sequence[Any] | None"

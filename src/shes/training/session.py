@@ -12,6 +12,7 @@ from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.log import logger
 from shes.runs.tables import Records, Row, read_csv
+from shes.training.divergence import Divergence
 from shes.training.evaluate import evaluate_state, evaluation_seeds
 from shes.training.interruption import Interruption
 from shes.training.listening import Audience
@@ -35,10 +36,12 @@ class Session:
         self.checkpoint = checkpoint
         self._folder, self._algorithm = folder, algorithm
         self._config: TrainConfig = algorithm.problem.settings
+        self._divergence = Divergence(self._config)
         self._records, self._writer, self._backend, self._audience = records, writer, backend, audience
         self._is_stopped = False
         self._earlier_s = _wall_time(folder)
         self._start = self._generation_start = perf_counter()
+        backend.on_event = self._tell_event
         self._tell("on_start", folder.path, self._config, checkpoint.generation, backend.num_workers)
 
     def check_schedules(self) -> None:
@@ -58,7 +61,11 @@ class Session:
         return self._is_stopped or is_late or self._config.run.is_over(last.generation, last.env_steps)
 
     def add(self, report: Report[Any], interruption: Interruption) -> None:
-        """Record a generation, evaluate if it is due, and start writing the checkpoint."""
+        """Record a generation, evaluate if it is due, and start writing the checkpoint.
+
+        Raises:
+            DivergenceError: Every episode of the last generations has diverged.
+        """
         state = report.state
         now = perf_counter()
         made = state.env_steps - self.checkpoint.env_steps
@@ -71,7 +78,8 @@ class Session:
         }
         self._generation_start = now
         row["evaluation_s"] = 0.0
-        self._tell_events(list(report.log))
+        warning = self._divergence.add(row)
+        self._tell_events([*report.log, *([warning] if warning else [])])
         # `last` comes last: a run killed before that repeats this generation with its evaluation and checkpoints.
         best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
         if state.generation == 1 or state.generation % self._config.evaluation.evaluation_interval == 0:
@@ -84,7 +92,8 @@ class Session:
                     generation=state.generation, score=evaluation["score_mean"], mean_return=evaluation["return_mean"]
                 )
                 paths.insert(0, self._folder.checkpoint_path("best"))
-            self._tell_events([])
+            unsound = f"all {evaluation['episodes']} episodes of the evaluation diverged: its score does not count"
+            self._tell_events([] if is_sound else [unsound])
             self._tell("on_evaluation", evaluation)
             self._generation_start = perf_counter()
             row["evaluation_s"] = round(self._generation_start - now, 4)
@@ -95,6 +104,7 @@ class Session:
         self.checkpoint = Checkpoint(arrays=arrays, best=best, numbers=self.checkpoint.numbers)
         self._writer.write(paths, self.checkpoint)
         self._tell("on_generation", row)
+        self._divergence.check(is_over=self.is_over())
 
     def _evaluate(self, state: Any) -> Row:
         """Return the row of `evaluation.csv` for the agent of `state`."""

@@ -20,10 +20,11 @@ from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
 from shes.runs.rooms import execution_settings, known_settings
-from shes.runs.tables import Records, read_csv
+from shes.runs.tables import Records, check_tables, read_csv
 from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
 from shes.training.interruption import Interruption
+from shes.training.limits import Workload, check_limits
 from shes.training.listening import AnyListener, Audience, Listener, StopTraining
 from shes.training.presets import make_config
 from shes.training.session import Session
@@ -86,11 +87,12 @@ def train(
 
     Raises:
         UnknownNameError: The environment, the preset or another name is unknown.
-        ConfigError: A setting is unknown or out of range.
+        ConfigError: A setting is unknown or out of range, or the run does not fit this machine.
         RunFolderError: `out` already holds a run.
         StorageError: A file cannot be written.
         WorkerError: A worker failed, or workers keep dying.
         PolicyError: A policy returned NaN.
+        DivergenceError: Every episode of `max_diverged_generations` generations in a row diverged.
     """
     return start_run(make_config(env, preset, settings), out, listener)
 
@@ -101,6 +103,7 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyL
     check_device(config)
     check_robot(config)
     algorithm = build_algorithm(config)
+    check_limits(Workload.of(config), algorithm.design)
     algorithm.plan()  # errors of the noise table or a transfer arise before there is a folder
     state, origins = transfer(algorithm, algorithm.start(config.run.seed))
     folder = RunFolder.create(new_folder(config) if out is None else _path(out))
@@ -146,7 +149,9 @@ def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -
     check_asked_device(config, settings)
     check_device(config)
     with folder.lock():
-        checkpoint = folder.load("last")
+        algorithm = build_algorithm(config)
+        check_limits(Workload.of(config), algorithm.design)
+        checkpoint = folder.load("last", algorithm.check_headers)
         done, steps = checkpoint.generation, checkpoint.env_steps
         if config.run.is_over(done, steps):
             is_long = done >= config.run.generations
@@ -156,8 +161,8 @@ def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -
                 f"{end}. To go on: shes resume {shlex.quote(str(path))} "
                 f"{'--generations' if is_long else '--env-steps'} {2 * made}"
             )
-        algorithm = build_algorithm(config)
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
+        check_tables(folder, done)
         changes = folder.record_resume(done, config)
         if changes:
             event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
@@ -236,9 +241,10 @@ def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint:
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))
         interruption = stack.enter_context(Interruption())
-        records = stack.enter_context(closing(Records(folder, checkpoint.generation)))
+        records = Records(folder, checkpoint.generation, checkpoint.env_steps, config.numbers())
+        stack.enter_context(closing(records))
         writer = stack.enter_context(closing(CheckpointWriter()))
-        backend = stack.enter_context(build_backend(config, algorithm.plan()))
+        backend = stack.enter_context(build_backend(config, algorithm.plan(), Workload.of(config).num_episodes))
         session = Session(folder, algorithm, checkpoint, records, writer, backend, audience)
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"

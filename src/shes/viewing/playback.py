@@ -36,7 +36,7 @@ class Moment:
     markers: list[Marker]
     """The task's markers, the goal, and the robot's trail."""
     caption: str
-    """Checkpoint, time, score, and how the episode ended."""
+    """Training so far, time, score, and how the episode ended."""
 
 
 class Playback:
@@ -62,7 +62,7 @@ class Playback:
             raise ConfigError(f"steps must be a whole number of at least 1, got {steps}. Set --steps.")
         opened = open_run(run, checkpoint)
         config, state = opened.config, opened.state
-        self.name = f"{checkpoint} (generation {state.generation})" if not checkpoint.isdecimal() else checkpoint
+        self.name = _age(state.generation)
         self.steps = steps or config.evaluation_steps
         self._agent = Agent(opened)
         self.task = opened.algorithm.problem.make_task(is_evaluation=True)
@@ -103,6 +103,13 @@ class Playback:
             markers=[*task.markers(0), *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
             caption=" · ".join(part for part in parts if part),
         )
+
+
+def _age(generation: int) -> str:
+    """Return how long an agent was trained: `untrained`, `after 80 generations`."""
+    if generation == 0:
+        return "untrained"
+    return f"after {generation} generation{'s' * (generation != 1)}"
 
 
 def _ending(task: EpisodeBatch, is_last: bool) -> str:

@@ -11,13 +11,14 @@ from shes.es.level import LevelState, RunningEpisodes, TrainState
 from shes.es.novelty import NoveltyState
 from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
+from shes.types import ArrayHeader
 
-__all__ = ["check_arrays", "from_arrays", "to_arrays"]
+__all__ = ["check_arrays", "check_headers", "from_arrays", "to_arrays"]
 
 _GROWS = frozenset({"novelty/archive"})
 """Arrays whose first axis has a variable length."""
-_OPTIONAL = frozenset({"running/states", "running/steps"})
-"""Arrays that are missing before the first generation."""
+_OPTIONAL = {"running/states": (np.float64, 2), "running/steps": (np.int64, 1)}
+"""Type and number of axes of the arrays that are missing before the first generation."""
 
 
 def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
@@ -49,29 +50,50 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in arrays.items()}
 
 
+def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None:
+    """Check that arrays with these names, shapes and types can be a later state of the run that begins with `start`.
+
+    Raises:
+        CheckpointError: A name, shape or type does not fit.
+    """
+    expected = to_arrays(start)
+    missing = expected.keys() - headers.keys()
+    unknown = headers.keys() - expected.keys() - _OPTIONAL.keys()
+    if missing or unknown:
+        faults = {"lacks": missing, "has": unknown}
+        found = " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in faults.items() if names)
+        raise CheckpointError(f"is not of this run: it {found}. Put back the checkpoint of this run.")
+    if ("running/states" in headers) != ("running/steps" in headers):
+        raise CheckpointError("has states or steps of running episodes, not both. Put back the checkpoint of this run.")
+    for name, array in headers.items():
+        if name in expected:
+            fits, own = _is_like(array, expected[name], name), expected[name]
+            here = f"{own.dtype} of shape {own.shape}"
+        else:
+            dtype, axes = _OPTIONAL[name]
+            fits, here = (array.dtype, len(array.shape)) == (dtype, axes), f"{np.dtype(dtype)} with {axes} axes"
+        if not fits:
+            raise CheckpointError(
+                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {here}. "
+                "Put back the checkpoint of this run."
+            )
+
+
+def _is_like(array: ArrayHeader, own: np.ndarray, name: str) -> bool:
+    """Return whether `array` has the type and shape of `own`; texts may be longer, and some arrays grow."""
+    first = 1 if name in _GROWS else 0
+    is_type = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"
+    return is_type and len(array.shape) == own.ndim and array.shape[first:] == own.shape[first:]
+
+
 def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
     """Check that `arrays` can be a later state of the run that begins with `start`.
 
     Raises:
         CheckpointError: A name, shape, type or value does not fit.
     """
-    expected = to_arrays(start)
-    missing = expected.keys() - arrays.keys()
-    unknown = arrays.keys() - expected.keys() - _OPTIONAL
-    if missing or unknown:
-        faults = {"lacks": missing, "has": unknown}
-        found = " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in faults.items() if names)
-        raise CheckpointError(f"is not of this run: it {found}. Put back the checkpoint of this run.")
-    if ("running/states" in arrays) != ("running/steps" in arrays):
-        raise CheckpointError("has states or steps of running episodes, not both. Put back the checkpoint of this run.")
+    check_headers(arrays, start)
     for name, array in arrays.items():
-        own = expected.get(name, array)
-        first = 1 if name in _GROWS else 0
-        if array.ndim != own.ndim or array.shape[first:] != own.shape[first:] or array.dtype.kind != own.dtype.kind:
-            raise CheckpointError(
-                f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {own.dtype} of shape "
-                f"{own.shape}. Put back the checkpoint of this run."
-            )
         if array.dtype.kind == "f" and not np.isfinite(array).all() and name != "novelty/best_return":
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
         if array.dtype.kind == "i" and (array < (-1 if name == "running/steps" else 0)).any():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import ClassVar
@@ -11,7 +11,7 @@ import numpy as np
 
 from shes.algorithms.contract import Algorithm, Report
 from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.evolution.arrays import check_arrays, from_arrays, to_arrays
+from shes.algorithms.evolution.arrays import check_arrays, check_headers, from_arrays, to_arrays
 from shes.algorithms.evolution.columns import columns
 from shes.algorithms.evolution.designs import (
     branch_design,
@@ -30,6 +30,7 @@ from shes.errors import CheckpointError
 from shes.es.level import LevelParameters, LevelState, TrainState
 from shes.hierarchy.agent import AgentDesign
 from shes.settings import Settings
+from shes.types import ArrayHeader
 
 __all__ = ["SES", "SHES", "EvolutionAlgorithm", "PrimitiveES"]
 
@@ -73,14 +74,45 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         Raises:
             CheckpointError: The arrays are not a state of this run: levels, names, shapes, types or values differ.
         """
-        levels = tuple(str(name) for name in np.atleast_1d(arrays["levels"]))
-        if levels != self.level_names:
+        levels = [str(name) for name in np.atleast_1d(arrays["levels"])]
+        self._check_levels(levels, has_all=levels == list(self.level_names))
+        check_arrays(arrays, self.start(0))
+        return from_arrays(arrays)
+
+    def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
+        """Check names, shapes and types of the arrays of a checkpoint before they are read.
+
+        Raises:
+            CheckpointError: They are not those of a state of this run.
+        """
+        levels = [name.removesuffix("/theta") for name in headers if name.endswith("/theta")]
+        self._check_levels(levels, has_all=set(levels) <= set(self.level_names))
+        check_headers(headers, self.start(0))
+        self._check_running(headers)
+
+    def _check_running(self, headers: Mapping[str, ArrayHeader]) -> None:
+        """Raise CheckpointError unless there is a state of this robot for each pair, if any episodes are running."""
+        intervals = self.hyperparameters.intervals
+        if intervals is None or "running/states" not in headers:
+            return
+        task = self.problem.make_task()
+        size = task.states(np.array([0])).shape[1]
+        task.close()
+        expected = {"running/states": (intervals.num_pairs, size), "running/steps": (intervals.num_pairs,)}
+        for name, shape in expected.items():
+            if headers[name].shape != shape:
+                raise CheckpointError(
+                    f"holds {name} of shape {headers[name].shape}, where this run has {shape}. "
+                    "Put back the checkpoint of this run."
+                )
+
+    def _check_levels(self, levels: Sequence[str], *, has_all: bool) -> None:
+        """Raise CheckpointError unless this run has all `levels` of a checkpoint."""
+        if not has_all:
             raise CheckpointError(
                 f"has the levels {', '.join(levels)}, but a run of {self.problem.name} has "
                 f"{', '.join(self.level_names)} now. Use the version that wrote it (config.json of the run names it)."
             )
-        check_arrays(arrays, self.start(0))
-        return from_arrays(arrays)
 
     def parameters(self, state: TrainState) -> tuple[LevelParameters, ...]:
         """Return the parameters and the normalisation of the mean policies."""

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 
-from shes.cli.output import print_error, print_facts, print_line, quote
+from shes.cli.output import make_console, print_error, print_facts, print_line, quote
 from shes.cli.parsing import DEFAULT_ENV, Checkpoint, Env, ExecutionFlags, Json, Run, VariedSettings
 from shes.cli.progress_display import ProgressDisplay
 from shes.errors import ConfigError, ShesError
@@ -80,7 +79,7 @@ def _train_all(folder: RunsFolder, names: list[str]) -> int:
 
     def display_of(name: str) -> ProgressDisplay:
         print_line(f"[{names.index(name) + 1}/{len(names)}] {name}")
-        return displays.enter_context(ProgressDisplay(Console()))
+        return displays.enter_context(ProgressDisplay(make_console()))
 
     try:
         with displays, closing(folder.train(left, display_of)) as outcomes:
@@ -108,7 +107,7 @@ def _show_progress(work: Callable[[ProgressDisplay], FinishedRun], path: Path | 
         work: Trains, and reports to the display.
         path: The run folder, if it is known before.
     """
-    display = ProgressDisplay(Console())
+    display = ProgressDisplay(make_console())
     try:
         with display:
             run = work(display)

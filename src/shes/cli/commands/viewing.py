@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 from rich.progress import Progress
 
-from shes.cli.output import print_line
+from shes.cli.output import make_console, print_line
 from shes.cli.parsing import Checkpoint, Run
 
 TERMINATED = 143
@@ -35,7 +34,7 @@ def plot(
     """
     from shes.viewing.plot import plot as draw
 
-    print(f"Learning curves: {draw(runs, out, x=x)}")
+    print_line(f"Learning curves: {draw(runs, out, x=x)}")
     return 0
 
 
@@ -70,8 +69,10 @@ def render(
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # so that ffmpeg and its files are removed
     view = {"camera": camera, "episode": episode, "seed": seed, "size": size, "steps": steps}
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    console = make_console(stderr=True)
+    with Progress(
+        console=console, transient=True, disable=not console.is_terminal or console.is_dumb_terminal
+    ) as progress:
         task = progress.add_task("drawing", total=None)
 
         def show(done: int, total: int) -> None:

@@ -1,0 +1,114 @@
+"""Act with a policy that `shes export` wrote, by NumPy alone: `python run_exported.py policy.npz`.
+
+docs/how-to/export.md documents the file. Vectors in the plane are complex numbers.
+"""
+
+import json
+import sys
+
+import numpy as np
+
+
+def unit(angle):
+    """Return the direction at `angle`."""
+    return complex(np.cos(angle), np.sin(angle))
+
+
+class ExportedAgent:
+    """One robot's agent: `reset` when an episode begins, then `act` every step."""
+
+    def __init__(self, path):
+        self.arrays = dict(np.load(path))
+        self.spec = json.loads(str(self.arrays["description"]))
+        self.reset()
+
+    def reset(self):
+        self.step, self.goal, self.element = 0, 0j, 0
+
+    def act(self, observation, pose=None, goal=None):
+        """Return the controls in [-1, 1]; `pose` (x, y, heading) if the file has none, `goal` (x, y) of a primitive."""
+        spec, seen, frame, features = self.spec, np.array(observation, np.float64), {}, []
+        if "primitive" in spec:
+            features, seen, frame = self.reach(seen, pose or pose_in(seen, **spec["pose"]), goal)
+        clock = [2 * np.pi * rate["frequency_hz"] * rate["step_s"] * self.step for rate in spec["clock"]]
+        inputs = np.concatenate([features, np.sin(clock), np.cos(clock), seen])
+        control = self.network(spec["levels"][-1], inputs) * np.float32(spec["control_limit"])
+        if frame:
+            control = control[frame["control_index"]] * np.array(frame["control_sign"], np.float32)
+        self.step += 1
+        return np.clip(control.astype(np.float64) / spec["control_limit"], -1, 1)
+
+    def reach(self, seen, pose, goal):
+        skill, position, heading = self.spec["primitive"], complex(*pose[:2]), pose[2]
+        own, angle = view_of(seen, skill["view"], heading)
+        if self.step % self.spec["controller_interval"] == 0:
+            self.goal = position + self.decide(seen, heading) if "controller" in self.spec else complex(*goal)
+            way = (self.goal - position) * unit(angle).conjugate()
+            turn = np.arctan2(way.imag, way.real) * (skill["num_turns"] / (2 * np.pi))
+            mirrored = skill["is_mirrored"] and turn < np.rint(turn)
+            self.element = int(np.rint(turn)) % skill["num_turns"] + skill["num_turns"] * bool(mirrored)
+        frame = skill["frames"][self.element]
+        to = self.goal - position
+        far = np.sqrt(to.real * to.real + to.imag * to.imag)
+        if skill["view"]["kind"] == "egocentric":
+            to, angle = to * unit(angle).conjugate(), 0.0
+        to *= complex(frame["cosine"], -frame["sine"])
+        to = complex(to.real, to.imag * frame["mirror"])
+        turn = np.arctan2(to.imag, to.real) - angle
+        features = {
+            "angle": [np.sin(turn), np.cos(turn), far / 1000],
+            "angle_metres": [np.sin(turn), np.cos(turn), far],
+            "unit_vector": [to.real / (far or 1), to.imag / (far or 1), far / 1000],
+            "vector": [to.real, to.imag],
+        }
+        return features[skill["goal_encoding"]], own[frame["view_index"]] * frame["view_sign"], frame
+
+    def decide(self, seen, heading):
+        boss = self.spec["controller"]
+        out = self.network("controller", view_of(seen, boss["view"], heading)[0]).astype(np.float64)
+        out *= boss["goal_distance_m"]
+        vectors = {
+            "vector": complex(*out[:2]),
+            "heading_vector": complex(*out[:2]) * unit(heading),
+            "one_hot": max(out.max(), 1.0) * unit((out.argmax() + 1) * (np.pi / 4) - np.pi + heading),
+        }
+        to, least = vectors[boss["output"]], boss["min_component_m"]
+        return complex(*(x if abs(x) >= least else -least if x < 0 else least for x in (to.real, to.imag)))
+
+    def network(self, level, inputs):
+        layer = np.clip((inputs - self.arrays[f"{level}/mean"]) * self.arrays[f"{level}/inverse_std"], -5, 5)
+        layer = layer.astype(np.float32)[None]
+        for i in range(self.spec["num_layers"][level]):
+            layer = np.tanh(layer @ self.arrays[f"{level}/weights_{i}"] + self.arrays[f"{level}/biases_{i}"])
+        return layer[0]
+
+
+def pose_in(seen, position, quaternion):
+    """Return x, y and heading of the robot."""
+    w, x, y, z = seen[quaternion] if quaternion else (1.0, 0.0, 0.0, 0.0)
+    return *seen[position], np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
+
+
+def view_of(seen, view, heading):
+    """Return what a level sees of the observation, and the angle of the frame in which it sees it."""
+    columns = seen if view["columns"] is None else seen[view["columns"]]
+    if view["kind"] == "columns":
+        return columns, heading
+    qpos, qvel = seen[view["qpos"]], seen[view["qvel"]]
+    if view["body"] == "point":
+        return np.concatenate([qpos[2:], qvel, columns]), 0.0
+    if view["body"] != "ant":
+        raise NotImplementedError(f"write the egocentric view of {view['body']} here")
+    w, x, y, z = qpos[3:7]  # of the torso
+    angle = 2 * np.arctan2(z, w)
+    tilt = complex(2 * (x * z + w * y), 2 * (y * z - w * x)) * unit(angle).conjugate()
+    speed = complex(*qvel[:2]) * unit(angle).conjugate()
+    plane = [qpos[2], tilt.real, tilt.imag, speed.real, speed.imag]
+    return np.concatenate([plane, qvel[2:6], qpos[7:], qvel[6:], columns]), angle
+
+
+if __name__ == "__main__":
+    agent = ExportedAgent(sys.argv[1] if len(sys.argv) > 1 else "policy.npz")
+    size = len(agent.spec["observation"])
+    controls = agent.act(np.zeros(size), pose=(0.0, 0.0, 0.0), goal=(1.0, 0.0))
+    print(f"{agent.spec['env']}: {size} observed values become {len(controls)} controls")

@@ -1,0 +1,105 @@
+"""A worker process as its parent sees it: its start, its messages, its tasks and its end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from queue import SimpleQueue
+from threading import Thread
+from typing import Any
+
+__all__ = ["WorkerProcess", "cause_of_death"]
+
+_END_S = 10.0  # wait for a killed process; one that waits for a disk may take longer
+_ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
+)
+
+
+class WorkerProcess:
+    """A worker process and the tasks it is working on."""
+
+    def __init__(self, factory: bytes, import_path: str, timeout_s: float | None) -> None:
+        """Start the process.
+
+        Args:
+            factory: The pickled function that creates its worker.
+            import_path: Its import path.
+            timeout_s: Seconds after which a message that the process has sent in part raises BlockingIOError.
+        """
+        self._socket, theirs = socket.socketpair()
+        read_end, self._lifeline = os.pipe()
+        # -P: a file in the working directory must not replace a module of the standard library.
+        module = [sys.executable, "-P", "-m", "shes.backends.process_worker"]
+        arguments = [str(theirs.fileno()), str(read_end), str(os.getpid())]
+        # The worker inherits the mask: a Ctrl-C in a terminal reaches it even before it can ignore it.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self.popen = subprocess.Popen(
+                [*module, *arguments],
+                pass_fds=(theirs.fileno(), read_end),
+                env={**os.environ, **_ONE_THREAD, "PYTHONPATH": import_path},
+                stdin=subprocess.DEVNULL,
+            )
+        except OSError:
+            self._socket.close()
+            os.close(self._lifeline)
+            raise
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            theirs.close()
+            os.close(read_end)
+        if timeout_s is not None:
+            limit = struct.pack("ll", int(min(timeout_s, 1e9)), int(timeout_s % 1 * 1e6))  # a struct timeval
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+        self.connection = Connection(self._socket.fileno())
+        self.tasks: dict[int, None] = {}  # numbers of the tasks at work, in the order they were given
+        self.is_running = False
+        self.silent_s = 0.0
+        """Seconds that the parent has waited for a message since the last one."""
+        self.is_told = False
+        """Whether the user has been told of the silence."""
+        # A thread sends: a stopped worker does not read, and would block the parent.
+        self._outgoing: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._sender = Thread(target=self._send_all, name="shes-send", daemon=True)
+        self._sender.start()
+        self._outgoing.put(lambda: self.connection.send_bytes(factory))
+
+    def send(self, *message: Any) -> None:
+        """Send a message soon. If the worker is gone, the next read notices it."""
+        self._outgoing.put(lambda: self.connection.send(message))
+
+    def _send_all(self) -> None:
+        while (send := self._outgoing.get()) is not None:
+            with suppress(OSError):
+                send()
+
+    def end(self) -> None:
+        """End the process immediately, even if it has been stopped."""
+        self.popen.kill()
+        self._outgoing.put(None)
+        self._socket.shutdown(socket.SHUT_RDWR)  # what is being sent fails
+        self._sender.join()
+        self.connection.close()
+        self._socket.detach()
+        os.close(self._lifeline)
+        with suppress(subprocess.TimeoutExpired):
+            self.popen.wait(_END_S)
+
+
+def cause_of_death(code: int | None) -> str:
+    """Return in words how a process with this exit code ended; None is unknown."""
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = f"signal {-code}"
+    return f"killed by {name}, exit code {code}"

@@ -1,0 +1,49 @@
+"""Free memory and disk space, for the check that the arrays and files of a run fit before they are made."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+__all__ = ["free_disk", "free_memory"]
+
+_MEMINFO = Path("/proc/meminfo")
+_OWN_GROUPS = Path("/proc/self/cgroup")
+_GROUPS = Path("/sys/fs/cgroup")
+
+
+def free_memory() -> int:
+    """Return the bytes of memory that this process may still use, without swap.
+
+    It is the least of the memory available on the machine, the limit of the control group (a container, a cluster's
+    job) and the limit of the address space (`ulimit -v`).
+    """
+    available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with suppress(OSError, StopIteration):  # Linux alone has these files
+        line = next(line for line in _MEMINFO.read_text().splitlines() if line.startswith("MemAvailable:"))
+        available = 1024 * int(line.split()[1])
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return min([available, *_group_limits(), *([] if limit == resource.RLIM_INFINITY else [limit])])
+
+
+def _group_limits() -> list[int]:
+    """Return the memory limit of the control group and of each group that contains it, where there is one."""
+    limits = []
+    with suppress(OSError):
+        own = next((line[3:] for line in _OWN_GROUPS.read_text().splitlines() if line.startswith("0::")), "/")
+        group = _GROUPS / own.strip("/")
+        for each in (group, *group.parents):
+            with suppress(OSError, ValueError):  # no file, or "max"
+                limits.append(int((each / "memory.max").read_text()))
+    return limits
+
+
+def free_disk(path: Path) -> int:
+    """Return the free bytes on the disk of `path`, which may still be missing."""
+    place = path.absolute()
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    return shutil.disk_usage(place).free

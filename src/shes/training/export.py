@@ -1,0 +1,188 @@
+"""Export of a trained agent for use without this package.
+
+`npz` holds the networks as arrays, `onnx` as a graph for each level. Both hold the rest of the agent, which turns
+observations into inputs and outputs into actions, as a description in JSON. `docs/how-to/export.md` documents the
+files, and `examples/run_exported.py` acts by NumPy alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from shes.envs.bodies.body import Body
+from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
+from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.root import yaw
+from shes.errors import ConfigError, UnknownNameError
+from shes.es.level import LevelParameters
+from shes.hierarchy.hierarchical import MIN_COMPONENT_M
+from shes.policies.mlp import MLP
+from shes.storage import write_atomically
+from shes.training.build import OpenedRun, open_run
+from shes.training.onnx_graph import onnx_model
+from shes.types import F64Array
+
+__all__ = ["FORMATS", "describe", "export"]
+
+_FORMAT = 1  # of the description
+Networks = Mapping[str, tuple[MLP, LevelParameters]]
+"""The network of each level by name, with its parameters and its normalisation."""
+
+
+def export(
+    run: Path | str,
+    out: Path | str | None = None,
+    *,
+    format: str = "npz",  # noqa: A002 - as the flag
+    checkpoint: str = "best",
+) -> tuple[Path, ...]:
+    """Write the mean policies of a run, with their normalisation, and return the files.
+
+    Args:
+        run: The run folder, or the name of a shipped agent.
+        out: The file; an existing one is replaced. `policy.npz` or `policy.onnx` if None.
+        format: `npz`, or `onnx` (extra `onnx`). The latter writes `policy-controller.onnx` and `policy-primitive.onnx`
+            for an agent with two levels.
+        checkpoint: `best`, `last` or the number of a generation.
+
+    Raises:
+        UnknownNameError: There is no such format.
+        ConfigError: `out` does not end with the name of the format, or is among the checkpoints of a run.
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
+        CheckpointError: The checkpoint is missing or damaged.
+        MissingExtraError: `onnx` is not installed.
+        StorageError: A file cannot be written.
+    """
+    if format not in FORMATS:
+        raise UnknownNameError("format", format, FORMATS, "Set --format.")
+    path = Path(f"policy.{format}" if out is None else out)
+    if path.suffix != f".{format}":
+        raise ConfigError(f"a file of format {format} ends with .{format}, got {str(path)!r}. Set --out or --format.")
+    folder = path.resolve().parent
+    if folder.name == "checkpoints" and (folder.parent / "config.json").exists():
+        raise ConfigError(f"{path} would be among the checkpoints of a run, as which it cannot be read. Set --out.")
+    opened = open_run(run, checkpoint)
+    design, parameters = opened.algorithm.design, opened.algorithm.parameters(opened.state)
+    levels = zip(design.level_names, design.policies, parameters, strict=True)
+    return FORMATS[format](path, describe(opened), {name: (policy, own) for name, policy, own in levels})
+
+
+def describe(run: OpenedRun) -> dict[str, Any]:
+    """Return all of an agent but its networks, as JSON types."""
+    design: Any = run.algorithm.design
+    task, clock = run.algorithm.problem.sample(), design.clock
+    found: dict[str, Any] = {
+        "format": _FORMAT,
+        "shes": version("shes"),
+        "env": run.config.run.env,
+        "generation": run.state.generation,
+        "levels": list(design.level_names),
+        "num_layers": {
+            name: len(policy.sizes) - 1 for name, policy in zip(design.level_names, design.policies, strict=True)
+        },
+        "observation": list(task.observation_names),
+        "action": _action(task),
+        "control_limit": design.control_limit,
+        "clock": [] if clock is None else [{"frequency_hz": clock.frequency_hz, "step_s": clock.step_s}],
+    }
+    if "primitive" in design.level_names:
+        found |= {
+            "controller_interval": design.controller_interval,
+            "pose": None if task.robot is None else _pose(task.robot, task.proprioception.tolist()),
+            "primitive": {
+                "view": design.primitive_view.to_dict(),
+                "goal_encoding": run.config.hierarchy.goal_encoding,
+                **_frames(
+                    design.symmetry or _no_symmetry(design.primitive_view.size(task.observation_size), task.action_size)
+                ),
+            },
+        }
+    if "controller" in design.level_names:
+        found["controller"] = {
+            "view": design.controller_view.to_dict(),
+            "output": run.config.hierarchy.controller_output,
+            "goal_distance_m": design.goal_distance,
+            "min_component_m": float(MIN_COMPONENT_M) if design.has_minimum_goal_distance else 0.0,
+        }
+    return found
+
+
+def _action(task: EpisodeBatch) -> dict[str, Any]:
+    """Return the bounds of the actions of `task`, or the number of the first discrete action."""
+    read, limits = task.reader.to_action, np.full((1, task.action_size), task.control_limit)
+    high = read(limits)[0]
+    if np.issubdtype(high.dtype, np.integer) and high.ndim == 0:  # the first of equal controls
+        return {"kind": "discrete", "start": int(high)}
+    return {"kind": "box", "low": read(-limits)[0].tolist(), "high": high.tolist(), "dtype": str(high.dtype)}
+
+
+def _pose(robot: Body, columns: list[int]) -> dict[str, Any] | None:
+    """Return the indices in the observation of position and quaternion, None for a heading that is always 0.
+
+    The result is None for a body whose position is not its first two coordinates or whose heading is not that of its
+    quaternion; a reader is then given both.
+    """
+    turned = robot.quaternion
+    qpos = np.random.default_rng(0).standard_normal((8, robot.num_qpos))
+    heading: F64Array = np.zeros(8) if turned is None else yaw(qpos[:, turned])
+    is_plain = np.array_equal(robot.position(qpos), qpos[:, :2]) and np.array_equal(robot.heading(qpos), heading)
+    quaternion = None if turned is None else columns[turned]
+    return {"position": columns[:2], "quaternion": quaternion} if is_plain else None
+
+
+def _frames(group: SymmetryGroup) -> dict[str, Any]:
+    """Return the frames of a symmetry group, one for each of its elements."""
+    cosine, sine, mirror = group.direction()
+    tables = {
+        "cosine": cosine,
+        "sine": sine,
+        "mirror": mirror,
+        "view_index": group.view_index,
+        "view_sign": group.view_sign,
+        "control_index": group.control_index,
+        "control_sign": group.control_sign,
+    }
+    frames = [{name: table[i].tolist() for name, table in tables.items()} for i in range(group.num_elements)]
+    return {"num_turns": group.num_turns, "is_mirrored": group.is_mirrored, "frames": frames}
+
+
+def _no_symmetry(view_size: int, num_controls: int) -> SymmetryGroup:
+    """Return the group of the robot's own frame alone, so that a reader needs no case without symmetry."""
+    view, control = (SignedPermutation(np.arange(size), np.ones(size)) for size in (view_size, num_controls))
+    return dihedral_group(1, (view, control), (view, control), is_mirrored=False)
+
+
+def _write_npz(path: Path, description: Mapping[str, Any], networks: Networks) -> tuple[Path, ...]:
+    """Write one file with the description and the arrays of every network."""
+    arrays: dict[str, Any] = {"description": np.array(json.dumps(description))}
+    for name, (policy, level) in networks.items():
+        arrays |= {f"{name}/mean": level.mean, f"{name}/inverse_std": level.inverse_std}
+        for i, (weights, biases) in enumerate(policy.layers(level.theta[None])):
+            arrays |= {f"{name}/weights_{i}": weights[0], f"{name}/biases_{i}": biases[0, 0]}
+    write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
+    return (path,)
+
+
+def _write_onnx(path: Path, description: Mapping[str, Any], networks: Networks) -> tuple[Path, ...]:
+    """Write a file with the description and the graph for each network."""
+    notes = {"description": json.dumps(description)}
+    models = {
+        path if len(networks) == 1 else path.with_stem(f"{path.stem}-{name}"): onnx_model(name, *network, notes)
+        for name, network in networks.items()
+    }
+    for own, model in models.items():
+        write_atomically(own, lambda file, model=model: file.write(model))
+    return tuple(models)
+
+
+FORMATS: Mapping[str, Callable[[Path, Mapping[str, Any], Networks], tuple[Path, ...]]] = MappingProxyType(
+    {"npz": _write_npz, "onnx": _write_onnx}
+)
+"""Function that writes an agent and returns its files, by the name of the format."""

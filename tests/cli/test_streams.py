@@ -1,0 +1,128 @@
+"""The output as it is: brackets are no markup, an encoding without ± gets ASCII, and a closed pipe ends quietly."""
+
+import io
+import os
+import subprocess
+import sys
+
+import pytest
+
+from shes.cli import output
+from shes.cli.program import main
+from shes.cli.streams import BROKEN_PIPE, INTERRUPTED, showable, with_streams
+from shes.errors import ConfigError, WorkerError
+from tests.e2e import runs
+
+BRACKETS = "[b]x[/b] [/q] pip install 'shes[robotics]'"
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding", "shown"),
+    [
+        ("5.00 ± 0.50, 3 × 256", "ascii", "5.00 +/- 0.50, 3 x 256"),
+        ("5.00 ± 0.50, 3 × 256 ─", "latin-1", "5.00 ± 0.50, 3 × 256 -"),
+        ("5.00 ± 0.50", "utf-8", "5.00 ± 0.50"),
+        ("5.00 ± 0.50", "no-such-encoding", "5.00 +/- 0.50"),
+        ("▁▂▃▄▅▆▇█", "ascii", "_.-:=+*#"),
+        ("┌─│", "ascii", "+-|"),
+        ("Größe, 世", "ascii", "Gro?e, ?"),
+        ("a\udcff", "utf-8", "a?"),  # a file name that is no UTF-8
+    ],
+)
+def test_characters_that_an_encoding_lacks_are_shown_in_ascii(text, encoding, shown):
+    assert showable(text, encoding) == shown
+
+
+def test_brackets_are_shown_as_they_are(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    output.print_facts({BRACKETS: BRACKETS}, as_json=False)
+    output.print_line(BRACKETS)
+    output.print_error(BRACKETS)
+    out, err = capsys.readouterr()
+    assert out.count(BRACKETS) == 2 + 1
+    assert err == f"Error: {BRACKETS}\n"
+
+
+class Broken(io.StringIO):
+    """A stream that nobody reads."""
+
+    def write(self, text):
+        raise BrokenPipeError
+
+
+def fail(error):
+    """Return work that prints while `error` is handled."""
+
+    def work():
+        try:
+            raise error
+        except type(error):
+            output.print_line("a last word")
+            raise
+
+    return work
+
+
+@pytest.mark.parametrize(
+    ("work", "code"),
+    [
+        (lambda: output.print_line("a word"), BROKEN_PIPE),
+        (lambda: output.print_error("a word"), BROKEN_PIPE),
+        (fail(KeyboardInterrupt()), INTERRUPTED),
+        (fail(ConfigError("wrong")), 2),
+        (fail(WorkerError("lost")), 1),
+    ],
+)
+def test_a_closed_pipe_ends_with_the_exit_code_of_what_happened_before(monkeypatch, work, code):
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, Broken())
+    assert with_streams(work) == code
+
+
+def test_output_that_cannot_be_written_does_not_hide_the_exit_code_of_an_error(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", Broken())
+    assert main(["no-such-command"]) == 2
+
+
+def test_closed_streams_are_replaced(monkeypatch):
+    for name in ("stdin", "stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    assert with_streams(lambda: output.print_line("nobody reads it") or 7) == 7
+    assert sys.stdin.read() == ""
+    for name in ("stdin", "stdout", "stderr"):
+        getattr(sys, name).close()
+
+
+TRAIN = ["train", "point-gather", *runs.flags(**{**runs.TINY, "generations": 2})]
+
+
+def test_a_run_into_a_closed_pipe_ends_quietly(tmp_path):
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    words = [*runs.COMMAND, *TRAIN, "--out", str(tmp_path / "run")]
+    done = subprocess.run(words, stdout=write_end, stderr=subprocess.PIPE, check=False)
+    os.close(write_end)
+    assert (done.returncode, done.stderr) == (BROKEN_PIPE, b"")
+    assert runs.state(tmp_path / "run").generation < 2  # it can be resumed
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+def test_a_run_with_closed_output_goes_on(tmp_path, closed):
+    words = ["bash", "-c", f'"$@" {closed}', "bash", *runs.COMMAND, *TRAIN, "--out", str(tmp_path / "run")]
+    done = subprocess.run(words, capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+    assert runs.state(tmp_path / "run").generation == 2
+
+
+def test_a_run_whose_output_has_no_plus_minus_goes_on(tmp_path):
+    path = tmp_path / "[b] [/q]"
+    done = subprocess.run(
+        [*runs.COMMAND, *TRAIN, "--out", str(path)],
+        capture_output=True,
+        check=False,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    text = done.stdout.decode("ascii")
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert f"Run folder: {path}\n" in text
+    assert "+/-" in text

@@ -1,0 +1,60 @@
+"""Files about the package agree with the package."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from shes.cli import program
+from shes.hierarchy import goals, outputs, rewards
+from shes.training import export
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+TARGETS = set(re.findall(r"^([a-z-]+):", MAKEFILE, flags=re.MULTILINE))
+
+
+def test_the_citation_has_the_version_and_licence_of_the_package():
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.findall(r"^version: (.+)$", citation, flags=re.MULTILINE) == [PROJECT["project"]["version"]]
+    assert re.findall(r"^license: (.+)$", citation, flags=re.MULTILINE) == [PROJECT["project"]["license"]]
+    doi = re.findall(r"doi: (\S+)", citation)
+    assert doi == re.findall(r"doi (\S+?)\. ", (ROOT / "README.md").read_text(encoding="utf-8"))
+
+
+def test_the_hooks_of_pre_commit_are_targets_of_make():
+    hooks = re.findall(r"entry: make ([a-z-]+)", (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    assert {"lint", "imports", "type", "test"} == set(hooks) <= TARGETS
+
+
+def test_contributing_names_what_exists():
+    assert {target for words in re.findall(r"`make ([a-z -]+)`", CONTRIBUTING) for target in words.split()} <= TARGETS
+    for path in re.findall(r"`((?:tests|examples|docs)/[\w/.-]*)`", CONTRIBUTING):
+        assert "NAME" in path or "ROOM" in path or (ROOT / path).exists(), path
+    for path in re.findall(r"`((?:algorithms|backends|cli|envs|hierarchy|training)/[\w/.-]*)`", CONTRIBUTING):
+        assert "NAME" in path or (ROOT / "src" / "shes" / path).exists(), path
+    registries = {**vars(goals), **vars(outputs), **vars(rewards), **vars(export), **vars(program)}
+    assert set(re.findall(r"`([A-Z_]{6,})`", CONTRIBUTING)) <= {*registries, "PRINTS"}
+
+
+def test_contributing_names_every_marker():
+    markers = {line.partition(":")[0] for line in PROJECT["tool"]["pytest"]["ini_options"]["markers"]}
+    assert markers <= set(re.findall(r"`([a-z]+)`", CONTRIBUTING))
+
+
+@pytest.mark.parametrize("extra", ["docs", "onnx", "release", "robotics", "warp"])
+def test_the_constraints_pin_every_requirement_of_make(extra):
+    assert extra in MAKEFILE
+    pins = {
+        pinned(line) for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines() if "==" in line
+    }
+    required = {pinned(each) for each in PROJECT["project"]["optional-dependencies"][extra]}
+    assert required <= pins
+
+
+def pinned(requirement):
+    """Return the normalised name of a required package."""
+    return re.sub(r"[-_.]+", "-", re.split(r"[\[<>=~!; ]", requirement)[0]).lower()
