@@ -1,16 +1,17 @@
 """Options of registered classes: each is a setting of the room in which its class can be chosen."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from typing import Annotated, ClassVar
 
 import pytest
 
 from shes.errors import ConfigError, UnknownNameError
+from shes.es.optimizers import OPTIMIZERS, SGD
 from shes.options import make, with_options
 from shes.registry import Registry, subclass_of
 from shes.runs.config import TrainConfig
 from shes.runs.rooms import known_settings
-from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Unasked, setting_fields
+from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Shared, Unasked, setting_fields
 
 
 class Shape:
@@ -107,6 +108,70 @@ def test_a_class_that_is_registered_later_brings_its_options(monkeypatch):
 
     monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "cone": Cone})
     assert "height" in setting_fields(with_options({"room": Room})["room"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sphere(Shape, Settings):
+    """A ball with another default."""
+
+    radius: Annotated[float, Gt(0)] = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Marble(Shape, Settings):
+    """A ball with another range."""
+
+    radius: Annotated[float, Gt(0), Lt(3)] = 1.0
+
+
+@pytest.mark.parametrize("other", [Sphere, Marble])
+def test_two_classes_with_different_options_of_one_name_are_refused(monkeypatch, other):
+    monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "other": other})
+    message = r"'radius' is an option of shape 'ball' and a different one of shape 'other'\. Give both the same type, "
+    with pytest.raises(ConfigError, match=message):
+        with_options({"room": Room})
+
+
+def test_classes_of_two_registries_cannot_share_an_option():
+    sizes = Registry("size", {"round": Ball}, fix="", check=subclass_of(Shape))
+    fields = [("how", Annotated[str, Choices(sizes)], "round")]
+    message = r"'radius' is an option of shape 'ball' and a different one of size 'round'\. Choose another name"
+    with pytest.raises(ConfigError, match=message):
+        with_options({"room": Room, "sizes": make_dataclass("Sizes", fields, bases=(Settings,), frozen=True)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Egg(Shape, Settings):
+    """A shape whose option has the name of a setting."""
+
+    other_shape: Annotated[str, Choices(("oval",))] = "oval"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twin(Shape, Settings):
+    """A shape that shares a setting on purpose."""
+
+    other_shape: Annotated[str, Shared()] = "point"
+
+
+def test_an_option_has_a_name_of_its_own_unless_it_is_shared(monkeypatch):
+    monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "twin": Twin})
+    assert "other_shape" not in setting_fields(with_options({"room": Room, "other": Other})["room"])
+    assert make(SHAPES, "twin", {"other_shape": "ball"}) == Twin(other_shape="ball")
+    monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "egg": Egg})
+    message = r"'other_shape' is an option of shape 'egg', but already a setting of room 'other'\. Choose another name"
+    with pytest.raises(ConfigError, match=message):
+        with_options({"room": Room, "other": Other})
+
+
+def test_an_optimizer_with_another_momentum_is_refused_by_its_name(monkeypatch):
+    @dataclass(frozen=True, kw_only=True)
+    class Slow(SGD):
+        momentum: Annotated[float, Ge(0), Lt(0.6)] = 0.5
+
+    monkeypatch.setitem(OPTIMIZERS, "slow", Slow)
+    with pytest.raises(ConfigError, match=r"'momentum' is an option of optimizer 'sgd' and .* of optimizer 'slow'"):
+        TrainConfig.of(env="point-gather", optimizer="slow")
 
 
 def test_a_run_keeps_the_options_of_its_optimizer_in_the_room_of_the_optimizer():

@@ -9,18 +9,20 @@ class SGD(Optimizer, Settings):
     "Momentum."
 ```
 
-Registering the class is enough: its options become settings of the room in which the class can be chosen.
+Registering the class is enough: its options become settings of the room in which the class can be chosen. An option
+has a name of its own; classes of one registry may share an option if its type, default and range are the same.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field, make_dataclass
 from functools import cache
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
+from shes.errors import ConfigError
 from shes.registry import Registry
-from shes.settings import Choices, Needs, Setting, Settings, Unasked, registered, setting_fields
+from shes.settings import Choices, Needs, Setting, Settings, Shared, Unasked, setting_fields
 
 __all__ = ["make", "options_of", "with_options"]
 
@@ -51,38 +53,58 @@ def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings
 
     An option stands in the room of the first setting that can choose its class. It needs one of the choices that
     have it.
+
+    Raises:
+        ConfigError: An option has the name of another setting.
     """
-    known = {name for cls in rooms.values() for name in setting_fields(cls)}
-    homes: dict[str, tuple[str, Setting]] = {}
+    room_of = {name: room for room, cls in rooms.items() for name in setting_fields(cls)}
+    homes: dict[str, _Home] = {}
     needs: dict[str, dict[str, tuple[str, ...]]] = {}
-    for room, cls in rooms.items():
-        for setting in _choosing(cls):
-            for choice, entry in _entries(setting).items():
-                for name, option in options_of(entry).items():
-                    if name not in known and not option.has(Unasked):
-                        homes.setdefault(name, (room, option))
-                        choices = needs.setdefault(name, {})
-                        choices[setting.name] = (*choices.get(setting.name, ()), choice)
+    for room, setting, registry in _choosing(rooms):
+        for choice, entry in registry.items():
+            for name, option in options_of(entry).items():
+                if name in room_of and not option.has(Shared):
+                    raise ConfigError(
+                        f"{name!r} is an option of {registry.kind} {choice!r}, but already a setting of room "
+                        f"{room_of[name]!r}. Choose another name for the option."
+                    )
+                if name not in room_of and not option.has(Unasked):
+                    home = homes.setdefault(name, _Home(room, registry, choice, option))
+                    home.check_same(registry, choice, option)
+                    choices = needs.setdefault(name, {})
+                    choices[setting.name] = (*choices.get(setting.name, ()), choice)
     added: dict[str, list[tuple[Setting, tuple[Needs, ...]]]] = {room: [] for room in rooms}
-    for name, (room, option) in homes.items():
-        added[room].append((option, tuple(Needs(*each) for each in needs[name].items())))
+    for name, home in homes.items():
+        added[home.room].append((home.option, tuple(Needs(*each) for each in needs[name].items())))
     return {room: _extended(cls, tuple(added[room])) for room, cls in rooms.items()}
 
 
-@cache
-def _choosing(room: type[Settings]) -> tuple[Setting, ...]:
-    """Return the settings of `room` that choose a registered class."""
-    return tuple(
-        setting
-        for setting in setting_fields(room).values()
-        if any(isinstance(note, Choices) and isinstance(note.names, Registry) for note in setting.notes)
-    )
+class _Home(NamedTuple):
+    """Where an option stands: the room, and the first choice that has the option."""
+
+    room: str
+    registry: Registry[Any]
+    choice: str
+    option: Setting
+
+    def check_same(self, registry: Registry[Any], choice: str, option: Setting) -> None:
+        """Raise ConfigError if `option`, of another choice with an option of this name, is another one."""
+        if registry is self.registry and option.definition == self.option.definition:
+            return
+        fix = "Give both the same type, default and range, or choose" if registry is self.registry else "Choose"
+        raise ConfigError(
+            f"{option.name!r} is an option of {self.registry.kind} {self.choice!r} and a different one of "
+            f"{registry.kind} {choice!r}. {fix} another name for one of them."
+        )
 
 
-def _entries(setting: Setting) -> dict[str, Any]:
-    """Return the registered classes among the choices of a setting, by name."""
-    names = (note.names for note in setting.notes if isinstance(note, Choices))
-    return {name: entry for each in names for name, entry in registered(each).items()}
+def _choosing(rooms: Mapping[str, type[Settings]]) -> Iterator[tuple[str, Setting, Registry[Any]]]:
+    """Yield each setting that chooses a registered class, with its room and the registry."""
+    for room, cls in rooms.items():
+        for setting in setting_fields(cls).values():
+            for note in setting.notes:
+                if isinstance(note, Choices) and isinstance(note.names, Registry):
+                    yield room, setting, note.names
 
 
 @cache

@@ -29,8 +29,8 @@ import numpy as np
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry
 
-__all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shown"]
-__all__ += ["Unasked", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
+__all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
+__all__ += ["Shown", "Unasked", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,11 @@ class Execution:
 
     Devices round differently; the record of a run says where its device changed.
     """
+
+
+@dataclass(frozen=True)
+class Shared:
+    """The setting may have the name of a setting of an earlier room. It is then one setting, with one value."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +159,12 @@ class Setting:
     def choices(self) -> tuple[str, ...]:
         """Allowed names; empty if any value of the type is allowed."""
         return tuple(name for note in self.notes if isinstance(note, Choices) for name in note.names)
+
+    @property
+    def definition(self) -> tuple[Any, ...]:
+        """Its type, default and range."""
+        bounds = frozenset(note for note in self.notes if isinstance(note, _Bound))
+        return self.kind, self.item, self.is_optional, self.default, bounds, self.choices
 
     @property
     def needs(self) -> tuple[Needs, ...]:

@@ -305,7 +305,11 @@ CONFIGS = {
     ),
     "unknown_key": (
         lambda text: text.replace('"sigma"', '"sigmma"'),
-        r"config\.json: unknown setting 'sigmma'\. Did you mean 'sigma'\?",
+        r"config\.json: unknown setting 'sigmma' in room 'evolution'\. Did you mean 'sigma'\?",
+    ),
+    "missing_key": (
+        lambda text: re.sub(r'"sigma": [\d.]+,', "", text),
+        r"config\.json: the settings lack sigma in room 'evolution'\. The record is damaged",
     ),
     "wrong_type": (
         lambda text: re.sub(r'"sigma": [\d.]+', '"sigma": "big"', text),

@@ -1,6 +1,8 @@
 """Settings of a run: rooms of its algorithm and its task, one value for each name, JSON that gives them back."""
 
+import copy
 import json
+import pickle
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -20,7 +22,7 @@ from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, VectorOutput
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
 from shes.runs.config import TrainConfig
 from shes.runs.rooms import WorkerSettings, execution_settings, known_settings
-from shes.settings import Gt, Settings, flag
+from shes.settings import Gt, Settings, Shared, flag
 from shes.training.build import build_algorithm, build_task
 from shes.training.presets import make_config
 from tests.e2e import own_classes, runs
@@ -129,18 +131,68 @@ def test_numbers_of_numpy_become_numbers_of_python():
 
 
 @pytest.mark.parametrize(
-    ("rooms", "message"),
+    ("name", "message"),
     [
-        ({"evolution": {"sigmma": 1}}, r"unknown setting 'sigmma'\. Did you mean 'sigma'\? Settings: env, algorithm, "),
-        ({"evolution": {"qqq": 1}}, r"unknown setting 'qqq'\. Settings: "),
-        ({"workers": {"sigma": 0.1}}, r"unknown setting 'sigma' in room 'workers'"),
-        ({"attic": {}}, r"a run of point-gather has no room of settings 'attic'"),
-        ({"sigma": 1}, r"settings are kept in rooms, and 'sigma' is none: 1"),
+        ("sigmma", r"unknown setting 'sigmma'\. Did you mean 'sigma'\?( Similar: [a-z_, ]+\.)?$"),
+        ("qqq", r"unknown setting 'qqq'\. `shes train ENV --help-all` lists the settings\.$"),
     ],
 )
-def test_an_unknown_key_or_room_is_an_error(rooms, message):
+def test_an_unknown_setting_gets_the_nearest_names_alone(name, message):
     with pytest.raises(ConfigError, match=message):
-        TrainConfig.from_dict({"run": {"env": "point-gather"}, **rooms})
+        make(**{name: 1})
+
+
+def record(env="point-gather", **changes):
+    """Return the record of a run with other values: `room={name: value}`; a name or a room that is `...` is absent."""
+    rooms = {**TrainConfig.of(env=env).to_dict(), **{room: ... for room, each in changes.items() if each is ...}}
+    for room, each in changes.items():
+        if isinstance(each, dict):
+            rooms[room] = {name: value for name, value in {**rooms.get(room, {}), **each}.items() if value is not ...}
+        elif each is not ...:
+            rooms[room] = each
+    return {room: values for room, values in rooms.items() if values is not ...}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"evolution": {"sigmma": 1}}, r"unknown setting 'sigmma' in room 'evolution'\. Did you mean 'sigma'\?"),
+        ({"workers": {"sigma": 0.1}}, r"unknown setting 'sigma' in room 'workers'"),
+        ({"attic": {}}, r"a run of point-gather has no room of settings 'attic'"),
+        ({"evolution": 1}, r"settings are kept in rooms, and 'evolution' is none: 1"),
+        (
+            {"evolution": ...},
+            r"the settings lack room 'evolution'\. The record is damaged or of another version: restore it",
+        ),
+        ({"evolution": {"sigma": ...}}, r"the settings lack sigma in room 'evolution'\. The record is damaged"),
+        ({"run": {"preset": ..., "seed": ...}}, r"the settings lack preset, seed in room 'run'"),
+    ],
+)
+def test_an_unknown_or_missing_key_or_room_is_an_error(changes, message):
+    with pytest.raises(ConfigError, match=message):
+        TrainConfig.from_dict(record(**changes))
+
+
+def test_a_class_that_is_not_registered_is_named_before_its_options():
+    settings = {"primitive_reward": "pow", "exponent": 2}
+    message = r"unknown primitive reward 'pow'\. .*Register your own first: .*, or --import MODULE\.$"
+    with pytest.raises(UnknownNameError, match=message):
+        make(**settings)
+    with pytest.raises(UnknownNameError, match=message):
+        TrainConfig.from_dict(record(hierarchy=settings))
+
+
+def test_a_shared_setting_has_one_value_in_a_record():
+    message = r"goal_distance is 4\.0 in room 'hierarchy', but 9\.0 in room 'environment'\. It is one setting"
+    with pytest.raises(ConfigError, match=message):
+        TrainConfig.from_dict(record("point-flagrun", environment={"goal_distance": 9.0}))
+
+
+@pytest.mark.parametrize("env", ["point-gather", "point-flagrun", "robotics-ant-maze"])
+def test_a_configuration_can_be_pickled_and_copied(env):
+    config = TrainConfig.of(env=env, hidden=(16, 8), optimizer="sgd", momentum=0.5)
+    arrived = pickle.loads(pickle.dumps(config))  # noqa: S301 - our own bytes
+    assert arrived == copy.deepcopy(config) == config
 
 
 def test_settings_cannot_be_changed():
@@ -201,6 +253,37 @@ def test_a_task_and_a_body_from_outside_bring_their_own_settings(monkeypatch, tm
     env = gymnasium.make("shes/PointCorner-v0", **own).unwrapped
     assert (env._adapter.task.options.corner_m, env._adapter.task.body.options.load_kg) == (3.0, 5.0)
     gymnasium.registry.pop("shes/PointCorner-v0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushOptions(TaskOptions):
+    """Options of a task, of which one has the name of a setting of the algorithm."""
+
+    sigma: Annotated[float, Gt(0)] = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlowOptions(TaskOptions):
+    """Options of a task that shares a setting, but not its default."""
+
+    controller_interval: Annotated[int, Gt(0), Shared()] = 10
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (PushOptions, r"'sigma' is a setting of room 'evolution' .* of room 'environment' .*PushOptions.*another name"),
+        (
+            SlowOptions,
+            r"'controller_interval' is .*'hierarchy' \(default 25\).*default 10, .*Give both the same default",
+        ),
+    ],
+)
+def test_a_task_has_no_option_with_the_name_of_another_setting(monkeypatch, options, message):
+    task = type("OwnTask", (own_classes.Corner,), {"Options": options})
+    monkeypatch.setitem(ENVIRONMENTS, "point-mypush", Environment(Point, task))
+    with pytest.raises(ConfigError, match=message):
+        make_config("point-mypush", "smoke", {})
 
 
 # Schedules.

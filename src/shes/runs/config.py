@@ -11,8 +11,8 @@ from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import make_schedule
-from shes.runs.rooms import check_names, learner, settings_in
-from shes.settings import Execution, Setting, flag, out_of_range, setting_fields
+from shes.runs.rooms import check_names, check_record, learner, settings_in
+from shes.settings import Execution, Setting, flag, out_of_range
 
 if TYPE_CHECKING:
     from shes.algorithms.evolution.rooms import (
@@ -60,7 +60,11 @@ class TrainConfig:
             UnknownNameError: A value is a name that is in no registry.
         """
         classes = check_names(values)
-        self.__dict__["rooms"] = {room: cls.of(values) for room, cls in classes.items()}
+        self._set({room: cls.of(values) for room, cls in classes.items()})
+
+    def _set(self, rooms: dict[str, Settings]) -> None:
+        """Set and check the rooms."""
+        self.__dict__["rooms"] = rooms
         self._check()
 
     @classmethod
@@ -119,20 +123,17 @@ class TrainConfig:
         """Return the configuration from the result of `to_dict`.
 
         Raises:
-            ConfigError: A key is unknown or missing, or a value is not allowed.
+            ConfigError: A key is unknown or missing, a value is not allowed, or a shared setting has two values.
+            UnknownNameError: A value is a name that is in no registry.
         """
-        for room, values in rooms.items():
-            if not isinstance(values, Mapping):
-                raise ConfigError(f"settings are kept in rooms, and {room!r} is none: {values!r}.")
-        values = {name: value for room in rooms.values() for name, value in room.items()}
-        config = cls(values)
-        for room in rooms:
-            if room not in config:
-                raise ConfigError(f"a run of {config.run.env} has no room of settings {room!r}.")
-            for name in rooms[room]:
-                if name not in setting_fields(type(config.rooms[room])):
-                    raise ConfigError(f"unknown setting {name!r} in room {room!r}.")
+        classes = check_record(rooms)
+        config = cls.__new__(cls)
+        config._set({room: made(**rooms[room]) for room, made in classes.items()})
         return config
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by the record, because a room with options of registered classes is a class made at run time."""
+        return TrainConfig.from_dict, (self.to_dict(),)
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
@@ -178,6 +179,7 @@ class TrainConfig:
 
     def _check(self) -> None:
         """Raise ConfigError for settings that do not go together."""
+        self._check_shared()
         if self.workers.device != "cpu" and find_environment(self.run.env).has_own_physics:
             raise ConfigError(
                 f"device is {self.workers.device!r}, but {self.run.env} has physics of its own: it runs on the CPU "
@@ -194,6 +196,19 @@ class TrainConfig:
             self._check_population()
         if self.is_branched:
             self._check_branches()
+
+    def _check_shared(self) -> None:
+        """Check that a setting of two rooms has one value."""
+        first: dict[str, tuple[str, Any]] = {}
+        for room, settings in self.rooms.items():
+            for name in settings_in([type(settings)]):
+                value = getattr(settings, name)
+                home, other = first.setdefault(name, (room, value))
+                if value != other:
+                    raise ConfigError(
+                        f"{name} is {other!r} in room {home!r}, but {value!r} in room {room!r}. It is one setting: "
+                        "give both the same value."
+                    )
 
     def _check_schedules(self) -> None:
         """Check that a schedule has an end that it can reach, and a constant none."""

@@ -18,11 +18,11 @@ from shes.cores import num_cores
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
 from shes.errors import ConfigError
 from shes.options import with_options
-from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shown, Unasked, setting_fields
+from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown, Unasked, setting_fields
 from shes.sim.warp_device import DEVICES
 
 __all__ = ["EpisodeSettings", "EvaluationSettings", "RunSettings", "WorkerSettings", "check_names"]
-__all__ += ["execution_settings", "known_settings", "learner", "rooms_of", "settings_in"]
+__all__ += ["check_record", "execution_settings", "known_settings", "learner", "rooms_of", "settings_in"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +102,8 @@ class EvaluationSettings(Settings):
     """Generations between the checkpoints kept beside `last` and `best`."""
 
 
+_NO_ENVIRONMENT = "the configuration names no environment (key 'env')."
+_RESTORE = "The record is damaged or of another version: restore it from a copy, or use the version that wrote it."
 _OF_EVERY_RUN: dict[str, type[Settings]] = {
     "run": RunSettings,
     "workers": WorkerSettings,
@@ -116,10 +118,14 @@ def learner(run: RunSettings) -> type[Algorithm[Any]]:
 
 
 def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run by room, in the order of the help."""
+    """Return the settings classes of a run by room, in the order of the help.
+
+    Raises:
+        ConfigError: Two settings have one name.
+    """
     env = find_environment(run.env)
     body = env.body.Options if isinstance(env, Environment) else Settings
-    return with_options(
+    rooms = with_options(
         {
             "run": RunSettings,
             "workers": WorkerSettings,
@@ -130,6 +136,27 @@ def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
             "evaluation": EvaluationSettings,
         }
     )
+    _check_distinct(rooms)
+    return rooms
+
+
+def _check_distinct(rooms: Mapping[str, type[Settings]]) -> None:
+    """Check that settings of different rooms have different names, except one that is shared.
+
+    Raises:
+        ConfigError: Two have the same name.
+    """
+    first: dict[str, tuple[str, Setting]] = {}
+    for room, cls in rooms.items():
+        for name, setting in settings_in([cls]).items():
+            home, other = first.setdefault(name, (room, setting))
+            if home == room or (setting.has(Shared) and setting.default == other.default):
+                continue
+            fix = "Give both the same default" if setting.has(Shared) else "Choose another name for one of them"
+            raise ConfigError(
+                f"{name!r} is a setting of room {home!r} (default {other.default!r}) and another one of room {room!r} "
+                f"(default {setting.default!r}, {setting.owner.__qualname__}). {fix}."
+            )
 
 
 def settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
@@ -157,20 +184,76 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
 
     Raises:
         ConfigError: `env` is missing, or a name is unknown or not a setting of this run.
+        UnknownNameError: A value is an unknown name.
     """
     if "env" not in values:
-        raise ConfigError("the configuration names no environment (key 'env').")
+        raise ConfigError(_NO_ENVIRONMENT)
     classes = rooms_of(RunSettings.of(values))
-    here, everywhere = settings_in(classes.values()), known_settings()
-    for name, value in values.items():
-        if name in here:
-            continue
-        if name in everywhere:
-            raise ConfigError(
-                f"{name} is not a setting of a run of {values['env']} with algorithm "
-                f"{values.get('algorithm', 'shes')!r}, got {value!r}. Leave {everywhere[name].flag} away."
-            )
-        close = difflib.get_close_matches(name, here, n=1)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise ConfigError(f"unknown setting {name!r}.{hint} Settings: {', '.join(here)}.")
+    here = settings_in(classes.values())
+    _check_choices(here, values)
+    for name in values:
+        if name not in here:
+            raise _not_here(name, values, here)
     return classes
+
+
+def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
+    """Return the settings classes of a run with this record, which holds exactly the settings of the run, by room.
+
+    Raises:
+        ConfigError: A room or a setting is unknown or missing.
+        UnknownNameError: A value is an unknown name.
+    """
+    for room, values in rooms.items():
+        if not isinstance(values, Mapping):
+            raise ConfigError(f"settings are kept in rooms, and {room!r} is none: {values!r}.")
+    run = rooms.get("run", {})
+    if "env" not in run:
+        raise ConfigError(_NO_ENVIRONMENT)
+    classes = rooms_of(RunSettings.of(run))
+    settings = {room: settings_in([cls]) for room, cls in classes.items()}
+    for room, values in rooms.items():
+        if room not in classes:
+            raise ConfigError(f"a run of {run['env']} has no room of settings {room!r}.")
+        _check_choices(settings[room], values)
+    for room, here in settings.items():
+        if room not in rooms:
+            raise ConfigError(f"the settings lack room {room!r}. {_RESTORE}")
+        for name in rooms[room]:
+            if name not in here:
+                raise _unknown(name, here, f" in room {room!r}")
+        missing = [name for name in here if name not in rooms[room]]
+        if missing:
+            raise ConfigError(f"the settings lack {', '.join(missing)} in room {room!r}. {_RESTORE}")
+    return classes
+
+
+def _check_choices(settings: Mapping[str, Setting], values: Mapping[str, Any]) -> None:
+    """Check the values of settings that choose a name, because a class that is not registered has options.
+
+    Raises:
+        ConfigError: A value is not a name.
+        UnknownNameError: A value is an unknown name.
+    """
+    for name, setting in settings.items():
+        if name in values and setting.has(Choices):
+            setting.checked(values[name])
+
+
+def _not_here(name: str, values: Mapping[str, Any], here: Mapping[str, Setting]) -> ConfigError:
+    """Return the error for setting `name`, which is none of the settings `here` of a run with `values`."""
+    everywhere = known_settings()
+    if name not in everywhere:
+        return _unknown(name, here)
+    return ConfigError(
+        f"{name} is not a setting of a run of {values['env']} with algorithm {values.get('algorithm', 'shes')!r}, "
+        f"got {values[name]!r}. Leave {everywhere[name].flag} away."
+    )
+
+
+def _unknown(name: str, known: Iterable[str], where: str = "") -> ConfigError:
+    """Return the error for the unknown setting `name`, with the nearest of the `known` names."""
+    close = difflib.get_close_matches(name, known, n=3)
+    hint = f"Did you mean {close[0]!r}?" if close else "`shes train ENV --help-all` lists the settings."
+    similar = f" Similar: {', '.join(close[1:])}." if close[1:] else ""
+    return ConfigError(f"unknown setting {name!r}{where}. {hint}{similar}")

@@ -23,13 +23,13 @@ __all__ = ["make_hyperparameters", "make_state", "make_update_rules"]
 
 def make_hyperparameters(settings: Any) -> Hyperparameters:
     """Return the hyperparameters of Algorithm 1."""
-    evolution, values = settings.evolution, settings.settings
+    evolution, schedules, values = settings.evolution, settings.schedules, settings.settings
 
     def schedule(name: str) -> Schedule:
         kind, end = SCHEDULED[name]
-        start, quantity = values[name], kind.removesuffix("_schedule")
-        stop = start if values[end] is None else values[end]
-        return make_schedule(quantity, values[kind], start, stop, settings.schedules.schedule_generations)
+        start, stop = getattr(evolution, name), getattr(schedules, end)
+        stop, quantity = start if stop is None else stop, kind.removesuffix("_schedule")
+        return make_schedule(quantity, getattr(schedules, kind), start, stop, schedules.schedule_generations)
 
     return Hyperparameters(
         population_size=evolution.population_size,

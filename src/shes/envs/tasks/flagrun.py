@@ -17,7 +17,7 @@ from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.options import FURTHEST_M, TaskOptions
 from shes.envs.tasks.task import SimulatorFactory, Task, TaskDescription
 from shes.envs.worlds import ARENA, add_grid, empty_world
-from shes.settings import Ge, Le
+from shes.settings import Ge, Le, Shared
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
@@ -34,9 +34,9 @@ _GOALS_AT_ONCE = 16
 class FlagrunOptions(TaskOptions):
     """Options of Flagrun, named like the settings of a learned controller, whose place its random goals take."""
 
-    controller_interval: Annotated[int, Ge(1)] = 25
+    controller_interval: Annotated[int, Ge(1), Shared()] = 25
     """Control steps between two goals."""
-    goal_distance: Annotated[float, Ge(NEAR_M), Le(FURTHEST_M)] = 4.0
+    goal_distance: Annotated[float, Ge(NEAR_M), Le(FURTHEST_M), Shared()] = 4.0
     """Half width of the square around the robot from which goals are drawn, in metres."""
 
 
