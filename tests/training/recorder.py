@@ -6,7 +6,7 @@ Tests compare these with the settings of the run. The serial backend is recorded
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -92,7 +92,7 @@ class Record:
 
 @contextmanager
 def recording() -> Iterator[Record]:
-    """Record what is done in this process meanwhile. A device is simulated by the CPU."""
+    """Record what is done in this process meanwhile. The machine has one core, and the CPU simulates every device."""
     record, of_step = Record(), Exploration.of_step
 
     class RecordedRollout(Rollout):
@@ -135,6 +135,7 @@ def recording() -> Iterator[Record]:
         return noises
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("shes.runs.rooms.num_cores", lambda: 1)
         patch.setattr(worker, "Rollout", RecordedRollout)
         patch.setattr(worker, "WarpSimulator", DeviceSimulator)
         patch.setattr(worker, "WarpDevice", Device)
@@ -148,19 +149,21 @@ def recording() -> Iterator[Record]:
 def record_generations(env: str, settings: dict[str, Any], generations: tuple[int, ...] = (0,)) -> Record:
     """Return the record of `generations` and an evaluation of a run with the preset `smoke` and these settings.
 
-    Each generation begins with the parameters of the start. Records are cached, and must not be changed.
+    Each generation begins with the parameters of the start. The last few records are cached: do not change them.
     """
     return _record(env, tuple(sorted(settings.items())), generations)
 
 
-@cache
+@lru_cache(maxsize=8)
 def _record(env: str, settings: tuple[tuple[str, Any], ...], generations: tuple[int, ...]) -> Record:
     config = make_config(env, "smoke", {"backend": "serial", **dict(settings)})
     with recording() as record:
         record.algorithm = algorithm = build_algorithm(config)
         start: TrainState = algorithm.start(config.run.seed)
+        others = psutil.Process().children()
         with build_backend(config, algorithm.plan()) as backend:
-            record.backend, record.num_processes = type(backend).__name__, len(psutil.Process().children())
+            record.backend = type(backend).__name__
+            record.num_processes = len(set(psutil.Process().children()) - set(others))
             for generation in generations:
                 record.state = next(algorithm.run(replace(start, generation=generation), backend)).state
             record.evaluation = evaluate_state(algorithm, record.state, range(16), backend)

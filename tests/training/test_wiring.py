@@ -16,14 +16,13 @@ from shes.envs.worlds import is_free
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.intervals import branch_work
 from shes.runs.folder import RunFolder
-from shes.runs.rooms import WorkerSettings, known_settings
+from shes.runs.rooms import known_settings
 from shes.runs.tables import read_csv
 from shes.training.evaluate import evaluate
 from tests.e2e import runs
 from tests.training.built import INTERVALS
 from tests.training.recorder import record_generations, recording
 
-CORES = WorkerSettings().count
 STILL = {"reset_noise": 0.0, "evaluation_reset_noise": 0.0}
 
 
@@ -172,6 +171,7 @@ def first_seed(seed):
 
 sizes = design(lambda each: [policy.sizes[1:-1] for policy in each.policies])
 BY_INTERVALS = {"env": "ant-gather", "beside": INTERVALS}
+POINT_BY_INTERVALS = {"beside": INTERVALS}
 START_MIDDLE_END = {"generations": (0, 2, 4)}
 UNPAID = {"horizon": 2}  # too short for an apple: all controllers have the same fitness
 ROWS: dict[str, Row] = {
@@ -189,6 +189,10 @@ ROWS: dict[str, Row] = {
         "index", lambda r: [bool(update.shaped.any()) for update in r.updates], [True, True], [False, True],
         beside=UNPAID,
     ),
+    "rank_ties of top_fraction": Row(
+        "index", lambda r: [bool(update.shaped.any()) for update in r.updates], [True, True], [False, True],
+        beside={"fitness_shaping": "top_fraction", **UNPAID},
+    ),
     "top_fraction": Row(
         0.5, num_selected, [8, 8], [4, 4], env="point-maze", beside={"fitness_shaping": "top_fraction"}
     ),
@@ -198,6 +202,10 @@ ROWS: dict[str, Row] = {
     ),
     "momentum": Row(
         0.5, gradient_share, [0.5, 0.5], [0.1, 0.1], env="point-maze", beside={"optimizer": "sgd", "weight_decay": 0.0}
+    ),
+    "momentum of clipup": Row(
+        0.5, lambda r: [u.rule.optimizer.momentum for u in r.updates], [0.5, 0.5], [0.9, 0.9],
+        beside={"optimizer": "clipup"},
     ),
     "common_random_numbers": Row("population", lambda r: len(r.seeds("training")), 1, 4),
     "statistics_fraction": Row(
@@ -213,6 +221,11 @@ ROWS: dict[str, Row] = {
         0.004, learning_rates, [0.01, 0.007, 0.004], [0.01],
         with_it={"learning_rate_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
     ),
+    "learning_rate_end in branches": Row(
+        0.02, learning_rates, [0.04, 0.03, 0.02], [0.04],
+        with_it={"learning_rate_schedule": "linear", "schedule_generations": 4},
+        **POINT_BY_INTERVALS, **START_MIDDLE_END,
+    ),
     "sigma_schedule": Row(
         "linear", sigmas(), [0.07, 0.05, 0.03], [0.07] * 3,
         with_it={"sigma_end": 0.03, "schedule_generations": 4}, **START_MIDDLE_END,
@@ -220,6 +233,10 @@ ROWS: dict[str, Row] = {
     "sigma_end": Row(
         0.01, sigmas(), [0.07, 0.04, 0.01], [0.07] * 3,
         with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
+    ),
+    "sigma_end in branches": Row(
+        0.1, sigmas("branch"), [0.2, 0.15, 0.1], [0.2] * 3,
+        with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **POINT_BY_INTERVALS, **START_MIDDLE_END,
     ),
     "episodes_schedule": Row(
         "linear", episodes, [1, 3, 5], [1] * 3,
@@ -296,7 +313,7 @@ ROWS: dict[str, Row] = {
     ),
     "fall_price": Row(3.0, rules("fall_price"), [0, 3, 3], [0, 0, 0], **BY_INTERVALS),
     "primitive_population_size": Row(12, lambda r: r.of("branch")[0].num_members, 12, 8, **BY_INTERVALS),
-    "primitive_sigma": Row(0.3, sigmas("branch"), [0.3] * 2, [0.2] * 2, **BY_INTERVALS, generations=(0, 9)),
+    "primitive_sigma": Row(0.3, sigmas("branch"), [0.3] * 2, [0.2] * 2, **POINT_BY_INTERVALS, generations=(0, 9)),
     "primitive_learning_rate": Row(0.07, learning_rates, [0.04, 0.07], [0.04], **BY_INTERVALS),
     # episodes
     "horizon": Row(
@@ -334,7 +351,7 @@ ROWS: dict[str, Row] = {
         False, batches(fall_reward), [0.0] * 2, [-10.0] * 2, env="ant-gather", beside={"spec": "hiro", "horizon": 2}
     ),
     # workers
-    "num_workers": Row(2, lambda r: r.num_processes, 2, CORES, beside={"backend": "processes"}),
+    "num_workers": Row(2, lambda r: r.num_processes, 2, 1, beside={"backend": "processes"}),
     "backend": Row(
         "processes", lambda r: r.backend, "ProcessesBackend", "SerialBackend", beside={"num_workers": 2}
     ),
