@@ -170,8 +170,7 @@ def first_seed(seed):
 
 
 sizes = design(lambda each: [policy.sizes[1:-1] for policy in each.policies])
-BY_INTERVALS = {"env": "ant-gather", "beside": INTERVALS}
-POINT_BY_INTERVALS = {"beside": INTERVALS}
+BY_INTERVALS = {"beside": INTERVALS}
 START_MIDDLE_END = {"generations": (0, 2, 4)}
 UNPAID = {"horizon": 2}  # too short for an apple: all controllers have the same fitness
 ROWS: dict[str, Row] = {
@@ -224,7 +223,7 @@ ROWS: dict[str, Row] = {
     "learning_rate_end in branches": Row(
         0.02, learning_rates, [0.04, 0.03, 0.02], [0.04],
         with_it={"learning_rate_schedule": "linear", "schedule_generations": 4},
-        **POINT_BY_INTERVALS, **START_MIDDLE_END,
+        **BY_INTERVALS, **START_MIDDLE_END,
     ),
     "sigma_schedule": Row(
         "linear", sigmas(), [0.07, 0.05, 0.03], [0.07] * 3,
@@ -236,7 +235,7 @@ ROWS: dict[str, Row] = {
     ),
     "sigma_end in branches": Row(
         0.1, sigmas("branch"), [0.2, 0.15, 0.1], [0.2] * 3,
-        with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **POINT_BY_INTERVALS, **START_MIDDLE_END,
+        with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **BY_INTERVALS, **START_MIDDLE_END,
     ),
     "episodes_schedule": Row(
         "linear", episodes, [1, 3, 5], [1] * 3,
@@ -286,7 +285,8 @@ ROWS: dict[str, Row] = {
         "proprioception", designed("primitive_view"), ["ColumnsView"] * 2, ["EgocentricView"] * 2, **BY_INTERVALS
     ),
     "symmetry": Row(
-        "rotation", design(lambda d: d.symmetry and d.symmetry.num_elements), [4, 4], [None, None], **BY_INTERVALS
+        "rotation", design(lambda d: d.symmetry and d.symmetry.num_elements), [4, 4], [None, None],
+        env="ant-gather", **BY_INTERVALS,
     ),
     "hide_position": Row(True, design(lambda d: d.observation_sizes[1]), [26], [28]),
     "minimum_goal_distance": Row(False, design(lambda d: d.has_minimum_goal_distance), [False], [True]),
@@ -299,7 +299,7 @@ ROWS: dict[str, Row] = {
     "primitive_hidden": Row((5, 6), sizes, [[(16,), (5, 6)]], [[(16,)] * 2]),
     # estimate
     "primitive_estimate": Row(
-        "interval", lambda r: len(kinds(r)), 2, 1, env="ant-gather", beside={"primitive_view": "egocentric"}
+        "interval", lambda r: len(kinds(r)), 2, 1, beside={"primitive_view": "egocentric"}
     ),
     "primitive_fitness_shaping": Row("z_score", spreads, [0, 1], [0, 0.34], **BY_INTERVALS),
     "intervals": Row(
@@ -313,7 +313,7 @@ ROWS: dict[str, Row] = {
     ),
     "fall_price": Row(3.0, rules("fall_price"), [0, 3, 3], [0, 0, 0], **BY_INTERVALS),
     "primitive_population_size": Row(12, lambda r: r.of("branch")[0].num_members, 12, 8, **BY_INTERVALS),
-    "primitive_sigma": Row(0.3, sigmas("branch"), [0.3] * 2, [0.2] * 2, **POINT_BY_INTERVALS, generations=(0, 9)),
+    "primitive_sigma": Row(0.3, sigmas("branch"), [0.3] * 2, [0.2] * 2, **BY_INTERVALS, generations=(0, 9)),
     "primitive_learning_rate": Row(0.07, learning_rates, [0.04, 0.07], [0.04], **BY_INTERVALS),
     # episodes
     "horizon": Row(
