@@ -149,7 +149,8 @@ def recording() -> Iterator[Record]:
 def record_generations(env: str, settings: dict[str, Any], generations: tuple[int, ...] = (0,)) -> Record:
     """Return the record of `generations` and an evaluation of a run with the preset `smoke` and these settings.
 
-    Each generation begins with the parameters of the start. The last few records are cached: do not change them.
+    Each generation begins with the parameters of the start. The last few records are cached: reset their tasks before
+    use, and change nothing else.
     """
     return _record(env, tuple(sorted(settings.items())), generations)
 
