@@ -1,6 +1,7 @@
-"""Where every setting of a run arrives: rollout, update rule, task, agent, workers, files.
+"""Where every setting of a run arrives: rollouts, updates, tasks, agents, workers, files.
 
-Each row changes one setting and reads the value where it is used. A setting without a row fails.
+Each row runs one tiny generation with a setting and one without it, records the two (`recorder`), and compares what
+was done. Settings of the run itself are read from its folder. A setting without a row fails.
 """
 
 from collections.abc import Callable
@@ -10,19 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.populations import generation_work
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
 from shes.errors import DivergenceError
+from shes.es.streams import Purpose, stream
+from shes.hierarchy.intervals import branch_work
 from shes.runs.folder import RunFolder
-from shes.runs.rooms import WorkerSettings, known_settings
+from shes.runs.rooms import known_settings
 from shes.runs.tables import read_csv
-from shes.training.build import build_backend
 from shes.training.divergence import Divergence
+from shes.training.evaluate import evaluate
 from tests.e2e import runs
-from tests.training.built import INTERVALS, Built
+from tests.training.built import INTERVALS
+from tests.training.recorder import record_generations, recording
 
-CORES = WorkerSettings().count
 STILL = {"reset_noise": 0.0, "evaluation_reset_noise": 0.0}
 
 
@@ -31,73 +33,109 @@ class Row:
     """What a value of a setting changes."""
 
     value: Any
-    place: Callable[[Built], Any]
+    place: Callable[..., Any]
+    """Reads it from the record of a run."""
     expected: Any
     usual: Any
     """What stands there without the setting."""
     env: str = "point-gather"
     beside: dict[str, Any] = field(default_factory=dict)
     """Settings of both."""
+    with_it: dict[str, Any] = field(default_factory=dict)
+    """Settings that the value needs, and that the run without it lacks."""
+    generations: tuple[int, ...] = (0,)
+
+
+def kinds(record):
+    """Return the rollouts of training, then those of branches, if any: one of each."""
+    return [record.of(kind)[0] for kind in ("training", "branch") if record.of(kind)]
+
+
+def design(read):
+    """Return what reads an attribute of the agents' design in training, and in branches, if any."""
+    return lambda r: [read(each.rollout.design) for each in kinds(r)]
+
+
+def designed(name):
+    """Return what reads the class of a part of the agents' design."""
+    return design(lambda each: type(getattr(each, name)).__name__)
+
+
+def batches(read):
+    """Return what reads the task of training and that of evaluation, each after a reset."""
+
+    def place(record):
+        found = []
+        for kind in ("training", "evaluation"):
+            batch = record.of(kind)[0].rollout.batch
+            rows = np.arange(len(batch.position))
+            batch.reset(rows, rows.tolist())
+            found.append(read(batch))
+        return found
+
+    return place
+
+
+def spread(batch):
+    """Return how far apart robots begin, as a share of reset noise 0.1."""
+    return round(float(np.abs(batch.sim.qpos).max()) / 0.1)
+
+
+def fall_reward(batch):
+    """Return what an ant is paid that has fallen."""
+    batch.sim.qpos[:, 2] = 5.0
+    batch.step(np.array([0]), np.zeros((len(batch.position), 8)))
+    return float(batch.reward[0])
 
 
 def rules(name):
-    """Return what reads an attribute of the update rule of each level, and of the estimate by intervals."""
-    return lambda b: [getattr(r, name) for r in (*b.rules, *([b.intervals.update] if b.intervals else []))]
+    """Return what reads an attribute of the rule of every update."""
+    return lambda r: [getattr(update.rule, name) for update in r.updates]
 
 
-def schedule(name):
-    """Return what reads a schedule at its start, halfway, and at its end."""
-    return lambda b: [round(getattr(b.settings, name).value(g), 6) for g in (0, 2, 4)]
+def spreads(record):
+    """Return the standard deviation of the shaped fitness of every update in which a level was perturbed."""
+    return [round(float(np.std(update.shaped)), 2) for update in record.updates if len(update.shaped)]
 
 
-def work(b):
-    """Return the work of the first generation."""
-    return generation_work(b.state, b.settings, b.config.evolution.noise_table_size)
+def num_selected(record):
+    """Return how many members have a positive weight in every update."""
+    return [int((update.shaped > 0).sum()) for update in record.updates]
 
 
-def task(b, *, is_evaluation=False, num_episodes=64):
-    """Return the task as a worker makes it, after a reset."""
-    made = b.plan.env.make(num_episodes, b.plan.evaluation if is_evaluation else b.plan.training)
-    made.reset(np.arange(num_episodes), range(num_episodes))
-    return made
+def stays(record):
+    """Tell of every update whether the parameters stayed the same."""
+    return [np.array_equal(each.before.theta, each.result.level.theta) for each in record.updates]
 
 
-def spread(b, *, is_evaluation):
-    """Return how far apart robots begin, as a share of reset noise 0.1."""
-    return round(float(np.abs(task(b, is_evaluation=is_evaluation).sim.qpos).max()) / 0.1)
+def gradient_share(record):
+    """Return the length of every step, in learning rates and gradients."""
+    return [
+        round(float(np.linalg.norm(each.result.level.theta - each.before.theta)) / each.learning_rate
+              / each.result.gradient_norm, 3)
+        for each in record.updates
+    ]  # fmt: skip
 
 
-def fall_reward(b):
-    """Return what an ant is paid that has fallen."""
-    made = task(b, num_episodes=1)
-    made.sim.qpos[:, 2] = 5.0
-    made.step(np.array([0]), np.zeros((1, 8)))
-    return float(made.reward[0])
+def learning_rates(record):
+    """Return the learning rates of all updates, equal neighbours once."""
+    rates = [round(update.learning_rate, 6) for update in record.updates]
+    return [rate for i, rate in enumerate(rates) if rates[max(i - 1, 0)] != rate or i == 0]
 
 
-def num_workers(b):
-    with build_backend(b.config, b.plan) as backend:
-        return backend.num_workers
+def sigmas(kind="training"):
+    """Return what reads the standard deviation of the perturbations in every generation."""
+    return lambda r: [round(each.generation.sigma, 6) for each in r.of(kind)]
 
 
-def backend_option(name):
-    """Return what reads an option of the backend."""
-
-    def read(b):
-        with build_backend(b.config, b.plan) as backend:
-            return getattr(backend, name)
-
-    return read
+def limit(name):
+    """Return what reads a limit of worker processes that give no answer."""
+    return lambda r: r.limits[name]
 
 
-def backend_name(b):
-    with build_backend(b.config, b.plan) as backend:
-        return type(backend).__name__
-
-
-def diverged_limit(b):
+def diverged_limit(record):
     """Return after how many generations in which every episode diverges a run ends."""
-    count, generation = Divergence(b.config), 0
+    count, generation = Divergence(record.algorithm.problem.settings), 0
     while True:
         generation += 1
         count.add({"generation": generation, "diverged_rate": 1.0})
@@ -107,203 +145,259 @@ def diverged_limit(b):
             return generation
 
 
-def sizes(b):
-    """Return the layers of each policy."""
-    return [policy.sizes[1:-1] for policy in b.design.policies]
+def episodes(record):
+    """Return the number of episodes of a member in every generation."""
+    return [sum(len(t.seeds) for t in each.tasks) / each.num_members for each in record.of("training")]
 
 
-def all_free(b):
-    """Tell whether every target of training is in a free cell."""
-    return all(is_free(Maze.grid, *target) for target in task(b).target)
+def perturbed(record):
+    """Return which levels are perturbed in every generation, by any member."""
+    return [np.abs([s for t in each.tasks for s in t.signs]).max(axis=0).tolist() for each in record.of("training")]
 
 
-QUARTER = {"population_size": 400, "mirrored": "pair"}
-BY_INTERVALS = {"env": "ant-gather", "beside": INTERVALS}
+def recorded_share(record):
+    """Return the share of the steps of training that entered the statistics of the primitive."""
+    return record.state.levels[-1].statistics.count / record.state.env_steps
+
+
+def theta(read):
+    """Return what reads the initial parameters of each level, as a worker receives them."""
+    return lambda r: [read(level.theta, policy) for level, policy in zip(
+        r.of("training")[0].generation.levels, r.of("training")[0].rollout.design.policies, strict=True
+    )]  # fmt: skip
+
+
+def output_layer(parameters, policy):
+    """Return the parameters of the last layer."""
+    return parameters[-(policy.sizes[-2] + 1) * policy.sizes[-1] :]
+
+
+def goals_within(record, distance):
+    """Tell whether the goals of branches that begin at a reset are within `distance`."""
+    work = branch_work(record.state, record.algorithm.hyperparameters.intervals, 1_000_000, ())
+    return max(float(np.abs(task.start.goals).max()) for task in work.tasks) <= distance
+
+
+def buffers(name):
+    """Return what reads an argument of all simulators of a device."""
+    return lambda r: {simulator[name] for simulator in r.device_simulators}
+
+
+def first_seed(seed):
+    """Return the seed of the first episode of a run with this seed."""
+    return int(stream(seed, Purpose.TRAINING_EPISODES, 0).integers(0, 2**63))
+
+
+sizes = design(lambda each: [policy.sizes[1:-1] for policy in each.policies])
+BY_INTERVALS = {"beside": INTERVALS}
+START_MIDDLE_END = {"generations": (0, 2, 4)}
+UNPAID = {"horizon": 2}  # too short for an apple: all controllers have the same fitness
 ROWS: dict[str, Row] = {
     # evolution
-    "population_size": Row(24, lambda b: [b.settings.population_size, len(work(b).tasks)], [24, 6], [16, 4]),
-    "episodes_per_policy": Row(3, lambda b: work(b).generation.episodes_per_policy, 3, 1),
-    "sigma": Row(0.5, lambda b: work(b).generation.sigma, 0.5, 0.07),
-    "learning_rate": Row(0.5, schedule("learning_rate"), [0.5] * 3, [0.01] * 3),
+    "population_size": Row(24, lambda r: r.of("training")[0].num_members, 24, 16),
+    "episodes_per_policy": Row(3, episodes, [3], [1]),
+    "sigma": Row(0.5, sigmas(), [0.5], [0.07]),
+    "learning_rate": Row(0.5, learning_rates, [0.5], [0.01]),
     "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 3, [0.005] * 3, **BY_INTERVALS),
     "weight_decay_form": Row("decoupled", rules("decouples_decay"), [True] * 3, [False] * 3, **BY_INTERVALS),
-    "mirrored": Row("pair", lambda b: len(work(b).tasks), 8, 4),
-    "fitness_shaping": Row(
-        "z_score", lambda b: [type(r.shaping).__name__ for r in b.rules], ["ZScore"] * 2, ["CentredRanks"] * 2
+    "mirrored": Row("pair", lambda r: len(r.of("training")[0].tasks), 8, 4),
+    "fitness_shaping": Row("z_score", spreads, [1, 1], [0.31, 0.31], env="point-maze"),
+    "hold_tied": Row(False, stays, [False, False], [True, False], beside=UNPAID),
+    "rank_ties": Row(
+        "index", lambda r: [bool(update.shaped.any()) for update in r.updates], [True, True], [False, True],
+        beside=UNPAID,
     ),
-    "hold_tied": Row(False, rules("holds_when_tied"), [False] * 3, [True] * 3, **BY_INTERVALS),
-    "rank_ties": Row("index", lambda b: [r.shaping.rank_ties for r in b.rules], ["index"] * 2, ["average"] * 2),
+    "rank_ties of top_fraction": Row(
+        "index", lambda r: [bool(update.shaped.any()) for update in r.updates], [True, True], [False, True],
+        beside={"fitness_shaping": "top_fraction", **UNPAID},
+    ),
     "top_fraction": Row(
-        0.5, lambda b: [r.shaping.top_fraction for r in b.rules], [0.5] * 2, [0.2] * 2,
-        beside={"fitness_shaping": "top_fraction"},
+        0.5, num_selected, [8, 8], [4, 4], env="point-maze", beside={"fitness_shaping": "top_fraction"}
     ),
-    "optimizer": Row("sgd", lambda b: [type(r.optimizer).__name__ for r in b.rules], ["SGD"] * 2, ["Adam"] * 2),
+    "optimizer": Row(
+        "sgd", lambda r: [sorted(u.result.level.optimizer.slots) for u in r.updates],
+        [["velocity"]] * 2, [["first", "second"]] * 2,
+    ),
     "momentum": Row(
-        0.5, lambda b: [r.optimizer.momentum for r in b.rules], [0.5] * 2, [0.9] * 2, beside={"optimizer": "sgd"}
+        0.5, gradient_share, [0.5, 0.5], [0.1, 0.1], env="point-maze", beside={"optimizer": "sgd", "weight_decay": 0.0}
     ),
-    "common_random_numbers": Row(
-        "population", lambda b: len({s for t in work(b).tasks for s in t.seeds}), 1, 4
+    "momentum of clipup": Row(
+        0.5, lambda r: [u.rule.optimizer.momentum for u in r.updates], [0.5, 0.5], [0.9, 0.9],
+        beside={"optimizer": "clipup"},
     ),
+    "common_random_numbers": Row("population", lambda r: len(r.seeds("training")), 1, 4),
     "statistics_fraction": Row(
-        0.25, lambda b: np.mean([t.records_statistics for t in work(b).tasks]) < 0.5, True, False, beside=QUARTER
+        0.25, lambda r: recorded_share(r) < 0.5, True, False, beside={"population_size": 40, "mirrored": "pair"}
     ),
-    "noise_table_size": Row(2_000_000, lambda b: b.table.size, 2_000_000, 1_000_000),
+    "noise_table_size": Row(2_000_000, lambda r: r.of("training")[0].table.size, 2_000_000, 1_000_000),
     # schedules
     "learning_rate_schedule": Row(
-        "cosine", schedule("learning_rate"), [0.01, 0.005, 0.0], [0.01, 0.01, 0.01]
+        "cosine", learning_rates, [0.01, 0.005, 0.0], [0.01],
+        with_it={"learning_rate_end": 0.0, "schedule_generations": 4}, **START_MIDDLE_END,
     ),
-    "learning_rate_end": Row(0.004, schedule("learning_rate"), [0.01, 0.007, 0.004], [0.01] * 3),
-    "sigma_schedule": Row("linear", schedule("sigma"), [0.07, 0.05, 0.03], [0.07] * 3),
-    "sigma_end": Row(0.01, schedule("sigma"), [0.07, 0.04, 0.01], [0.07] * 3),
+    "learning_rate_end": Row(
+        0.004, learning_rates, [0.01, 0.007, 0.004], [0.01],
+        with_it={"learning_rate_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
+    ),
+    "learning_rate_end in branches": Row(
+        0.02, learning_rates, [0.04, 0.03, 0.02], [0.04],
+        with_it={"learning_rate_schedule": "linear", "schedule_generations": 4},
+        **BY_INTERVALS, **START_MIDDLE_END,
+    ),
+    "sigma_schedule": Row(
+        "linear", sigmas(), [0.07, 0.05, 0.03], [0.07] * 3,
+        with_it={"sigma_end": 0.03, "schedule_generations": 4}, **START_MIDDLE_END,
+    ),
+    "sigma_end": Row(
+        0.01, sigmas(), [0.07, 0.04, 0.01], [0.07] * 3,
+        with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
+    ),
+    "sigma_end in branches": Row(
+        0.1, sigmas("branch"), [0.2, 0.15, 0.1], [0.2] * 3,
+        with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **BY_INTERVALS, **START_MIDDLE_END,
+    ),
     "episodes_schedule": Row(
-        "linear", lambda b: [b.settings.episodes(g) for g in (0, 2, 4)], [1, 3, 5], [1] * 3
+        "linear", episodes, [1, 3, 5], [1] * 3,
+        with_it={"episodes_end": 5, "schedule_generations": 4}, **START_MIDDLE_END,
     ),
     "episodes_end": Row(
-        9, lambda b: [b.settings.episodes(g) for g in (0, 2, 4)], [1, 5, 9], [1] * 3
+        9, episodes, [1, 5, 9], [1] * 3,
+        with_it={"episodes_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
     ),
     "schedule_generations": Row(
-        8, schedule("sigma"), [0.07, 0.06, 0.05], [0.07, 0.07, 0.07]
+        8, sigmas(), [0.07, 0.06, 0.05], [0.07] * 3,
+        with_it={"sigma_schedule": "linear", "sigma_end": 0.03}, **START_MIDDLE_END,
     ),
     # novelty
-    "novelty": Row("ns", lambda b: type(b.settings.novelty).__name__, "NS", "NoneType"),
-    "novelty_neighbours": Row(3, lambda b: b.settings.novelty_neighbours, 3, 10, beside={"novelty": "ns"}),
+    "novelty": Row("ns", lambda r: r.state.novelty and r.state.novelty.weight, 0.0, None),
+    "novelty_neighbours": Row(3, lambda r: r.neighbours, [3], [10], beside={"novelty": "ns"}),
     # networks
-    "hidden": Row((5, 6), sizes, [(5, 6)] * 2, [(16,)] * 2),
-    "biases": Row(
-        "glorot_normal", lambda b: [bool(np.all(level.theta)) for level in b.state.levels], [True] * 2, [False] * 2
+    "hidden": Row((5, 6), sizes, [[(5, 6)] * 2], [[(16,)] * 2]),
+    "biases": Row("glorot_normal", theta(lambda values, _: bool(np.all(values))), [True] * 2, [False] * 2),
+    "output_weights": Row(
+        "zero", theta(lambda *each: bool(output_layer(*each).any())), [False] * 2, [True] * 2
     ),
-    "output_weights": Row("zero", lambda b: b.output_layers(), [True] * 2, [False] * 2),
     "clock_frequency": Row(
-        1.5, lambda b: b.design.clock and b.design.clock.frequency_hz, 1.5, None
+        1.5, design(lambda d: d.clock and d.clock.frequency_hz), [1.5] * 2, [None] * 2, **BY_INTERVALS
     ),
     # hierarchy
     "controller_interval": Row(
         7,
-        lambda b: (b.intervals.controller_interval, b.intervals.branch_steps, b.plan.branch_design.controller_interval),
-        (7, 14, 7), (25, 50, 25), **BY_INTERVALS,
+        lambda r: (
+            design(lambda d: d.controller_interval)(r),
+            r.of("branch")[0].generation.branch_steps,
+            int(np.gcd.reduce([step for task in r.of("training")[0].tasks for step in task.snapshot_steps])),
+        ),
+        ([7, 7], 14, 7), ([25, 25], 50, 25), **BY_INTERVALS,
     ),
     "goal_distance": Row(
-        2.5, lambda b: (b.intervals.goal_distance, b.design.goal_distance), (2.5, 2.5), (4, 4), **BY_INTERVALS
+        2.5, lambda r: (r.of("training")[0].rollout.design.goal_distance, goals_within(r, 2.5)),
+        (2.5, True), (4, False), **BY_INTERVALS,
     ),
-    "goal_encoding": Row("vector", lambda b: type(b.design.goal_encoding).__name__, "VectorEncoding", "AngleEncoding"),
+    "goal_encoding": Row(
+        "vector", designed("goal_encoding"), ["VectorEncoding"] * 2, ["AngleEncoding"] * 2, **BY_INTERVALS
+    ),
     "primitive_reward": Row(
-        "metres",
-        lambda b: [type(d.primitive_reward).__name__ for d in (b.design, b.plan.branch_design)],
-        ["MetresReward"] * 2, ["ProgressReward"] * 2, **BY_INTERVALS,
+        "metres", designed("primitive_reward"), ["MetresReward"] * 2, ["ProgressReward"] * 2, **BY_INTERVALS
     ),
     "primitive_view": Row(
-        "proprioception",
-        lambda b: [type(d.primitive_view).__name__ for d in (b.design, b.plan.branch_design)],
-        ["ColumnsView"] * 2, ["EgocentricView"] * 2, **BY_INTERVALS,
+        "proprioception", designed("primitive_view"), ["ColumnsView"] * 2, ["EgocentricView"] * 2, **BY_INTERVALS
     ),
     "symmetry": Row(
-        "rotation",
-        lambda b: [d.symmetry and d.symmetry.num_elements for d in (b.design, b.plan.branch_design)],
-        [4, 4], [None, None], **BY_INTERVALS,
+        "rotation", design(lambda d: d.symmetry and d.symmetry.num_elements), [4, 4], [None, None],
+        env="ant-gather", **BY_INTERVALS,
     ),
-    "hide_position": Row(True, lambda b: b.design.observation_sizes[1], 26, 28),
-    "minimum_goal_distance": Row(False, lambda b: b.design.has_minimum_goal_distance, False, True),
-    "controller_output": Row(
-        "one_hot", lambda b: type(b.design.controller_output).__name__, "OneHotOutput", "VectorOutput"
-    ),
-    "controller_view": Row(
-        "egocentric", lambda b: type(b.design.controller_view).__name__, "EgocentricView", "ColumnsView"
-    ),
+    "hide_position": Row(True, design(lambda d: d.observation_sizes[1]), [26], [28]),
+    "minimum_goal_distance": Row(False, design(lambda d: d.has_minimum_goal_distance), [False], [True]),
+    "controller_output": Row("one_hot", designed("controller_output"), ["OneHotOutput"], ["VectorOutput"]),
+    "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"], ["ColumnsView"]),
     "controller_weight_decay": Row(
         0.5, rules("weight_decay"), [0.5, 0.005, 0.005], [0.005] * 3, **BY_INTERVALS
     ),
-    "perturbation": Row(
-        "one_to_many", lambda b: type(b.settings.perturbation).__name__, "OneToMany", "ManyToMany"
-    ),
-    "primitive_hidden": Row((5, 6), sizes, [(16,), (5, 6)], [(16,)] * 2),
+    "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]], [[1, 1]] * 2, generations=(0, 1)),
+    "primitive_hidden": Row((5, 6), sizes, [[(16,), (5, 6)]], [[(16,)] * 2]),
     # estimate
     "primitive_estimate": Row(
-        "interval", lambda b: (b.intervals is None, b.plan.branch_design is None), (False, False), (True, True),
-        env="ant-gather", beside={"primitive_view": "egocentric"},
+        "interval", lambda r: len(kinds(r)), 2, 1, beside={"primitive_view": "egocentric"}
     ),
-    "primitive_fitness_shaping": Row(
-        "z_score",
-        lambda b: [type(r.shaping).__name__ for r in (*b.rules, b.intervals.update)],
-        ["CentredRanks", "ZScore", "ZScore"], ["CentredRanks", "PairRanks", "PairRanks"], **BY_INTERVALS,
-    ),
+    "primitive_fitness_shaping": Row("z_score", spreads, [0, 1], [0, 0.34], **BY_INTERVALS),
     "intervals": Row(
         3,
-        lambda b: (b.intervals.intervals, b.intervals.branch_steps, b.plan.branch_design.num_goals),
+        lambda r: (
+            r.of("training")[0].generation.snapshot_goals,
+            r.of("branch")[0].generation.branch_steps,
+            r.of("branch")[0].rollout.design.num_goals,
+        ),
         (3, 75, 3), (2, 50, 2), **BY_INTERVALS,
     ),
     "fall_price": Row(3.0, rules("fall_price"), [0, 3, 3], [0, 0, 0], **BY_INTERVALS),
-    "primitive_population_size": Row(
-        12, lambda b: (b.intervals.population_size, b.intervals.num_pairs), (12, 6), (8, 4), **BY_INTERVALS
-    ),
-    "primitive_sigma": Row(
-        0.3, lambda b: [b.intervals.sigma.value(g) for g in (0, 9)], [0.3] * 2, [0.2] * 2, **BY_INTERVALS
-    ),
-    "primitive_learning_rate": Row(
-        0.07, lambda b: [b.intervals.learning_rate.value(g) for g in (0, 9)], [0.07] * 2, [0.04] * 2, **BY_INTERVALS
-    ),
+    "primitive_population_size": Row(12, lambda r: r.of("branch")[0].num_members, 12, 8, **BY_INTERVALS),
+    "primitive_sigma": Row(0.3, sigmas("branch"), [0.3] * 2, [0.2] * 2, **BY_INTERVALS, generations=(0, 9)),
+    "primitive_learning_rate": Row(0.07, learning_rates, [0.04, 0.07], [0.04], **BY_INTERVALS),
     # episodes
     "horizon": Row(
-        90, lambda b: (b.intervals.horizon, b.settings.horizon, b.plan.horizon), (90,) * 3, (70,) * 3, **BY_INTERVALS
+        90,
+        lambda r: (
+            r.of("training")[0].steps,
+            max(step for task in r.of("training")[0].tasks for step in task.snapshot_steps),
+        ),
+        (90, 75), (70, 50), **BY_INTERVALS,
     ),
-    "evaluation_horizon": Row(90, lambda b: (b.plan.horizon, b.plan.evaluation_horizon), (50, 90), (50, 50)),
-    "evaluation_reset_noise": Row(
-        0.5, lambda b: [spread(b, is_evaluation=each) for each in (False, True)], [0, 5], [0, 0], beside=STILL
+    "horizon of running episodes": Row(
+        90, lambda r: r.state.running is not None, True, False,
+        env="point-flagrun", beside={"primitive_estimate": "interval"},
     ),
+    "evaluation_horizon": Row(
+        90, lambda r: (r.of("training")[0].steps, int(r.evaluation.steps.max())), (50, 90), (50, 50)
+    ),
+    "evaluation_reset_noise": Row(0.5, batches(spread), [0, 5], [0, 0], beside=STILL),
     # options of tasks
-    "spec": Row(
-        "hiro", lambda b: [task(b, is_evaluation=e).options.spec for e in (False, True)], ["hiro"] * 2, ["shes"] * 2
+    "spec": Row("hiro", batches(lambda b: b.options.spec), ["hiro"] * 2, ["shes"] * 2),
+    "integrator": Row("rk4", batches(lambda b: b.sim.model.opt.integrator), [1] * 2, [0] * 2),
+    "reset_noise": Row(0.5, batches(spread), [5, 0], [0, 0], beside=STILL),
+    "target_sampling": Row(
+        "free_cells", lambda r: batches(lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0],
+        True, False, env="point-maze",
     ),
-    "integrator": Row(
-        "rk4", lambda b: [task(b, is_evaluation=e).sim.model.opt.integrator for e in (False, True)], [1] * 2, [0] * 2
+    "target": Row(
+        (1.0, 2.0), lambda r: batches(lambda b: len(np.unique(b.target, axis=0)))(r)[0], 1, 16, env="point-maze"
     ),
-    "reset_noise": Row(
-        0.5, lambda b: [spread(b, is_evaluation=each) for each in (False, True)], [5, 0], [0, 0], beside=STILL
-    ),
-    "target_sampling": Row("free_cells", all_free, True, False, env="point-maze"),
-    "target": Row((1.0, 2.0), lambda b: len(np.unique(task(b).target, axis=0)), 1, 64, env="point-maze"),
     "evaluation_target": Row(
-        (1.0, 2.0), lambda b: task(b, is_evaluation=True).target[0].tolist(), [1, 2], [0, 16], env="point-maze"
+        (1.0, 2.0), lambda r: batches(lambda b: b.target[0].tolist())(r)[1], [1, 2], [0, 16], env="point-maze"
     ),
-    "observe_block": Row(
-        False, lambda b: [task(b, is_evaluation=e).observe().shape[1] for e in (False, True)], [7, 7], [11, 11],
-        env="point-push",
+    "observe_block": Row(False, batches(lambda b: b.observe().shape[1]), [7, 7], [11, 11], env="point-push"),
+    "fall_penalty": Row(
+        False, batches(fall_reward), [0.0] * 2, [-10.0] * 2, env="ant-gather", beside={"spec": "hiro", "horizon": 2}
     ),
-    "fall_penalty": Row(False, fall_reward, 0.0, -10.0, env="ant-gather", beside={"spec": "hiro"}),
     # workers
-    "num_workers": Row(2, num_workers, 2, CORES, beside={"backend": "processes"}),
-    "backend": Row("serial", backend_name, "SerialBackend", "ProcessesBackend"),
-    "worker_warning_s": Row(
-        5.0, backend_option("worker_warning_s"), 5.0, 60.0, beside={"backend": "processes", "num_workers": 1}
+    "num_workers": Row(2, lambda r: r.num_processes, 2, 1, beside={"backend": "processes"}),
+    "worker_warning_s": Row(5.0, limit("worker_warning_s"), 5.0, 60.0, beside={"backend": "processes"}),
+    "worker_timeout_s": Row(None, limit("worker_timeout_s"), None, 600.0, beside={"backend": "processes"}),
+    "backend": Row(
+        "processes", lambda r: r.backend, "ProcessesBackend", "SerialBackend", beside={"num_workers": 2}
     ),
-    "worker_timeout_s": Row(
-        None, backend_option("worker_timeout_s"), None, 600.0, beside={"backend": "processes", "num_workers": 1}
-    ),
-    "chunk_size": Row(3, lambda b: b.plan.chunk_size, 3, 0),
-    "device": Row("warp-cpu", lambda b: b.plan.device, "warp-cpu", "cpu"),
-    "nconmax": Row(40, lambda b: b.plan.nconmax, 40, None, beside={"device": "warp-cpu"}),
-    "njmax": Row(40, lambda b: b.plan.njmax, 40, None, beside={"device": "warp-cpu"}),
+    "chunk_size": Row(8, lambda r: r.of("training")[0].rollout.num_lanes, 2, 4),
+    "device": Row("warp-cpu", buffers("device"), {"warp-cpu"}, set()),
+    "nconmax": Row(40, buffers("nconmax"), {40}, {None}, beside={"device": "warp-cpu"}),
+    "njmax": Row(40, buffers("njmax"), {40}, {None}, beside={"device": "warp-cpu"}),
     # run
     "max_diverged_generations": Row(2, diverged_limit, 2, 10),
-    "seed": Row(9, lambda b: b.state.seed, 9, 1),
+    "seed": Row(9, lambda r: r.of("training")[0].tasks[0].seeds[0], first_seed(9), first_seed(1)),
 }  # fmt: skip
-BESIDE_IT = {
-    "learning_rate_schedule": {"learning_rate_end": 0.0, "schedule_generations": 4},
-    "learning_rate_end": {"learning_rate_schedule": "linear", "schedule_generations": 4},
-    "sigma_schedule": {"sigma_end": 0.03, "schedule_generations": 4},
-    "sigma_end": {"sigma_schedule": "linear", "schedule_generations": 4},
-    "episodes_schedule": {"episodes_end": 5, "schedule_generations": 4},
-    "episodes_end": {"episodes_schedule": "linear", "schedule_generations": 4},
-    "schedule_generations": {"sigma_schedule": "linear", "sigma_end": 0.03},
-}
-"""What goes with the value of a setting, and not without it."""
+"""A row for every setting, by its name. Words after the name tell several places apart."""
+
+
+def setting_of(row):
+    """Return the setting of a row."""
+    return row.partition(" ")[0]
 
 
 @pytest.mark.parametrize("name", ROWS)
 def test_a_setting_arrives_where_it_is_used(name):
     row = ROWS[name]
-    with_it = Built.of(row.env, **{**row.beside, **BESIDE_IT.get(name, {}), name: row.value})
-    assert row.place(with_it) == row.expected
-    assert row.place(Built.of(row.env, **row.beside)) == row.usual
+    settings = {**row.beside, **row.with_it, setting_of(name): row.value}
+    assert row.place(record_generations(row.env, settings, row.generations)) == row.expected
+    assert row.place(record_generations(row.env, row.beside, row.generations)) == row.usual
 
 
 # What shows in a run alone.
@@ -362,6 +456,7 @@ SHOWN: dict[str, tuple[dict[str, Any], Callable[..., Any], Any]] = {
         ["policy"],
     ),
     "env": ({}, lambda path, _: RunFolder.open(path).read_config().run.env, "point-gather"),
+    "seed": ({"seed": 9}, lambda path, _: runs.state(path).seed, 9),
 }  # fmt: skip
 
 
@@ -373,4 +468,24 @@ def test_a_setting_shows_in_the_run(name, source, tmp_path):
 
 
 def test_every_setting_has_a_row():
-    assert ROWS.keys() | SHOWN.keys() == known_settings().keys()
+    assert {setting_of(row) for row in ROWS} | SHOWN.keys() == known_settings().keys()
+
+
+def test_training_evaluation_and_the_final_evaluation_share_no_episode(tmp_path):
+    # An evaluation after generation 1 has the key of the second generation of training: only the purpose differs.
+    with recording() as record:
+        path = runs.train_tiny(tmp_path / "run", generations=3, evaluation_interval=1)
+    with recording() as final:
+        evaluate(path, checkpoint="last", episodes=3, num_workers=1)
+    seeds = [record.seeds("training"), record.seeds("evaluation"), final.seeds("evaluation")]
+    assert [len(each) for each in seeds] == [6, 9, 3]
+    assert len(set.union(*seeds)) == 18
+
+
+@pytest.mark.parametrize(
+    ("is_frozen", "noises"), [(True, {"decision_noise"}), (False, {"decision_noise", "control_noise"})]
+)
+def test_a_frozen_primitive_has_no_exploration_noise(source, tmp_path, is_frozen, noises):
+    with recording() as record:
+        runs.train_tiny(tmp_path / "run", primitive=str(source), freeze_primitive=is_frozen, generations=1)
+    assert record.noises == noises
