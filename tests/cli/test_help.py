@@ -9,6 +9,7 @@ from typing import get_args, get_type_hints
 import pytest
 
 from shes.cli import commands, main, parsing
+from shes.cli.commands.training import train as train_command
 from shes.cli.commands.viewing import plot as plot_command
 from shes.cli.commands.viewing import render as render_command
 from shes.cli.program import COMMANDS, find_command
@@ -95,6 +96,16 @@ def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_room
     assert ("--primitive-reward" in text) is ("es" not in words)
 
 
+def test_no_group_of_the_help_repeats_its_name(shes):
+    text = shes("train", "--help-all").lower()
+    assert [room for room in make_config("ant-gather", "laptop") if f"│ {room}. " in text] == []
+    assert "│ population and update. " in text
+
+
+def test_no_hidden_layers_are_shown_as_a_word(shes):
+    assert "(default: none (linear))" in " ".join(shes("train", "ant-maze", "--help-all").split())
+
+
 def test_values_are_written_as_people_write_them(shes):
     text = shes("train", "--help-all")
     assert "--mirrored {quad,pair,none}" in text
@@ -134,6 +145,36 @@ def test_only_what_is_written_is_given_even_if_it_is_the_presets_value(given):
     assert given("point-gather", "--no-hold-tied", "--evaluation_horizon=none", "--hidden") == {
         "hold_tied": False, "evaluation_horizon": None, "hidden": (),
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--primitive", "ant-maze", "ant-push", "--observe-block", "False"],
+        ["--primitive=ant-maze", "--workers", "2", "--observe-block", "none", "ant-push"],
+        ["--out", "point-gather", "point-maze", "--target", "1", "-2"],
+        ["--target", "1", "2", "--out", "point-gather", "point-maze"],
+        ["--out", "point-gather", "--target", "1", "2", "point-maze"],
+        ["--no-hold-tied", "point-maze", "--target", "1", "2"],
+    ],
+)
+def test_the_value_of_a_flag_is_not_taken_for_the_environment(monkeypatch, words):
+    found = []
+
+    def train(
+        env: parsing.Env,
+        settings: parsing.VariedSettings,
+        *,
+        out: Path = Path(),
+        sweep: tuple[tuple[str, ...], ...] = (),
+    ) -> int:
+        """Take."""
+        found.append((env, settings.keys() & {"target", "observe_block"}))
+        return 0
+
+    train.__annotations__ = {**get_type_hints(train_command, include_extras=True), "return": int}
+    assert parsing.call(train, words) == 0
+    assert found in ([("ant-push", {"observe_block"})], [("point-maze", {"target"})])
 
 
 @pytest.mark.parametrize("preset", PRESETS)
