@@ -1,5 +1,6 @@
 """The help and the parsing of the command line: readable, quick; every setting of a run is a flag in a group."""
 
+import os
 import re
 import subprocess
 import sys
@@ -98,7 +99,7 @@ def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_room
 
 def test_no_group_of_the_help_repeats_its_name(shes):
     text = shes("train", "--help-all")
-    titles = re.findall(r"─ (\w+) options ─[^\n]*\n\W*([^\n│]*?)\s*│?\s*\n", text)
+    titles = re.findall(r"^ (\w+) options +\n -+ \n +(.*?) *\n", text, re.MULTILINE)
     assert ("evolution", "Population and update.") in titles
     assert [room for room, title in titles if title.rstrip(".").lower() == room] == []
 
@@ -215,11 +216,48 @@ def test_resume_takes_the_settings_that_change_no_number(shes):
     assert "--sigma" not in text
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_a_shell_can_be_taught_the_words(shes, shell):
     script = shes("completion", shell)
     for word in ("train", "evaluate", "population-size", "checkpoint", "laptop"):
         assert word in script
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("tra", ["train"]),
+        ("train ant-fl", ["ant-flagrun"]),
+        ("bench rollout point-m", ["point-maze"]),
+        ("train ant-maze --target-", ["--target-sampling"]),
+        ("train ant-gather --targ", []),
+        ("train --help-", ["--help-all"]),
+        ("evaluate x --imp", ["--import"]),
+        ("train ant-maze --preset sm", ["smoke"]),
+        ("train ant-maze --preset = sm", ["smoke"]),
+        ("resume runs/fi", ["runs/first"]),
+        ("evaluate ant-wa", ["ant-walker"]),
+        ("evaluate x --epis", ["--episodes"]),
+        ("evaluate x --ru", []),
+        ("bench roll", ["rollout"]),
+        ("plot ant-walker runs/fi", ["runs/first"]),
+    ],
+)
+def test_bash_completes_what_may_stand_at_the_cursor(shes, tmp_path, line, expected):
+    (tmp_path / "runs" / "first").mkdir(parents=True)
+    (tmp_path / "runs" / "first" / "config.json").touch()
+    (tmp_path / "script").write_text(shes("completion", "bash"))
+    (tmp_path / "shes").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m shes "$@"\n')
+    (tmp_path / "shes").chmod(0o755)
+    words = " ".join(["shes", *line.split()])
+    code = (
+        f". ./script; COMP_WORDS=({words}); COMP_CWORD={len(line.split())}; _shes; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+    )
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", code], cwd=tmp_path, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=True
+    )
+    assert (done.stdout.split(), done.stderr) == (expected, "")
 
 
 def test_completion_for_tcsh_names_the_package_that_it_needs(capsys, monkeypatch):

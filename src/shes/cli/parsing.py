@@ -25,7 +25,7 @@ from shes.training.presets import PRESETS, make_config
 from shes.training.train import check_resumable, resumable_settings
 
 __all__ = ["DEFAULT_ENV", "Checkpoint", "Env", "ExecutionFlags", "Json", "Run", "VariedSettings"]
-__all__ += ["call", "program_of"]
+__all__ += ["asked_config", "call", "program_of"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
@@ -108,7 +108,7 @@ def _rooms(function: Callable[..., int], words: Sequence[str], kind: Any) -> dic
     """Return a `TypedDict` for each room of settings; for `--help` one for the everyday settings."""
     if kind is ExecutionFlags:
         return {"settings": _room("A setting that is not given keeps its value.", resumable_settings().values(), None)}
-    config = _asked_config(function, words)
+    config = asked_config(function, words)
     if not {"-h", "--help"}.isdisjoint(words):
         everyday = [each for each in map(config.setting, config.settings) if each.is_everyday]
         title = f"Values of preset {config.run.preset} for {config.run.env}. {_ALL} shows all {len(config.settings)}."
@@ -207,7 +207,7 @@ def _check_flags(function: Callable[..., int], words: Sequence[str]) -> None:
     if get_type_hints(function)["settings"] is ExecutionFlags:
         check_resumable(given)
         return
-    config = _asked_config(function, words)
+    config = asked_config(function, words)
     for name in given:
         if name not in config.settings:
             raise ConfigError(
@@ -216,7 +216,7 @@ def _check_flags(function: Callable[..., int], words: Sequence[str]) -> None:
             )
 
 
-def _asked_config(function: Callable[..., int], words: Sequence[str]) -> TrainConfig:
+def asked_config(function: Callable[..., int], words: Sequence[str]) -> TrainConfig:
     """Return the settings of the environment, preset and algorithm in `words`.
 
     Raises:

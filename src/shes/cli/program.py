@@ -58,10 +58,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0: success; 1: the run failed; 2: the command line, a file or a package has to be corrected; 130: Ctrl-C.
     """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given[:1] == ["--complete"]:  # asked by the script of `shes completion bash`
+        from shes.cli.completing import completions  # slow to import
+
+        print("\n".join(completions(given[1:] or [""])))
+        return 0
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--debug", action="store_true")
     parser.add_argument("--import", action="append", nargs="?", default=[], dest="modules")
-    asked, words = parser.parse_known_args(arguments)
+    asked, words = parser.parse_known_args(given)
     try:
         for name in asked.modules:
             _import(name)
