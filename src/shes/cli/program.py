@@ -60,9 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["--complete"]:  # asked by the script of `shes completion bash`
-        from shes.cli.completing import completions  # slow to import
-
-        print("\n".join(completions(given[1:] or [""])))
+        completing = shes.import_module("shes.cli.completing")
+        print("\n".join(completing.completions(given[1:] or [""])))
         return 0
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--debug", action="store_true")
