@@ -1,15 +1,18 @@
 """The command line: what it prints, aliases, JSON, modules of the user. Wrong input is in e2e/test_bad_input.py."""
 
+import io
 import json
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+import zipfile
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from shes.cli import main
@@ -97,8 +100,35 @@ def test_list_tells_of_runs_that_are_stopped_running_or_damaged(shes, tiny_run, 
     with RunFolder(tmp_path / "runs" / "b").lock():
         found = json.loads(shes("list", tmp_path / "runs", "--json"))["runs"]
     assert [(Path(run["run"]).name, run["state"]) for run in found] == [
-        ("a", "stopped"), ("b", "running"), ("c", "damaged"),
+        ("a", "stopped"), ("b", "running"), ("c", "damaged"), ("d", "unreadable"),
     ]  # fmt: skip
+    assert "cannot be read" in found[-1]["problem"]
+
+
+def test_list_shows_the_runs_that_cannot_be_read_with_the_reason(shes, tiny_run, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    for name in ("huge", "theirs", "whole"):
+        shutil.copytree(tiny_run, tmp_path / name)
+    with zipfile.ZipFile(tmp_path / "huge" / "checkpoints" / "last.npz", "w") as archive:
+        header = io.BytesIO()
+        np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)})
+        archive.writestr("theta.npy", header.getvalue())
+    record = json.loads((tmp_path / "theirs" / "config.json").read_text())
+    record["config"]["run"]["algorithm"] = "their-own"
+    (tmp_path / "theirs" / "config.json").write_text(json.dumps(record))
+    (tmp_path / "another").mkdir()
+    (tmp_path / "another" / "config.json").write_text("{}")
+
+    found = {Path(run["run"]).name: run for run in json.loads(shes("list", tmp_path, "--json"))["runs"]}
+    assert {name: run["state"] in ("unreadable", "damaged") for name, run in found.items()} == {
+        "huge": True, "theirs": True, "whole": False,
+    }  # fmt: skip
+    theirs = found["theirs"]
+    assert (theirs["env"], theirs["algorithm"], theirs["generation"]) == ("point-gather", "their-own", None)
+    assert "unknown algorithm 'their-own'" in theirs["problem"]
+    text = shes("list", tmp_path)
+    assert re.search(r"theirs +│ point-gather +│ - / 4 +│ - +│ unreadable", text)
+    assert "theirs is unreadable: " in text
 
 
 def test_info_shows_what_a_run_is(shes, tiny_run):

@@ -1,5 +1,6 @@
 """The help and the parsing of the command line: readable, quick; every setting of a run is a flag in a group."""
 
+import os
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from typing import get_args, get_type_hints
 import pytest
 
 from shes.cli import commands, main, parsing
+from shes.cli.commands.training import train as train_command
 from shes.cli.commands.viewing import plot as plot_command
 from shes.cli.commands.viewing import render as render_command
 from shes.cli.program import COMMANDS, find_command
@@ -95,6 +97,17 @@ def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_room
     assert ("--primitive-reward" in text) is ("es" not in words)
 
 
+def test_no_group_of_the_help_repeats_its_name(shes):
+    text = shes("train", "--help-all")
+    titles = re.findall(r"^ (\w+) options +\n -+ \n +(.*?) *\n", text, re.MULTILINE)
+    assert ("evolution", "Population and update.") in titles
+    assert [room for room, title in titles if title.rstrip(".").lower() == room] == []
+
+
+def test_no_hidden_layers_are_shown_as_a_word(shes):
+    assert "(default: none (linear))" in " ".join(shes("train", "ant-maze", "--help-all").split())
+
+
 def test_values_are_written_as_people_write_them(shes):
     text = shes("train", "--help-all")
     assert "--mirrored {quad,pair,none}" in text
@@ -136,6 +149,36 @@ def test_only_what_is_written_is_given_even_if_it_is_the_presets_value(given):
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--primitive", "ant-maze", "ant-push", "--observe-block", "False"],
+        ["--primitive=ant-maze", "--workers", "2", "--observe-block", "none", "ant-push"],
+        ["--out", "point-gather", "point-maze", "--target", "1", "-2"],
+        ["--target", "1", "2", "--out", "point-gather", "point-maze"],
+        ["--out", "point-gather", "--target", "1", "2", "point-maze"],
+        ["--no-hold-tied", "point-maze", "--target", "1", "2"],
+    ],
+)
+def test_the_value_of_a_flag_is_not_taken_for_the_environment(monkeypatch, words):
+    found = []
+
+    def train(
+        env: parsing.Env,
+        settings: parsing.VariedSettings,
+        *,
+        out: Path = Path(),
+        sweep: tuple[tuple[str, ...], ...] = (),
+    ) -> int:
+        """Take."""
+        found.append((env, settings.keys() & {"target", "observe_block"}))
+        return 0
+
+    train.__annotations__ = {**get_type_hints(train_command, include_extras=True), "return": int}
+    assert parsing.call(train, words) == 0
+    assert found in ([("ant-push", {"observe_block"})], [("point-maze", {"target"})])
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 def test_the_value_of_every_setting_can_be_written_on_the_command_line(given, preset):
     config = make_config("ant-gather", preset)
@@ -173,11 +216,48 @@ def test_resume_takes_the_settings_that_change_no_number(shes):
     assert "--sigma" not in text
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_a_shell_can_be_taught_the_words(shes, shell):
     script = shes("completion", shell)
     for word in ("train", "evaluate", "population-size", "checkpoint", "laptop"):
         assert word in script
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("tra", ["train"]),
+        ("train ant-fl", ["ant-flagrun"]),
+        ("bench rollout point-m", ["point-maze"]),
+        ("train ant-maze --target-", ["--target-sampling"]),
+        ("train ant-gather --targ", []),
+        ("train --help-", ["--help-all"]),
+        ("evaluate x --imp", ["--import"]),
+        ("train ant-maze --preset sm", ["smoke"]),
+        ("train ant-maze --preset = sm", ["smoke"]),
+        ("resume runs/fi", ["runs/first"]),
+        ("evaluate ant-wa", ["ant-walker"]),
+        ("evaluate x --epis", ["--episodes"]),
+        ("evaluate x --ru", []),
+        ("bench roll", ["rollout"]),
+        ("plot ant-walker runs/fi", ["runs/first"]),
+    ],
+)
+def test_bash_completes_what_may_stand_at_the_cursor(shes, tmp_path, line, expected):
+    (tmp_path / "runs" / "first").mkdir(parents=True)
+    (tmp_path / "runs" / "first" / "config.json").touch()
+    (tmp_path / "script").write_text(shes("completion", "bash"))
+    (tmp_path / "shes").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m shes "$@"\n')
+    (tmp_path / "shes").chmod(0o755)
+    words = " ".join(["shes", *line.split()])
+    code = (
+        f". ./script; COMP_WORDS=({words}); COMP_CWORD={len(line.split())}; _shes; printf '%s\\n' \"${{COMPREPLY[@]}}\""
+    )
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", code], cwd=tmp_path, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=True
+    )
+    assert (done.stdout.split(), done.stderr) == (expected, "")
 
 
 def test_completion_for_tcsh_names_the_package_that_it_needs(capsys, monkeypatch):

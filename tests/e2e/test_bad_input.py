@@ -180,7 +180,7 @@ WORDS = {
     ),
     "novelty_of_a_primitive": (
         ["train", "point-flagrun", *TRAIN[2:], "--novelty", "ns"],
-        r"novelty is not a setting of a run of point-flagrun with algorithm 'shes'\. Leave --novelty away",
+        r"novelty is not a setting of a run of point-flagrun with algorithm 'shes'\. Omit --novelty",
     ),
     "halves_that_are_none": (
         [*TRAIN, "--perturbation", "one_to_many_halves", "--population-size", "10"],
@@ -188,7 +188,7 @@ WORDS = {
     ),
     "goals_of_a_flat_run": (
         [*TRAIN, "--algorithm", "es", "--goal-encoding", "angle"],
-        r"goal_encoding is not a setting of a run of point-gather with algorithm 'es'\. Leave --goal",
+        r"goal_encoding is not a setting of a run of point-gather with algorithm 'es'\. Omit --goal",
     ),
     "controller_of_a_primitive_alone": (
         ["train", "point-flagrun", *TRAIN[2:], "--controller-output", "one_hot"],
@@ -196,11 +196,11 @@ WORDS = {
     ),
     "freezing_nothing": (
         [*TRAIN, "--no-freeze-primitive"],
-        r"freeze_primitive has no effect with primitive None, got False\. Set --primitive, or leave --freeze-primitive",
+        r"freeze_primitive has no effect with primitive None, got False\. Set --primitive, or omit --freeze-primitive",
     ),
     "checkpoint_of_no_primitive": (
         [*TRAIN, "--primitive-checkpoint", "last"],
-        r"primitive_checkpoint has no effect with primitive None.*leave --primitive-checkpoint away",
+        r"primitive_checkpoint has no effect with primitive None.*omit --primitive-checkpoint",
     ),
     "missing_primitive": (
         [*TRAIN, "--primitive", "gone"],

@@ -445,7 +445,7 @@ def test_a_random_controller_heeds_interval_and_distance(algorithm, name):
     ],
 )
 def test_what_concerns_a_transferred_level_needs_one(level, name, value):
-    message = rf"{name} has no effect with {level} None, got {value!r}\. Set --{level}, or leave {flag(name)} away\."
+    message = rf"{name} has no effect with {level} None, got {value!r}\. Set --{level}, or omit {flag(name)}\."
     with pytest.raises(ConfigError, match=message):
         make_config("point-gather", "smoke", {name: value})
 

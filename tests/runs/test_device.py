@@ -76,14 +76,14 @@ def test_a_device_has_one_worker_in_this_process_whatever_the_default(device):
     [
         (
             {"backend": "processes"},
-            r"backend is 'processes', but one process serves device cuda\. Leave --backend away",
+            r"backend is 'processes', but one process serves device cuda\. Omit --backend",
         ),
         (
             {"num_workers": 4},
-            r"num_workers is 4, but one process serves device cuda\. Leave --workers away, or set --dev",
+            r"num_workers is 4, but one process serves device cuda\. Omit --workers, or set --dev",
         ),
-        ({"device": "cpu", "nconmax": 9}, r"nconmax is 9, but the CPU's .* no fixed buffers\. .*leave --nconmax away"),
-        ({"device": "cpu", "njmax": 9}, r"njmax is 9, but the CPU's .* no fixed buffers\. .*leave --njmax away"),
+        ({"device": "cpu", "nconmax": 9}, r"nconmax is 9, but the CPU's .* no fixed buffers\. .*omit --nconmax"),
+        ({"device": "cpu", "njmax": 9}, r"njmax is 9, but the CPU's .* no fixed buffers\. .*omit --njmax"),
     ],
 )
 def test_what_does_nothing_on_the_device_is_refused_where_it_is_asked_for(asked, message):
@@ -207,7 +207,7 @@ def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy, monkeypatch
 
 
 def test_the_update_bench_is_for_the_cpu():
-    with pytest.raises(ConfigError, match=r"measures the CPU, got device 'cuda'\. Leave --device away"):
+    with pytest.raises(ConfigError, match=r"measures the CPU, got device 'cuda'\. Omit --device"):
         bench_update(make_config("point-gather", "smoke", {"device": "cuda"}))
 
 

@@ -104,10 +104,10 @@ def test_wrong_names_are_refused():
             {"rank_ties": "index", "fitness_shaping": "z_score"},
             "rank_ties has no effect with fitness_shaping 'z_score'",
         ),
-        ({"novelty_neighbours": 3}, "novelty_neighbours has no effect with novelty 'none'.*leave --novelty-neighbours"),
+        ({"novelty_neighbours": 3}, "novelty_neighbours has no effect with novelty 'none'.*omit --novelty-neighbours"),
         (
             {"schedule_generations": 50},
-            "schedule_generations has no effect with learning_rate_schedule 'constant', .*, got 50.*leave --sched",
+            "schedule_generations has no effect with learning_rate_schedule 'constant', .*, got 50.*omit --sched",
         ),
         (
             {"perturbation": "one_to_many", "algorithm": "es"},

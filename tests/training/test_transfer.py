@@ -164,7 +164,7 @@ def test_a_primitive_brings_what_it_was_trained_with(point, tmp_path):
 )
 def test_what_contradicts_the_primitive_is_refused(point, tmp_path, name, other):
     trained = {**BROUGHT, "primitive_hidden": (3, 2), "primitive_view": "proprioception"}[name]
-    message = f"{name} is {other!r}, but the primitive of {point} was trained with {trained!r}. Leave --"
+    message = f"{name} is {other!r}, but the primitive of {point} was trained with {trained!r}. Omit --"
     with pytest.raises(ConfigError, match=re.escape(message + name.replace("_", "-") + " away")):
         runs.train_tiny(tmp_path / "run", primitive=str(point), **{name: other})
     assert list(tmp_path.iterdir()) == []
@@ -234,14 +234,14 @@ def test_a_walker_brings_its_view_and_its_symmetry(walker, tmp_path, task):
 
 @pytest.mark.parametrize(("asked", "given"), [("rotation", "dihedral"), ("none", "dihedral")])
 def test_a_walker_with_another_symmetry_is_refused(walker, tmp_path, asked, given):
-    message = f"symmetry is {asked!r}, but the primitive of {walker} was trained with {given!r}. Leave --symmetry away"
+    message = f"symmetry is {asked!r}, but the primitive of {walker} was trained with {given!r}. Omit --symmetry"
     with pytest.raises(ConfigError, match=re.escape(message)):
         runs.train_tiny(tmp_path / "run", "ant-gather", primitive=str(walker), symmetry=asked)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_primitive_that_was_trained_without_a_symmetry_gets_none(ant, tmp_path):
-    message = f"symmetry is 'dihedral', but the primitive of {ant} was trained with 'none'. Leave --symmetry away"
+    message = f"symmetry is 'dihedral', but the primitive of {ant} was trained with 'none'. Omit --symmetry"
     with pytest.raises(ConfigError, match=re.escape(message)):
         runs.train_tiny(tmp_path / "run", "ant-gather", primitive=str(ant), symmetry="dihedral")
     with pytest.raises(ConfigError, match=r"primitive_view is 'egocentric', but the primitive .* 'proprioception'"):
@@ -405,7 +405,7 @@ def test_a_controller_brings_its_parameters_statistics_and_settings(steered, pla
 
 @pytest.mark.parametrize(("name", "other"), [("controller_output", "vector"), ("hidden", (5,))])
 def test_what_contradicts_the_controller_is_refused(steered, tmp_path, name, other):
-    message = f"{name} is {other!r}, but the controller of {steered} was trained with {BY_CONTROLLER[name]!r}. Leave --"
+    message = f"{name} is {other!r}, but the controller of {steered} was trained with {BY_CONTROLLER[name]!r}. Omit --"
     with pytest.raises(ConfigError, match=re.escape(message + name.replace("_", "-") + " away")):
         runs.train_tiny(tmp_path / "run", controller=str(steered), **{name: other})
     assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,7 @@
 """The contract between a run and a learning algorithm.
 
 Training, evaluation, checkpoints, tables, videos and studies use an algorithm only through this contract. A new one is
-one class, made known by `register_algorithm`; `examples/random_search.py` is an example of 80 lines.
+one class, registered with `register_algorithm`; `examples/random_search.py` is an example of 80 lines.
 """
 
 from __future__ import annotations

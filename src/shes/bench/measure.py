@@ -139,7 +139,7 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
     """
     if config.workers.device != "cpu":
         raise ConfigError(
-            f"bench update measures the CPU, got device {config.workers.device!r}. Leave --device away; the columns "
+            f"bench update measures the CPU, got device {config.workers.device!r}. Omit --device; the columns "
             "update_s and rollout_s of a run's progress.csv have the times of a device."
         )
     algorithm = _evolution_strategy(config)

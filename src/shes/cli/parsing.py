@@ -6,7 +6,6 @@ room. `**options` annotated with a function stands for those parameters of that 
 
 from __future__ import annotations
 
-import argparse
 import difflib
 import inspect
 from collections.abc import Callable, Iterable, Sequence
@@ -26,7 +25,7 @@ from shes.training.presets import PRESETS, make_config
 from shes.training.train import check_resumable, resumable_settings
 
 __all__ = ["DEFAULT_ENV", "Checkpoint", "Env", "ExecutionFlags", "Json", "Run", "VariedSettings"]
-__all__ += ["call", "program_of"]
+__all__ += ["asked_config", "call", "program_of"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
@@ -90,7 +89,7 @@ def program_of(function: Callable[..., int], words: Sequence[str] = ()) -> Calla
         hints = {**get_type_hints(behind, include_extras=True), **hints}
         text += "\n\nArgs:\n" + (inspect.getdoc(behind) or "").partition("Args:\n")[2].partition("\n\n")[0]
     if parameters.pop("settings", None):
-        rooms = _rooms(words, hints.pop("settings"))
+        rooms = _rooms(function, words, hints.pop("settings"))
         hints |= rooms
         parameters |= {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in rooms}
 
@@ -105,11 +104,11 @@ def program_of(function: Callable[..., int], words: Sequence[str] = ()) -> Calla
     return program
 
 
-def _rooms(words: Sequence[str], kind: Any) -> dict[str, Any]:
+def _rooms(function: Callable[..., int], words: Sequence[str], kind: Any) -> dict[str, Any]:
     """Return a `TypedDict` for each room of settings; for `--help` one for the everyday settings."""
     if kind is ExecutionFlags:
         return {"settings": _room("A setting that is not given keeps its value.", resumable_settings().values(), None)}
-    config = _asked_config(words)
+    config = asked_config(function, words)
     if not {"-h", "--help"}.isdisjoint(words):
         everyday = [each for each in map(config.setting, config.settings) if each.is_everyday]
         title = f"Values of preset {config.run.preset} for {config.run.env}. {_ALL} shows all {len(config.settings)}."
@@ -119,6 +118,7 @@ def _rooms(words: Sequence[str], kind: Any) -> dict[str, Any]:
     for name, room in config.rooms.items():
         settings = setting_fields(type(room))
         title = (type(room).__doc__ or "").partition("\n")[0]
+        title = "" if title.rstrip(".").lower() == name else title  # the group's heading has the name
         rooms[name] = _room(title, [each for each in settings.values() if each.name not in seen], config, kind)
         seen |= settings.keys()
     return rooms
@@ -160,6 +160,8 @@ def _several(kind: Any) -> Any:
 
 def _shown(value: Any) -> str:
     """Return a value as it is written after its flag."""
+    if value == ():
+        return "none (linear)"  # no hidden layers, the only tuple that may be empty
     return " ".join(map(str, value)) if isinstance(value, tuple) else "none" if value is None else str(value)
 
 
@@ -205,25 +207,59 @@ def _check_flags(function: Callable[..., int], words: Sequence[str]) -> None:
     if get_type_hints(function)["settings"] is ExecutionFlags:
         check_resumable(given)
         return
-    config = _asked_config(words)
+    config = asked_config(function, words)
     for name in given:
         if name not in config.settings:
             raise ConfigError(
                 f"{name} is not a setting of a run of {config.run.env} with algorithm {config.run.algorithm!r}. "
-                f"Leave {known_settings()[name].flag} away."
+                f"Omit {known_settings()[name].flag}."
             )
 
 
-def _asked_config(words: Sequence[str]) -> TrainConfig:
+def asked_config(function: Callable[..., int], words: Sequence[str]) -> TrainConfig:
     """Return the settings of the environment, preset and algorithm in `words`.
 
     Raises:
         UnknownNameError: There is no such preset or algorithm.
     """
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for name, default in (("preset", "laptop"), ("algorithm", "shes")):
-        parser.add_argument(f"--{name}", nargs="?", default=default, const=default)
-    asked, rest = parser.parse_known_args(words)
+    given, others = _single_values(function, words)
     known = {*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS}
-    env = next((word for word in rest if word in known or word.startswith(GYMNASIUM)), DEFAULT_ENV)
-    return make_config(env, asked.preset, {"algorithm": asked.algorithm})
+    env = next((word for word in others if word in known or word.startswith(GYMNASIUM)), DEFAULT_ENV)
+    return make_config(env, given.get("--preset", "laptop"), {"algorithm": given.get("--algorithm", "shes")})
+
+
+def _single_values(function: Callable[..., int], words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Return the values in `words` of flags that take one, and the words that are neither flags nor such values."""
+    flags = _flags_of_one_value(function)
+    given: dict[str, str] = {}
+    others: list[str] = []
+    last = ""
+    for word in words:
+        name, equals, value = word.partition("=")
+        name = name.replace("_", "-")
+        if last:
+            given[last], last = word, ""
+        elif name in flags and equals:
+            given[name] = value
+        elif name in flags:
+            last = name
+        elif not word.startswith("-"):
+            others.append(word)
+    return given, others
+
+
+def _flags_of_one_value(function: Callable[..., int]) -> set[str]:
+    """Return the flags of a command that take one value, those of the settings of every run included.
+
+    Flags of several values are not needed: their values are numbers or `NAME=VALUE`, never an environment's name, and
+    the environment may follow them.
+    """
+    settings = [
+        each
+        for each in known_settings().values()
+        if each.kind is not tuple and (each.is_optional or each.kind is not bool)
+    ]
+    found = {text for each in settings for text in (each.flag, flag(each.name))}
+    own = get_type_hints(function).items()
+    found |= {flag(name) for name, kind in own if get_origin(kind) is not tuple and kind is not bool}
+    return found - {flag("env")}

@@ -60,10 +60,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str] | None) -> int:
     """Run a command and print its error, if any; return the exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given[:1] == ["--complete"]:  # asked by the script of `shes completion bash`
+        completing = shes.import_module("shes.cli.completing")
+        print("\n".join(completing.completions(given[1:] or [""])))
+        return 0
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--debug", action="store_true")
     parser.add_argument("--import", action="append", nargs="?", default=[], dest="modules")
-    asked, words = parser.parse_known_args(arguments)
+    asked, words = parser.parse_known_args(given)
     try:
         for name in asked.modules:
             _import(name)

@@ -26,7 +26,7 @@ def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
             if asked.get(name) is not None:
                 raise ConfigError(
                     f"{name} is {asked[name]!r}, but the CPU's physics has no fixed buffers. "
-                    f"Set --device, or leave --{name} away."
+                    f"Set --device, or omit --{name}."
                 )
         return
     backend, workers = asked.get("backend", "serial"), asked.get("num_workers", 0)
@@ -34,7 +34,7 @@ def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
         if is_idle:
             raise ConfigError(
                 f"{name} is {value!r}, but one process serves device {device}. "
-                f"Leave {config.setting(name).flag} away, or set --device cpu."
+                f"Omit {config.setting(name).flag}, or set --device cpu."
             )
 
 

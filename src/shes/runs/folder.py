@@ -222,7 +222,7 @@ class RunFolder:
         path, agent = self.checkpoint_path(name), shipped_name(self.path)
         if agent is not None and not path.is_file():
             raise CheckpointError(
-                f"the shipped agent {agent} has the checkpoint best alone, got {name!r}. Leave --checkpoint away."
+                f"the shipped agent {agent} has the checkpoint best alone, got {name!r}. Omit --checkpoint."
             )
         checkpoint, config = load_checkpoint(path, check), self.read_config()
         mine = config.numbers()

@@ -6,10 +6,10 @@ import fcntl
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from shes.errors import CheckpointError
+from shes.errors import CheckpointError, ShesError
 from shes.runs.folder import RunFolder
 
-__all__ = ["RunState", "run_state"]
+__all__ = ["RunState", "run_state", "unreadable_state"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,20 +18,23 @@ class RunState:
 
     run: str
     """The run folder."""
-    env: str
-    algorithm: str
-    preset: str
-    seed: int
-    generation: int
+    env: str | None
+    algorithm: str | None
+    preset: str | None
+    seed: int | None
+    generation: int | None
     """Number of finished generations."""
-    generations: int
+    generations: int | None
     """Number of generations after which it ends."""
-    env_steps: int
+    env_steps: int | None
     """Environment steps of training."""
     best_score: float | None
     """Score of the best evaluation; None before the first one."""
-    state: Literal["running", "finished", "stopped", "damaged", "tables only"]
-    """A `stopped` run can be resumed; a run with `tables only` has no checkpoints."""
+    state: Literal["running", "finished", "stopped", "damaged", "tables only", "unreadable"]
+    """A `stopped` run can be resumed; a run with `tables only` has no checkpoints; of an `unreadable` one, what is not
+    known is None."""
+    problem: str | None = None
+    """Why the run is unreadable."""
 
     @property
     def shown_score(self) -> str:
@@ -73,6 +76,23 @@ def run_state(folder: RunFolder) -> RunState:
         env_steps=steps,
         best_score=score,
         state=state,
+    )
+
+
+def unreadable_state(folder: RunFolder, error: Exception) -> RunState:
+    """Return what the record of a run tells whose state cannot be read because of `error`."""
+    try:
+        run = dict(folder.read_record()["config"]["run"])
+    except (ShesError, KeyError, TypeError, ValueError):
+        run = {}
+    return RunState(
+        run=str(folder.path),
+        **{name: run.get(name) for name in ("env", "algorithm", "preset", "seed", "generations")},
+        generation=None,
+        env_steps=None,
+        best_score=None,
+        state="unreadable",
+        problem=str(error) or type(error).__name__,
     )
 
 

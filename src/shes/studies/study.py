@@ -77,7 +77,7 @@ def choose(study: Study, groups: Sequence[str] | None) -> Study:
         return study
     if not groups:
         known = ", ".join(sorted(study.design.groups))
-        raise ConfigError(f"--only needs at least one group: {known}. Leave it away to run all.")
+        raise ConfigError(f"--only needs at least one group: {known}. Omit it to run all.")
     for group in groups:
         if group not in study.design.groups:
             raise UnknownNameError("group", group, study.design.groups, "Set --only.")

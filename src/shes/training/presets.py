@@ -171,14 +171,14 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
         others = ", ".join(f"{each.other} {config.settings[each.other]!r}" for each in needed)
         fixes = ", or ".join(f"{config.setting(each.other).flag}{_one_of(each.values)}" for each in needed[:1])
         raise ConfigError(
-            f"{name} has no effect with {others}, got {asked[name]!r}. Set {fixes}, or leave {setting.flag} away."
+            f"{name} has no effect with {others}, got {asked[name]!r}. Set {fixes}, or omit {setting.flag}."
         )
     if config.is_branched and not config.learns[-1]:
         for name in setting_fields(type(config.estimate)):
             if name in asked and name != "primitive_estimate":
                 raise ConfigError(
                     f"{name} has no effect on a frozen primitive; got {asked[name]!r}. "
-                    f"Leave {config.setting(name).flag} away, or set --no-freeze-primitive."
+                    f"Omit {config.setting(name).flag}, or set --no-freeze-primitive."
                 )
     if config.is_branched and config.level_names == ("primitive",):
         for name in _OF_EPISODES:
@@ -186,14 +186,14 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
                 raise ConfigError(
                     f"{name} has no effect in a run of {config.run.env} whose primitive is judged by intervals: it "
                     f"concerns whole episodes; got {asked[name]!r}. "
-                    f"Leave {config.setting(name).flag} away, or set --primitive-estimate episode."
+                    f"Omit {config.setting(name).flag}, or set --primitive-estimate episode."
                 )
     if "perturbation" in asked and sum(config.by_episodes) == 1:
         (learning,) = (name for name, learns in zip(config.level_names, config.by_episodes, strict=True) if learns)
         role = "learns" if sum(config.learns) == 1 else "is judged by whole episodes"
         raise ConfigError(
             f"perturbation says how two levels share the population, but in this run the {learning} alone {role}; got "
-            f"{asked['perturbation']!r}. Leave --perturbation away."
+            f"{asked['perturbation']!r}. Omit --perturbation."
         )
 
 

@@ -123,7 +123,7 @@ def _path(out: Path | str) -> Path:
         ConfigError: It is not a path.
     """
     if not isinstance(out, str | os.PathLike) or not str(out):
-        raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or leave it away.")
+        raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or omit it.")
     return Path(out)
 
 

@@ -60,7 +60,7 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState
     folder = RunFolder.open(path)
     if not folder.checkpoint_path(checkpoint).is_file():
         there, checkpoint_flag = _checkpoint_names(folder), f"--{level}-checkpoint"
-        fix = f"Leave {checkpoint_flag} away." if there == ["best"] else f"Set {checkpoint_flag} to one of these."
+        fix = f"Omit {checkpoint_flag}." if there == ["best"] else f"Set {checkpoint_flag} to one of these."
         raise CheckpointError(f"{path} has no checkpoint {checkpoint!r}; it has {', '.join(there) or 'none'}. {fix}")
     opened = open_run(path, checkpoint)
     levels = {each.name: each for each in getattr(opened.state, "levels", ())}  # an algorithm other than ES has none
@@ -116,7 +116,7 @@ def brought_settings(
         if wanted != brought[name]:
             raise ConfigError(
                 f"{name} is {wanted!r}, but the {level} of {path} was trained with {brought[name]!r}. "
-                f"Leave {flag(name)} away: it comes with the {level}."
+                f"Omit {flag(name)}: it comes with the {level}."
             )
     return brought | {name: theirs[name] for name in _SUGGESTED[level] if name not in asked}
 
@@ -140,7 +140,7 @@ def check_robot(config: TrainConfig) -> None:
         raise ConfigError(
             f"the primitive of {path} does not fit {config.run.env}: it was trained on {source.run.env} for "
             f"{theirs}, but {config.run.env} has {ours}. Name a primitive of the same robot with --primitive, or "
-            "leave it away."
+            "omit it."
         )
 
 

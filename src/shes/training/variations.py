@@ -89,7 +89,7 @@ def vary(
     """
     for name in sweep:
         if name in settings:
-            raise ConfigError(f"{name} is both given and swept. Leave one away.")
+            raise ConfigError(f"{name} is both given and swept. Omit one.")
     for seed in seeds:
         if seeds.count(seed) > 1:
             raise ConfigError(f"seed {seed} is given twice: it would be the same run. Set --seed.")

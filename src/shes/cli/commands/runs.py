@@ -10,10 +10,9 @@ import tyro
 
 from shes.cli.output import print_facts, print_line, print_table
 from shes.cli.parsing import Json, Run
-from shes.errors import ShesError
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent, shipped_names
-from shes.runs.state import RunState, run_state
+from shes.runs.state import RunState, run_state, unreadable_state
 
 
 def list_(folder: Annotated[Path, tyro.conf.Positional] = Path("runs"), *, json: Json = False) -> int:
@@ -31,8 +30,20 @@ def list_(folder: Annotated[Path, tyro.conf.Positional] = Path("runs"), *, json:
     if runs:
         print_table(
             ("run", "environment", "generation", "best score", "state"),
-            [(run.run, run.env, f"{run.generation} / {run.generations}", run.shown_score, run.state) for run in runs],
+            [
+                (
+                    run.run,
+                    run.env or "-",
+                    f"{_shown(run.generation)} / {_shown(run.generations)}",
+                    run.shown_score,
+                    run.state,
+                )
+                for run in runs
+            ],
         )
+        for run in runs:
+            if run.problem is not None:
+                print_line(f"{run.run} is unreadable: {run.problem}")
     else:
         print_line(f"There is no run below {folder}.")
     if agents:
@@ -46,14 +57,21 @@ def list_(folder: Annotated[Path, tyro.conf.Positional] = Path("runs"), *, json:
 
 
 def _runs_below(folder: Path) -> list[RunState]:
-    """Return the states of the readable runs below `folder`, in alphabetical order."""
+    """Return the states of the runs below `folder`, in alphabetical order."""
     found: list[RunState] = []
     for file in sorted(folder.glob("**/config.json")):
+        run = RunFolder(file.parent)
+        if not (run.checkpoints.is_dir() or run.progress.is_file()):
+            continue  # another program's config.json
         try:
-            found.append(run_state(RunFolder(file.parent)))
-        except ShesError:
-            continue
+            found.append(run_state(run))
+        except Exception as error:  # noqa: BLE001 - one bad folder, whatever is in it, must not hide the other runs
+            found.append(unreadable_state(run, error))
     return found
+
+
+def _shown(number: int | None) -> str:
+    return "-" if number is None else str(number)
 
 
 def info(run: Run, *, full: bool = False, json: Json = False) -> int:

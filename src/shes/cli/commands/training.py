@@ -46,7 +46,7 @@ def train(
     preset, seeds = settings.pop("preset", "laptop"), settings.pop("seed", None)
     swept = read_sweep(text for texts in sweep for text in texts)
     if seeds == ():
-        raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or leave it away.")
+        raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
     if not swept and (seeds is None or len(seeds) == 1):
         given = {} if seeds is None else {"seed": seeds[0]}
         config = make_config(env, preset, {**settings, **given})
