@@ -148,7 +148,7 @@ WORDS = {
     ),
     "end_without_a_schedule": (
         [*TRAIN, "--episodes-end", "5"],
-        r"episodes_end is 5, but episodes_per_policy is constant\. Set --episodes-schedule to linear.*-end away",
+        r"episodes_end is 5, but episodes_per_policy is constant\. Set --episodes-schedule.* or omit --episodes-end",
     ),
     "end_of_half_an_episode": (
         [*TRAIN, "--episodes-schedule", "linear", "--episodes-end", "2.5"],

@@ -300,7 +300,7 @@ def test_a_schedule_and_its_end_belong_together(quantity, fields_of, how):
     assert (config.settings[kind], config.settings[end]) == (how, 2)
     with pytest.raises(ConfigError, match=rf"{kind} is '{how}', but nothing says where to\. Set {flag(end)}\."):
         make(**{kind: how})
-    message = rf"{end} is 2(\.0)?, but {quantity} is constant\. Set {flag(kind)} to linear, .*leave {flag(end)} away"
+    message = rf"{end} is 2(\.0)?, but {quantity} is constant\. Set {flag(kind)} to linear, .*omit {flag(end)}"
     with pytest.raises(ConfigError, match=message):
         make(**{end: 2})
 
@@ -420,9 +420,7 @@ UNHEEDED = [
 
 @pytest.mark.parametrize(("env", "algorithm", "name"), UNHEEDED)
 def test_what_would_do_nothing_is_no_setting_of_the_run(env, algorithm, name):
-    message = (
-        rf"{name} is not a setting of a run of {env} with algorithm '{algorithm}', got .*\. Leave {flag(name)} away\."
-    )
+    message = rf"{name} is not a setting of a run of {env} with algorithm '{algorithm}', got .*\. Omit {flag(name)}\."
     with pytest.raises(ConfigError, match=message):
         make_config(env, "smoke", {"algorithm": algorithm, name: OF_PRIMITIVES.get(name, "ns")})
 

@@ -111,7 +111,7 @@ def test_wrong_names_are_refused():
         ),
         (
             {"perturbation": "one_to_many", "algorithm": "es"},
-            "perturbation is not a setting of a run of point-gather with algorithm 'es', got 'one_to_many'. Leave --",
+            "perturbation is not a setting of a run of point-gather with algorithm 'es', got 'one_to_many'. Omit --",
         ),
     ],
 )

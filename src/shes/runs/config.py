@@ -218,7 +218,7 @@ class TrainConfig:
             if is_constant and has_end:
                 raise ConfigError(
                     f"{end} is {values[end]}, but {name} is constant. Set {flag(kind)} to linear, exponential "
-                    f"or cosine, or leave {flag(end)} away."
+                    f"or cosine, or omit {flag(end)}."
                 )
             if not is_constant and not has_end:
                 raise ConfigError(f"{kind} is {values[kind]!r}, but nothing says where to. Set {flag(end)}.")

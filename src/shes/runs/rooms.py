@@ -247,7 +247,7 @@ def _not_here(name: str, values: Mapping[str, Any], here: Mapping[str, Setting])
         return _unknown(name, here)
     return ConfigError(
         f"{name} is not a setting of a run of {values['env']} with algorithm {values.get('algorithm', 'shes')!r}, "
-        f"got {values[name]!r}. Leave {everywhere[name].flag} away."
+        f"got {values[name]!r}. Omit {everywhere[name].flag}."
     )
 
 
