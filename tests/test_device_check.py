@@ -63,7 +63,8 @@ def test_an_unknown_environment_is_refused():
 @pytest.mark.extras
 @pytest.mark.parametrize("env", SHORT)
 def test_warp_on_the_cpu_plays_the_same_game(env):
-    found = compare_with_cpu(env, partial(WarpSimulator, device="warp-cpu"), episodes=96, horizon=40)
+    # With 96 episodes the two sets of seeds differ by chance on ant-push (p 2e-5), the CPU against itself as well.
+    found = compare_with_cpu(env, partial(WarpSimulator, device="warp-cpu"), episodes=160, horizon=40)
     assert smallest_p(found) > corrected_alpha(found)
 
 
