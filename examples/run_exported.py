@@ -98,7 +98,7 @@ def view_of(seen, view, heading):
     if view["body"] == "point":
         return np.concatenate([qpos[2:], qvel, columns]), 0.0
     if view["body"] != "ant":
-        raise NotImplementedError(f"write the egocentric view of {view['body']} here")
+        raise ValueError(f"no egocentric view of body {view['body']!r}; add it here. Known: ant, point")
     w, x, y, z = qpos[3:7]  # of the torso
     angle = 2 * np.arctan2(z, w)
     tilt = complex(2 * (x * z + w * y), 2 * (y * z - w * x)) * unit(angle).conjugate()

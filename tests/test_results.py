@@ -1,4 +1,4 @@
-"""What `results/` holds as a policy is a run folder that every command takes."""
+"""Every policy in `results/` is a run folder that every command takes."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What is built from the settings of a run, for tests."""
+"""Parts built from the settings of a run, for tests."""
 
 from dataclasses import dataclass
 from typing import Any

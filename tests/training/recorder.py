@@ -64,7 +64,7 @@ class Update:
 
 @dataclass(kw_only=True)
 class Record:
-    """What a run did."""
+    """Rollouts, updates and simulators of a run."""
 
     rolled_out: list[RolledOut] = field(default_factory=list)
     updates: list[Update] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""What may stand at the cursor of an unfinished command line, for the completion of bash."""
+"""Completion for bash: the words that can follow an unfinished command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the commands print: tables, JSON, and errors on one line."""
+"""Output of the commands: tables, JSON, and errors on one line."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from shes.types import F64Array
 __all__ = ["MEASURES", "RunComparison", "compare_runs", "mean_difference_interval"]
 
 MEASURES = {"score": "scores", "return": "returns", "success": "successes"}
-"""What can be compared: name -> field of `Evaluation`."""
+"""Measures that can be compared: name -> field of `Evaluation`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class RunComparison:
 
     measure: str
     unit: str
-    """What the samples consist of: `runs`, or `episodes` of a single run on each side."""
+    """Unit of the samples: `runs`, or `episodes` of a single run on each side."""
     first_count: int
     """Number of runs or episodes."""
     second_count: int
