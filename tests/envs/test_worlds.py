@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shes.envs.worlds import ARENA, CELL_SIZE_M, INTEGRATORS, add_grid, empty_world, merged_boxes
-from shes.errors import UnknownNameError
 
 INNER_WALLS = (
     "#######",
@@ -93,11 +92,6 @@ def test_the_floor_lies_under_the_whole_world():
 def test_a_world_has_the_integrator_asked_for(integrator):
     wanted = {"euler": 0, "rk4": 1, "implicitfast": 3}
     assert empty_world("world", integrator).compile().opt.integrator == wanted[integrator]
-
-
-def test_an_unknown_integrator_is_refused_with_the_nearest_name():
-    with pytest.raises(UnknownNameError, match=r"unknown integrator 'rk5'. Did you mean 'rk4'\?.*--integrator"):
-        empty_world("world", "rk5")
 
 
 def test_the_physics_step_is_20_ms():

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import UnknownNameError
 from shes.es import novelty as module
 from shes.es.novelty import NOVELTY_RULES, NSRA, AuthorsNSRA, NoveltyState, behaviour_distance, blend, extend, novelty
 
@@ -107,12 +107,6 @@ def test_the_callers_arrays_stay_as_they_were():
     before = behaviours.tobytes(), archive.tobytes()
     novelty(behaviours, archive, 3)
     assert (behaviours.tobytes(), archive.tobytes()) == before
-
-
-@pytest.mark.parametrize("neighbours", [0, -3])
-def test_no_neighbours_are_refused(neighbours):
-    with pytest.raises(ConfigError, match=rf"positive whole number, got {neighbours}\. Set --novelty-neighbours"):
-        novelty(*_draw(2, 1, 3), neighbours)
 
 
 # -------------------------------------------------------------------------------------------------- archive and blend

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.errors import PolicyError, UnknownNameError
+from shes.errors import PolicyError
 from shes.es.ranking import TIES, centred_ranks
 from tests.es import textbook
 
@@ -95,8 +95,3 @@ def test_the_callers_array_stays_as_it_was():
 def test_a_fitness_that_is_not_finite_is_refused_by_its_member(value, word):
     with pytest.raises(PolicyError, match=rf"fitness of member 2 is {word}, but every fitness must be finite"):
         centred_ranks(np.array([0.0, 1.0, value, value]))
-
-
-def test_an_unknown_way_to_rank_ties_is_refused_with_the_nearest_name():
-    with pytest.raises(UnknownNameError, match=r"'averge'.*Did you mean 'average'\?.*--rank-ties"):
-        centred_ranks(np.zeros(4), "averge")

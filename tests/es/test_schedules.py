@@ -96,31 +96,6 @@ def test_an_unknown_kind_is_refused_with_the_nearest_name_and_its_flag(quantity,
         _make("liner", quantity=quantity)
 
 
-@every_kind
-@pytest.mark.parametrize("start", [0, -1, math.inf, math.nan])
-def test_a_start_that_is_not_positive_is_refused(kind, start):
-    with pytest.raises(
-        ConfigError, match=rf"start of the {kind} schedule of learning_rate must be positive, got {start}"
-    ):
-        _make(kind, start=start)
-
-
-@moving
-@pytest.mark.parametrize("end", [-1, math.inf, math.nan])
-def test_an_end_below_zero_is_refused(kind, end):
-    with pytest.raises(
-        ConfigError, match=rf"end of the {kind} .* positive, got {end}\. Set --sigma-schedule to another"
-    ):
-        _make(kind, end=end, quantity="sigma")
-
-
 def test_an_exponential_never_reaches_zero():
     with pytest.raises(ConfigError, match=r"end of the exponential schedule of sigma must be positive, got 0\."):
         _make("exponential", end=0, quantity="sigma")
-
-
-@moving
-@pytest.mark.parametrize("generations", [0, -5])
-def test_generations_must_be_positive(kind, generations):
-    with pytest.raises(ConfigError, match=rf"must be a positive whole number, got {generations}.*--schedule-gen"):
-        _make(kind, generations=generations)

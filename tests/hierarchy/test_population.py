@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shes.errors import UnknownNameError
 from shes.es.level import LevelState, TrainState, draw_noise_index
 from shes.es.optimizers import Adam
 from shes.es.perturbation import PERTURBATIONS
@@ -146,11 +145,6 @@ def test_a_share_of_the_groups_is_recorded_as_a_whole(fraction):
         assert all(len(set(flags[g : g + 4])) == 1 for g in range(0, 80, 4))
         groups += flags[::4]
     assert np.mean(groups) == pytest.approx(fraction, abs=0.1 if 0 < fraction < 1 else 0)
-
-
-def test_an_unknown_way_to_share_episodes_is_refused():
-    with pytest.raises(UnknownNameError, match=r"'groups'\. Did you mean 'group'\?.*Set --common-random-numbers\."):
-        _tasks(common_random_numbers="groups")
 
 
 def test_the_mean_policys_task_perturbs_nothing_and_records_nothing():

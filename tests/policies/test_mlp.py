@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.policies.mlp import MLP, aligned_rows
 
 
@@ -141,11 +141,6 @@ def test_a_layer_that_is_not_positive_is_refused(hidden):
         MLP(3, hidden, 2)
 
 
-def test_an_unknown_bias_initialisation_is_refused_with_the_nearest_name():
-    with pytest.raises(UnknownNameError, match=r"'glorot'.*Did you mean 'glorot_normal'\?.*--biases"):
-        MLP(3, (), 2).initial(np.random.default_rng(0), "glorot")
-
-
 @pytest.mark.parametrize("biases", ["zero", "glorot_normal"])
 @pytest.mark.parametrize("hidden", [(), (6,), (7, 5)])
 def test_an_output_layer_of_zeros_leaves_the_others_and_the_stream_as_they_were(hidden, biases):
@@ -168,8 +163,3 @@ def test_a_policy_with_an_output_layer_of_zeros_does_nothing():
     mlp = MLP(4, (6,), 2)
     theta = mlp.initial(np.random.default_rng(2), "glorot_normal", "zero")[None]
     assert not mlp.act(theta, _observation(mlp, 1, 5)).any()
-
-
-def test_an_unknown_output_initialisation_is_refused_with_the_nearest_name():
-    with pytest.raises(UnknownNameError, match=r"'zeros'.*Did you mean 'zero'\?.*--output-weights"):
-        MLP(3, (), 2).initial(np.random.default_rng(0), output_initialisation="zeros")

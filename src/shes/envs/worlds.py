@@ -12,8 +12,6 @@ import re
 
 import mujoco
 
-from shes.errors import UnknownNameError
-
 __all__ = [
     "ARENA",
     "CELL_SIZE_M",
@@ -64,12 +62,7 @@ def empty_world(name: str, integrator: str, *, has_block: bool = False) -> mujoc
         name: Name of the model.
         integrator: A key of `INTEGRATORS`.
         has_block: Whether the world has a movable block, which makes all contacts stiffer.
-
-    Raises:
-        UnknownNameError: `integrator` is unknown.
     """
-    if integrator not in INTEGRATORS:
-        raise UnknownNameError("integrator", integrator, INTEGRATORS, "Set --integrator.")
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.compiler.degree = True

@@ -15,7 +15,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from shes.errors import ConfigError
 from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
@@ -68,15 +67,8 @@ def novelty(behaviours: F64Array, archive: F64Array, neighbours: int) -> F64Arra
     Args:
         behaviours: Final positions [n, E, 2] of the members' episodes.
         archive: Positions [archive, 2]. The novelty is zero if the archive is empty.
-        neighbours: Number of nearest neighbours (k). All positions count if the archive has fewer.
-
-    Raises:
-        ConfigError: `neighbours` is not positive.
+        neighbours: Number of nearest neighbours (k), at least 1. All positions count if the archive has fewer.
     """
-    if neighbours < 1:
-        raise ConfigError(
-            f"novelty_neighbours must be a positive whole number, got {neighbours}. Set --novelty-neighbours."
-        )
     size, episodes = len(behaviours), behaviours.shape[1]
     if len(archive) == 0:
         return np.zeros(size)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from shes.errors import UnknownNameError
 from shes.es.level import TrainState
 from shes.es.perturbation import Signs
 from shes.es.streams import Purpose, stream
@@ -66,14 +65,7 @@ def population_tasks(
         statistics_fraction: Fraction of the groups, chosen at random, whose observations enter the statistics.
         snapshot_steps: Number of control steps before the snapshot of each of the G * M * E episodes; empty for no
             snapshots.
-
-    Raises:
-        UnknownNameError: `common_random_numbers` is not known.
     """
-    if common_random_numbers not in COMMON_RANDOM_NUMBERS:
-        raise UnknownNameError(
-            "common random numbers", common_random_numbers, COMMON_RANDOM_NUMBERS, "Set --common-random-numbers."
-        )
     groups, members, _ = signs.shape
     rng = stream(state.seed, Purpose.TRAINING_EPISODES, state.generation)
     draws = {"off": (groups, members), "group": (groups, 1), "population": (1, 1)}[common_random_numbers]

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.types import F32Array
 
 __all__ = ["BIAS_INITIALISATIONS", "MLP", "OUTPUT_INITIALISATIONS", "Layers", "Rows", "aligned_rows"]
@@ -61,17 +61,7 @@ class MLP:
     def initial(
         self, rng: np.random.Generator, bias_initialisation: str = "zero", output_initialisation: str = "glorot_normal"
     ) -> F32Array:
-        """Return initial parameters [D]. Weights of hidden layers are Glorot-normal.
-
-        Raises:
-            UnknownNameError: A name is not in `BIAS_INITIALISATIONS` or `OUTPUT_INITIALISATIONS`.
-        """
-        if output_initialisation not in OUTPUT_INITIALISATIONS:
-            raise UnknownNameError(
-                "output initialisation", output_initialisation, OUTPUT_INITIALISATIONS, "Set --output-weights."
-            )
-        if bias_initialisation not in BIAS_INITIALISATIONS:
-            raise UnknownNameError("bias initialisation", bias_initialisation, BIAS_INITIALISATIONS, "Set --biases.")
+        """Return initial parameters [D]. Weights of hidden layers are Glorot-normal."""
         parts: list[F32Array] = []
         for fan_in, fan_out in pairwise(self.sizes):
             weights = rng.standard_normal(fan_in * fan_out) * np.sqrt(2 / (fan_in + fan_out))
