@@ -66,11 +66,7 @@ class Problem(EpisodeSetup):
         return FlatDesign(policy=policy, control_limit=task.control_limit)
 
     def noise_table(self, design: AgentDesign) -> NoiseTable:
-        """Open the noise table. If its file is missing, generate it.
-
-        Raises:
-            ConfigError: The table is too small for the policies of `design`.
-        """
+        """Open the noise table, generated if its file is missing; raise ConfigError if it is too small for `design`."""
         table = NoiseTable.open(self.noise_table_size)
         table.check_dim(max(design.dims))
         return table

@@ -248,11 +248,7 @@ class RolloutWorker:
         return bytes_per_sim(models[0], plan.device, FRAME_SKIP, plan.nconmax, plan.njmax)
 
     def _halve(self, error: BaseException) -> None:
-        """Halve the number of lanes.
-
-        Raises:
-            ConfigError: It is one already.
-        """
+        """Halve the number of lanes; raise ConfigError if it is one already."""
         assert self._generation is not None
         generation, device, lanes = self._generation, self.plan.device, self._lanes
         if lanes == 1:

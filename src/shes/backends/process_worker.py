@@ -50,11 +50,7 @@ def _incoming(connection: Connection) -> Iterator[tuple[int, Any]]:
 
 
 def _unpickle_factory(pickled: bytes) -> Callable[[], Any]:
-    """Return the function that creates the worker.
-
-    Raises:
-        WorkerError: A module that it needs cannot be imported.
-    """
+    """Return the function that creates the worker; raise WorkerError if a module that it needs cannot be imported."""
     try:
         return pickle.loads(pickled)
     except (ImportError, AttributeError) as error:

@@ -109,11 +109,7 @@ def _on_one_core() -> Iterator[None]:
 
 
 def _evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
-    """Return the algorithm of `config`.
-
-    Raises:
-        ConfigError: It is not an evolution strategy.
-    """
+    """Return the algorithm of `config`; raise ConfigError unless it is an evolution strategy."""
     algorithm = build_algorithm(config)
     if not isinstance(algorithm, EvolutionAlgorithm):
         raise ConfigError(

@@ -125,11 +125,7 @@ class UpdateRule:
     """Optimizer."""
 
     def __post_init__(self) -> None:
-        """Check the coefficients.
-
-        Raises:
-            ConfigError: `weight_decay` or `fall_price` is negative or not finite.
-        """
+        """Raise ConfigError if a coefficient is negative or not finite."""
         for name in ("weight_decay", "fall_price"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise ConfigError(f"{name} must be zero or positive, got {getattr(self, name)}.")

@@ -37,11 +37,7 @@ def sign_matrix(mirrored: str, num_levels: int) -> NDArray[np.int8]:
 
 
 def check_population(population_size: int, mirrored: str, num_levels: int) -> int:
-    """Return the number of mirrored groups G in a population of `population_size` members.
-
-    Raises:
-        ConfigError: The population is not a positive multiple of the group size.
-    """
+    """Return the number of mirrored groups G in a population; raise ConfigError unless they are whole."""
     members = len(sign_matrix(mirrored, num_levels))
     if population_size <= 0 or population_size % members:
         lower = max(members, population_size - population_size % members)

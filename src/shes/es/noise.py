@@ -79,11 +79,7 @@ class NoiseTable:
         return self.values[index : index + dim]
 
     def check_dim(self, dim: int) -> None:
-        """Check that the table is long enough for vectors of `dim` parameters.
-
-        Raises:
-            ConfigError: The table holds fewer than `2 * dim` normals.
-        """
+        """Raise ConfigError unless the table holds at least `2 * dim` normals, for vectors of `dim` parameters."""
         if self.size < 2 * dim:
             raise ConfigError(
                 f"noise_table_size is {self.size:,}, but a level has {dim:,} parameters and needs at least "
@@ -114,11 +110,7 @@ class NoiseTable:
 
     @classmethod
     def open_file(cls, path: Path) -> NoiseTable:
-        """Map an existing table file, as worker processes do.
-
-        Raises:
-            StorageError: The file is missing.
-        """
+        """Map an existing table file, as worker processes do; raise StorageError if it is missing."""
         try:
             return cls(np.memmap(path, dtype=np.float32, mode="r"), path)
         except (OSError, ValueError) as error:
@@ -142,11 +134,7 @@ class NoiseTable:
 
     @staticmethod
     def _check_room(path: Path, size: int) -> None:
-        """Check that the table fits the memory, in which it is mapped, and the disk.
-
-        Raises:
-            ConfigError: It does not.
-        """
+        """Raise ConfigError unless the table fits the memory, in which it is mapped, and the disk."""
         for free, where in ((free_memory(), "of memory"), (free_disk(path), f"on the disk of {path.parent}")):
             if 4 * size > free:
                 raise ConfigError(

@@ -17,11 +17,7 @@ TIES = ("average", "index")
 
 
 def check_finite(fitness: F64Array) -> None:
-    """Check that every fitness [n] is finite.
-
-    Raises:
-        PolicyError: A fitness is NaN or infinite. The message names the first such member.
-    """
+    """Raise PolicyError, which names the first such member, if a fitness [n] is NaN or infinite."""
     if not np.isfinite(fitness).all():
         member = int(np.flatnonzero(~np.isfinite(fitness))[0])
         raise PolicyError(

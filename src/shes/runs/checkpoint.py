@@ -94,11 +94,7 @@ class Checkpoint:
 
 
 def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
-    """Return all arrays of the file.
-
-    Raises:
-        ConfigError: The algorithm uses a reserved name.
-    """
+    """Return all arrays of the file; raise ConfigError if the algorithm uses a reserved name."""
     best = checkpoint.best
     own = {
         "format": np.int64(FORMAT),
@@ -117,11 +113,7 @@ def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool = False) -> None:
-    """Write `checkpoint` to `path`, atomically.
-
-    Raises:
-        StorageError: The file cannot be written; an earlier file at `path` is unchanged.
-    """
+    """Write `checkpoint` to `path`, atomically; a StorageError leaves an earlier file at `path` unchanged."""
 
     def write(file: IO[bytes]) -> None:
         save = np.savez_compressed if is_compressed else np.savez
@@ -172,12 +164,7 @@ def _read(archive: zipfile.ZipFile, name: str) -> np.ndarray:
 
 
 def _check_own(headers: Mapping[str, Header]) -> None:
-    """Check the arrays that every checkpoint has.
-
-    Raises:
-        KeyError: One of them is missing.
-        ValueError: One of them is not a scalar of the right type, or the settings are too long.
-    """
+    """Raise KeyError or ValueError unless every checkpoint's own arrays are scalars of the right type and size."""
     missing = [name for name in _SCALARS if name not in headers]
     if missing:
         raise KeyError(", ".join(missing))
@@ -188,11 +175,7 @@ def _check_own(headers: Mapping[str, Header]) -> None:
 
 
 def _check_format(version: int) -> None:
-    """Check the version of the format.
-
-    Raises:
-        CheckpointError: It is another one.
-    """
+    """Raise CheckpointError for another version of the format."""
     if version != FORMAT:
         raise CheckpointError(
             f"has checkpoint format {version}; this version of SHES reads {FORMAT}. "
@@ -201,11 +184,7 @@ def _check_format(version: int) -> None:
 
 
 def _check_memory(headers: Mapping[str, Header]) -> None:
-    """Check that all arrays fit into the memory.
-
-    Raises:
-        CheckpointError: They do not.
-    """
+    """Raise CheckpointError unless all arrays fit into the memory."""
     size, free = sum(header.nbytes for header in headers.values()), free_memory()
     if size > free:
         raise CheckpointError(
@@ -215,11 +194,7 @@ def _check_memory(headers: Mapping[str, Header]) -> None:
 
 
 def _check_count(file: IO[bytes], count: int) -> None:
-    """Check that the zip file has as many members as its end record says: a damaged directory may lack some.
-
-    Raises:
-        ValueError: It has not.
-    """
+    """Raise ValueError unless the zip file has the members that its end record counts: damage may hide some."""
     file.seek(-_END_OF_ZIP, os.SEEK_END)
     written = int.from_bytes(file.read(_END_OF_ZIP)[10:12], "little")
     if written != count:
@@ -236,12 +211,7 @@ def _damaged(path: Path, error: Exception) -> CheckpointError:
 
 
 def _from_arrays(own: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray]) -> Checkpoint:
-    """Return the checkpoint from the result of `_arrays`.
-
-    Raises:
-        TypeError: The settings are not an object of JSON.
-        ValueError: A number cannot have been written by a run.
-    """
+    """Return the checkpoint that `_arrays` converted; raise TypeError or ValueError if no run can have written it."""
     checkpoint = Checkpoint(
         arrays=arrays,
         best=Best(
@@ -262,11 +232,7 @@ def _from_arrays(own: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray]
 
 
 def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarray]], StateT], path: Path) -> StateT:
-    """Return the algorithm's state in `checkpoint`, which was read from `path`.
-
-    Raises:
-        CheckpointError: The arrays do not fit the algorithm.
-    """
+    """Return the algorithm's state in `checkpoint`, read from `path`; raise CheckpointError if it does not fit."""
     try:
         return from_arrays(checkpoint.arrays)
     except CheckpointError as error:
@@ -284,20 +250,12 @@ class CheckpointWriter:
         self._last: Future[None] | None = None
 
     def write(self, paths: list[Path], checkpoint: Checkpoint) -> None:
-        """Start writing `checkpoint` to every path of `paths`, in order, after the previous one is written.
-
-        Raises:
-            StorageError: The previous checkpoint could not be written.
-        """
+        """Start writing `checkpoint` to every path of `paths`, in order, after a `wait` for the previous one."""
         self.wait()
         self._last = self._pool.submit(self._write_all, paths, checkpoint)
 
     def wait(self) -> None:
-        """Wait until the last checkpoint is on disk.
-
-        Raises:
-            StorageError: It could not be written.
-        """
+        """Wait until the last checkpoint is on disk; raise StorageError if it could not be written."""
         last, self._last = self._last, None
         if last is not None:
             last.result()

@@ -101,11 +101,7 @@ class RunFolder:
             yield
 
     def _check_links(self) -> None:
-        """Check that no file is written through a symbolic link out of the folder.
-
-        Raises:
-            RunFolderError: A file or folder of the run is such a link.
-        """
+        """Raise RunFolderError if a file of the run would be written through a symbolic link out of the folder."""
         home = os.path.realpath(self.path)
         files = (self.config, self.progress, self.evaluation, self.log, self._lock)
         for place in (*files, self.checkpoints, self.tensorboard):
@@ -146,11 +142,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, run: Path | str) -> RunFolder:
-        """Return the run folder `run`: a path, or the name of a shipped agent.
-
-        Raises:
-            RunFolderError: `run` is neither.
-        """
+        """Return the run folder `run`, a path or the name of a shipped agent; raise RunFolderError if it is neither."""
         folder = cls(find_run(run))
         if not folder.config.is_file():
             below = sorted(str(each.parent) for pattern in _BELOW for each in folder.path.glob(pattern))
@@ -178,11 +170,7 @@ class RunFolder:
             raise ConfigError(f"{self.config}: {error}") from error
 
     def record_start(self, config: TrainConfig, origins: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write the record of a new run, with the origins of levels that other runs trained.
-
-        Raises:
-            StorageError: The record cannot be written.
-        """
+        """Write the record of a new run, with the origins of levels that other runs trained."""
         record = {
             "format": _FORMAT,
             "config": config.to_dict(),
@@ -237,11 +225,7 @@ class RunFolder:
         return checkpoint
 
     def read_record(self) -> dict[str, Any]:
-        """Return the content of `config.json`: settings and provenance.
-
-        Raises:
-            RunFolderError: The file is damaged, or has another format.
-        """
+        """Return the content of `config.json`, settings and provenance; raise RunFolderError if it is damaged."""
         try:
             record = json.loads(self.config.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
@@ -262,10 +246,6 @@ class RunFolder:
         return record
 
     def write_record(self, record: dict[str, Any]) -> None:
-        """Write `config.json`.
-
-        Raises:
-            StorageError: The file cannot be written.
-        """
+        """Write `config.json`; raise StorageError if that fails."""
         text = json.dumps(record, indent=2) + "\n"
         write_atomically(self.config, lambda file: file.write(text.encode()))

@@ -28,11 +28,7 @@ class Header:
 
 
 def read_headers(archive: zipfile.ZipFile) -> dict[str, Header]:
-    """Return the header of every array by name.
-
-    Raises:
-        ValueError: A member is not an array of plain values, or has more or fewer bytes than its header says.
-    """
+    """Return the header of every array by name; raise ValueError if one is damaged or holds objects."""
     assert archive.fp is not None
     size = archive.fp.seek(0, 2)
     headers = {}

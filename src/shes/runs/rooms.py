@@ -118,11 +118,7 @@ def learner(run: RunSettings) -> type[Algorithm[Any]]:
 
 
 def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run by room, in the order of the help.
-
-    Raises:
-        ConfigError: Two settings have one name.
-    """
+    """Return the settings classes of a run by room, in the order of the help; raise ConfigError if names clash."""
     env = find_environment(run.env)
     body = env.body.Options if isinstance(env, Environment) else Settings
     rooms = with_options(
@@ -141,11 +137,7 @@ def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
 
 
 def _check_distinct(rooms: Mapping[str, type[Settings]]) -> None:
-    """Check that settings of different rooms have different names, except one that is shared.
-
-    Raises:
-        ConfigError: Two have the same name.
-    """
+    """Raise ConfigError if settings of different rooms have one name, unless it is a shared setting."""
     first: dict[str, tuple[str, Setting]] = {}
     for room, cls in rooms.items():
         for name, setting in settings_in([cls]).items():
@@ -229,12 +221,7 @@ def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Setti
 
 
 def _check_choices(settings: Mapping[str, Setting], values: Mapping[str, Any]) -> None:
-    """Check the values of settings that choose a name, because a class that is not registered has options.
-
-    Raises:
-        ConfigError: A value is not a name.
-        UnknownNameError: A value is an unknown name.
-    """
+    """Raise for a value that is not one of its setting's names: a class that is not registered may have options."""
     for name, setting in settings.items():
         if name in values and setting.has(Choices):
             setting.checked(values[name])

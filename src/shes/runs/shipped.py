@@ -75,12 +75,7 @@ class ShippedAgent:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> ShippedAgent:
-        """Return the description from the result of `to_dict`.
-
-        Raises:
-            KeyError: `commands` or `evaluation` is missing.
-            TypeError: Another key is missing, or unknown.
-        """
+        """Return the description that `to_dict` converted; raise KeyError or TypeError for other keys."""
         evaluation = FreshEvaluation(**values["evaluation"])
         return cls(**{**values, "commands": tuple(values["commands"]), "evaluation": evaluation})
 
@@ -91,11 +86,7 @@ def shipped_names() -> tuple[str, ...]:
 
 
 def shipped_path(name: str) -> Path:
-    """Return the folder of the shipped agent `name`.
-
-    Raises:
-        UnknownNameError: There is no such agent.
-    """
+    """Return the folder of the shipped agent `name`; raise UnknownNameError if there is none."""
     if name not in shipped_names():
         raise UnknownNameError("shipped agent", name, shipped_names(), "`shes list` shows them.")
     return AGENTS / name

@@ -22,11 +22,7 @@ Row = dict[str, Any]
 
 
 def read_csv(path: Path) -> dict[str, list[float]]:
-    """Return the columns of a CSV file of numbers by name.
-
-    Raises:
-        RunFolderError: The file is missing or damaged.
-    """
+    """Return the columns of a CSV file of numbers by name; raise RunFolderError if it is missing or damaged."""
     header, *rows = _read_rows(path) or [[]]
     try:
         return {name: [float(row[i]) for row in rows] for i, name in enumerate(header if rows else ())}
@@ -35,11 +31,7 @@ def read_csv(path: Path) -> dict[str, list[float]]:
 
 
 def _read_rows(path: Path) -> list[list[str]]:
-    """Return the rows of a CSV file, its header first; those without a value are left out.
-
-    Raises:
-        RunFolderError: The file is missing or damaged.
-    """
+    """Return the rows of a CSV file, its header first; those without a value are left out."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             return [row for row in csv.reader(file) if row]
@@ -48,11 +40,7 @@ def _read_rows(path: Path) -> list[list[str]]:
 
 
 def _kept_rows(path: Path, generation: int) -> list[list[str]]:
-    """Return the header and the whole rows up to `generation`. Later ones may be cut off.
-
-    Raises:
-        RunFolderError: The file is missing or damaged.
-    """
+    """Return the header and the whole rows up to `generation`. Later ones may be cut off."""
     rows = _read_rows(path)
     try:
         kept = [row for row in rows[1:] if len(row) == len(rows[0]) and int(row[0]) <= generation]
@@ -69,11 +57,7 @@ def _damaged(path: Path, error: Exception) -> RunFolderError:
 
 
 def check_tables(folder: RunFolder, generation: int) -> None:
-    """Check that the tables of a run are there and can be read after `generation`.
-
-    Raises:
-        RunFolderError: A table is missing or damaged.
-    """
+    """Raise RunFolderError unless the tables of a run are there and can be read after `generation`."""
     for path in (folder.progress, folder.evaluation) if generation else ():
         if not path.is_file():
             raise RunFolderError(
@@ -115,11 +99,7 @@ class CsvTable:
         write_atomically(self._path, lambda file: file.write(csv_text([header, *kept]).encode()))
 
     def add(self, row: Row) -> None:
-        """Append `row`, with one write.
-
-        Raises:
-            StorageError: The file cannot be written.
-        """
+        """Append `row`, with one write; raise StorageError if that fails."""
         header = [] if self._columns else [list(row)]
         self._columns = self._columns or list(row)
         text = csv_text([*header, [repr(row[name]) for name in self._columns]])

@@ -43,11 +43,7 @@ class BufferPeaks:
     """Constraint rows of one simulation."""
 
     def check(self, sizes: BufferSizes, num_sims: int) -> None:
-        """Check that the peaks fit into buffers of `sizes`.
-
-        Raises:
-            ConfigError: A buffer overflowed, so that contacts or constraints were left out.
-        """
+        """Raise ConfigError if a buffer of `sizes` overflowed, so that contacts or constraints were left out."""
         if self.contacts > sizes.nconmax * num_sims:
             raise ConfigError(
                 f"mujoco-warp's contact buffer overflowed: {self.contacts} contacts or close pairs of geoms in "

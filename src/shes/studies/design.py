@@ -118,12 +118,7 @@ class StudyDesign:
 
 
 def check_size(scale: str, seeds: int | None, scales: Mapping[str, Any]) -> None:
-    """Check the size of a study.
-
-    Raises:
-        UnknownNameError: There is no such scale.
-        ConfigError: `seeds` is not positive.
-    """
+    """Raise UnknownNameError for an unknown scale, ConfigError for a number of seeds below 1."""
     if scale not in scales:
         raise UnknownNameError("scale", scale, scales, "Set --scale.")
     if seeds is not None and seeds < 1:

@@ -69,11 +69,7 @@ class _Results:
 def draw_figures(
     study: Study, summaries: Mapping[str, Summary], comparisons: Sequence[Comparison], out: Path
 ) -> list[Path]:
-    """Draw the figures of a study that have finished cells into `out`; return their paths.
-
-    Raises:
-        StorageError: A figure cannot be written.
-    """
+    """Draw the figures of a study that have finished cells into `out`; return their paths."""
     results = _Results(study, summaries, comparisons)
     drawn: list[Path] = []
     for asked in study.design.figures:

@@ -114,11 +114,7 @@ def compare_runs(
 
 
 def _repetitions(run: Path | str) -> list[RunFolder]:
-    """Return the runs of one side.
-
-    Raises:
-        ConfigError: They differ in another setting than the seed, or two are the same run.
-    """
+    """Return the runs of one side; raise ConfigError if they differ in more than the seed, or two are the same."""
     folders = find_runs(run)
     settings = [folder.read_config().numbers() for folder in folders]
     names = dict.fromkeys(name for each in settings for name in each)

@@ -108,11 +108,7 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
 
 
 def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
-    """Check that a run folder has the settings of its cell.
-
-    Raises:
-        RunFolderError: It has other settings.
-    """
+    """Raise RunFolderError unless a run folder has the settings of its cell."""
     # The path of the primitive is not compared: the same folder may have another path.
     wanted, there = (
         {
@@ -225,11 +221,7 @@ def check_study(study: Study, out: Path) -> None:
 
 
 def _read_summary(path: Path) -> Summary | None:
-    """Return the summary of the cell in the folder at `path`; None if it is not finished.
-
-    Raises:
-        RunFolderError: The file is damaged.
-    """
+    """Return the summary of the cell in the folder at `path`; None if it is not finished."""
     file = path / _SUMMARY
     try:
         found = json.loads(file.read_bytes())
@@ -241,11 +233,7 @@ def _read_summary(path: Path) -> Summary | None:
 
 
 def read_summaries(study: Study, out: Path) -> dict[str, Summary]:
-    """Return the summaries of the finished cells by name, from their folders or the tables, in order of execution.
-
-    Raises:
-        RunFolderError: A summary or a table is damaged.
-    """
+    """Return the summaries of the finished cells by name, from their folders or the tables, in order of execution."""
     cells = study.ordered()
     # A folder takes precedence over a row: a cell with an unfinished folder is unfinished.
     without = [cell for cell in cells if not (out / cell.name).exists()]
@@ -255,11 +243,7 @@ def read_summaries(study: Study, out: Path) -> dict[str, Summary]:
 
 
 def cells_left(study: Study, out: Path) -> list[Cell]:
-    """Return the cells still to be run, in order, with primitives whose folder is needed but no longer exists.
-
-    Raises:
-        RunFolderError: A summary or a table is damaged.
-    """
+    """Return the cells still to be run, in order, with primitives whose folder is needed but no longer exists."""
     done = set(read_summaries(study, out))
     for cell in reversed(study.ordered()):  # a cell comes after its primitive
         if cell.primitive is not None and cell.name not in done and _read_summary(out / cell.primitive) is None:

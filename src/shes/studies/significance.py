@@ -16,11 +16,7 @@ _DIGITS = 12  # to this many digits, differences of means do not depend on the o
 
 
 def check_scipy() -> ModuleType:
-    """Return `scipy.stats`.
-
-    Raises:
-        MissingExtraError: SciPy is not installed.
-    """
+    """Return `scipy.stats`; raise MissingExtraError if SciPy is not installed."""
     try:
         from scipy import stats
     except ImportError as error:

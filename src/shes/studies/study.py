@@ -30,11 +30,7 @@ class Study:
     design: StudyDesign = field(default_factory=StudyDesign)
 
     def __post_init__(self) -> None:
-        """Check the names of the cells.
-
-        Raises:
-            ConfigError: Two cells have the same name, or a primitive comes from no cell.
-        """
+        """Raise ConfigError if two cells have the same name, or a primitive comes from no cell."""
         names = [cell.name for cell in self.cells]
         for cell in self.cells:
             if names.count(cell.name) > 1:

@@ -83,11 +83,7 @@ def write_tables(cells: Sequence[Cell], summaries: Mapping[str, Summary], out: P
 
 
 def read_tables(cells: Sequence[Cell], out: Path) -> dict[str, Summary]:
-    """Return the summaries of `cells` in the tables at `out`, by name; rows with other settings are ignored.
-
-    Raises:
-        RunFolderError: A table is damaged.
-    """
+    """Return the summaries of `cells` in the tables at `out`, by name; rows with other settings are ignored."""
     curves: dict[tuple[Any, ...], list[Row]] = {}
     for row in _read(out / "curves.csv"):
         curves.setdefault(_place(row), []).append(_without_settings(row))
@@ -112,11 +108,7 @@ def _place(row: Row) -> tuple[Any, ...]:
 
 
 def _read(path: Path) -> list[Row]:
-    """Return the rows of a table; none if it does not exist.
-
-    Raises:
-        RunFolderError: It is damaged, or lacks a column that identifies cells.
-    """
+    """Return the rows of a table, none if it does not exist; raise RunFolderError if it is damaged."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
@@ -145,11 +137,7 @@ def _value(name: str, text: str) -> Any:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Write `rows` as a CSV file; None and missing columns are empty.
-
-    Raises:
-        StorageError: The file cannot be written; an earlier one is unchanged.
-    """
+    """Write `rows` as a CSV file, atomically; None and missing columns are empty."""
     columns = list(dict.fromkeys(name for row in rows for name in row))
     text = csv_text([columns, *([row.get(name) for name in columns] for row in rows)]) if rows else ""
     write_atomically(path, lambda file: file.write(text.encode()))

@@ -38,11 +38,7 @@ __all__ = [
 
 
 def build_environment(config: TrainConfig) -> EnvironmentMaker:
-    """Return the environment of `config`.
-
-    Raises:
-        UnknownNameError: There is no such environment.
-    """
+    """Return the environment of `config`."""
     env = find_environment(config.run.env)
     return env.with_body_options(config.body) if isinstance(env, Environment) and "body" in config else env
 
@@ -80,11 +76,7 @@ def build_problem(config: TrainConfig) -> Problem:
 
 
 def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
-    """Return the algorithm of `config`.
-
-    Raises:
-        ShesError: It cannot learn in this environment with these settings.
-    """
+    """Return the algorithm of `config`; raise ShesError if it cannot learn in this environment with these settings."""
     construct = cast("Callable[[Problem], Algorithm[Any]]", learner(config.run))  # as `register_algorithm` checks
     return construct(build_problem(config))
 

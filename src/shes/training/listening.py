@@ -96,11 +96,7 @@ def _methods(listener: Any) -> dict[str, Callable[..., Any]]:
 
 
 def _check_call(name: str, method: Callable[..., Any]) -> None:
-    """Check that a method can be called with the arguments of `name`.
-
-    Raises:
-        ConfigError: It cannot, or it is a coroutine function, whose calls do nothing.
-    """
+    """Raise ConfigError unless a method can be called with the arguments of `name`, and is no coroutine function."""
     wanted = _METHODS[name]
     try:
         inspect.signature(method).bind(*wanted)

@@ -66,11 +66,7 @@ def onnx_model(name: str, policy: MLP, level: LevelParameters, notes: Mapping[st
 
 
 def _load_onnx() -> Any:
-    """Return the package `onnx`.
-
-    Raises:
-        MissingExtraError: It is not installed.
-    """
+    """Return the package `onnx`; raise MissingExtraError if it is not installed."""
     try:
         return importlib.import_module("onnx")
     except ImportError as error:

@@ -158,11 +158,7 @@ _OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping
 
 
 def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
-    """Check that the settings in `asked` have an effect beside the others.
-
-    Raises:
-        ConfigError: One has none.
-    """
+    """Raise ConfigError if a setting in `asked` has no effect beside the others."""
     for name in asked:
         setting = config.setting(name)
         if not setting.needs or _is_heeded(config, setting.needs):

@@ -137,11 +137,7 @@ class RunsFolder:
                     yield Ended(name=name, run=run)
 
     def _write(self) -> None:
-        """Write the record.
-
-        Raises:
-            StorageError: It cannot be written.
-        """
+        """Write the record."""
         record = {
             "format": _FORMAT,
             "runs": {name: config.to_dict() for name, config in self.configs.items()},
@@ -152,11 +148,7 @@ class RunsFolder:
 
 
 def _read(record: dict[str, Any]) -> tuple[dict[str, TrainConfig], set[str]]:
-    """Return the settings of the runs by place, and those that have ended.
-
-    Raises:
-        ValueError: The record has another format, no run, or a run outside the folder.
-    """
+    """Return the settings of the runs by place, and those that have ended; raise ValueError if it is malformed."""
     if record["format"] != _FORMAT:
         raise ValueError(f"its format is {record['format']!r}, not {_FORMAT}")
     for name in record["runs"]:

@@ -98,11 +98,7 @@ def ship(
 
 
 def _check_words(name: str, description: str, commands: Sequence[str]) -> None:
-    """Check the name, the description and the commands.
-
-    Raises:
-        ConfigError: One of them is invalid.
-    """
+    """Raise ConfigError if the name, the description or the commands are invalid."""
     if not _NAME.fullmatch(name):
         raise ConfigError(f"name must be small letters, digits and hyphens, e.g. ant-walker, got {name!r}.")
     if not description.strip() or "\n" in description:
@@ -201,11 +197,7 @@ def _rename_runs(words: Sequence[str], names: Mapping[str, str]) -> list[str]:
 
 
 def _copy_table(source: Path, target: Path, generation: int) -> None:
-    """Copy at most `_MOST_ROWS` rows of a table, with rounded numbers: first, last and that of `generation` included.
-
-    Raises:
-        RunFolderError: The table is missing or damaged.
-    """
+    """Copy at most `_MOST_ROWS` rows of a table, rounded: first, last and that of `generation` included."""
     columns = read_csv(source)
     with source.open(newline="", encoding="utf-8") as file:
         header, *rows = csv.reader(file)

@@ -117,11 +117,7 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyL
 
 
 def _path(out: Path | str) -> Path:
-    """Return `out` as a path.
-
-    Raises:
-        ConfigError: It is not a path.
-    """
+    """Return `out` as a path; raise ConfigError if it is not one."""
     if not isinstance(out, str | os.PathLike) or not str(out):
         raise ConfigError(f"out must be the path of a folder, got {out!r}. Set --out, or omit it.")
     return Path(out)
@@ -214,11 +210,7 @@ def resumable_settings() -> dict[str, Setting]:
 
 
 def check_resumable(names: Iterable[str]) -> None:
-    """Check that `resume` takes the settings called `names`.
-
-    Raises:
-        ConfigError: A setting is unknown, or would change the numbers of the run.
-    """
+    """Raise ConfigError unless `resume` takes the settings called `names`."""
     resumable, known = resumable_settings(), known_settings()
     allowed = ", ".join(sorted(each.flag for each in resumable.values()))
     for name in names:
@@ -232,11 +224,7 @@ def check_resumable(names: Iterable[str]) -> None:
 
 
 def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint: Checkpoint, audience: Audience) -> Run:
-    """Train from `state` until the run is over, its time is up, a listener ends it, or Ctrl-C.
-
-    Raises:
-        KeyboardInterrupt: Ctrl-C came before the end.
-    """
+    """Train from `state` until the run is over, its time is up, a listener ends it, or Ctrl-C, which it raises."""
     config: TrainConfig = algorithm.problem.settings
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))

@@ -177,11 +177,7 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Tran
 
 
 def _check_fit(level: str, path: str, source: EvolutionAlgorithm, own: EvolutionAlgorithm) -> None:
-    """Check that a level of the run at `path` has the inputs and outputs of the level in our own run.
-
-    Raises:
-        ConfigError: It has not.
-    """
+    """Raise ConfigError unless a level of the run at `path` has the inputs and outputs of the level in our own run."""
     spec, advice = {
         "primitive": (
             _primitive_spec,

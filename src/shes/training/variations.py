@@ -52,12 +52,7 @@ def read_sweep(texts: Iterable[str]) -> dict[str, dict[str, Any]]:
 
 
 def _value(setting: Setting, text: str) -> Any:
-    """Return the value of a setting written as `text`.
-
-    Raises:
-        ConfigError: It is not allowed.
-        UnknownNameError: It is an unknown name.
-    """
+    """Return the value of a setting written as `text`; raise ConfigError or UnknownNameError if it is not allowed."""
     if setting.is_optional and text.lower() == "none":
         return None
     reads = {int: int, float: float, bool: {"true": True, "false": False}.__getitem__}

@@ -70,11 +70,7 @@ class Playback:
         self._state, self._seed = state, seed
 
     def seed_of(self, episode: int) -> int:
-        """Return the seed of episode `episode` of those that `evaluate` runs.
-
-        Raises:
-            ConfigError: `episode` is negative.
-        """
+        """Return the seed of episode `episode` of those that `evaluate` runs; raise ConfigError if it is negative."""
         if episode < 0:
             raise ConfigError(f"episode must be a whole number of at least 0, got {episode}. Set --episode.")
         return fresh_seeds(self._state, episode + 1, self._seed)[episode]

@@ -142,11 +142,7 @@ def _draw_legend(figure: Figure, axis: Axes, groups: list[Group]) -> None:
 
 
 def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> tuple[F64Array, F64Array]:
-    """Return abscissae and values of one column of a run's table.
-
-    Raises:
-        RunFolderError: The table or the column does not exist.
-    """
+    """Return abscissae and values of a column of a run's table; raise RunFolderError if it does not exist."""
     path = folder.evaluation if table == "evaluation" else folder.progress
     if not path.exists():
         raise RunFolderError(f"{folder.path} has no generation yet: {path.name} is missing. Train it first.")

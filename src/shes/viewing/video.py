@@ -31,11 +31,7 @@ _SHOWN_LOG = 300  # last characters of ffmpeg's log in an error message
 
 
 def check_video_path(path: Path) -> None:
-    """Check that a video can be written to `path`.
-
-    Raises:
-        ConfigError: Its suffix is unknown, it is a folder, its folder does not exist, or ffmpeg is missing.
-    """
+    """Raise ConfigError for an unknown suffix, a folder, a path without its folder, or if ffmpeg is missing."""
     if path.suffix.lower() not in _ENCODERS:
         raise ConfigError(f"a video must end in {' or '.join(_ENCODERS)}, got {str(path)!r}. Set --out.")
     if not path.parent.is_dir():

@@ -51,11 +51,7 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
 
 
 def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None:
-    """Check that arrays with these names, shapes and types can be a later state of the run that begins with `start`.
-
-    Raises:
-        CheckpointError: A name, shape or type does not fit.
-    """
+    """Raise CheckpointError unless arrays with these headers can be a later state of the run begun by `start`."""
     expected = to_arrays(start)
     missing = expected.keys() - headers.keys()
     unknown = headers.keys() - expected.keys() - _OPTIONAL.keys()
@@ -87,11 +83,7 @@ def _is_like(array: ArrayHeader, own: np.ndarray, name: str) -> bool:
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
-    """Check that `arrays` can be a later state of the run that begins with `start`.
-
-    Raises:
-        CheckpointError: A name, shape, type or value does not fit.
-    """
+    """Raise CheckpointError unless `arrays` can be a later state of the run begun by `start`."""
     check_headers(arrays, start)
     for name, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all() and name != "novelty/best_return":

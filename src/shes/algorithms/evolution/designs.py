@@ -125,11 +125,7 @@ def _clock_size(settings: Any) -> int:
 
 
 def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
-    """Return the symmetry group that the primitive uses, or None.
-
-    Raises:
-        ConfigError: The robot of `task` has no known symmetry.
-    """
+    """Return the primitive's symmetry group, if any; raise ConfigError if the robot has no known symmetry."""
     kind = settings.hierarchy.symmetry
     if kind == "none":
         return None
@@ -144,11 +140,7 @@ def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
 
 
 def _egocentric(settings: Any, task: EpisodeBatch, setting: str, others: Sequence[int] = ()) -> EgocentricView:
-    """Return the egocentric view of the robot of `task`, followed by the observed values at `others`.
-
-    Raises:
-        ConfigError: The robot has no egocentric view.
-    """
+    """Return the egocentric view of the robot, then `others`; raise ConfigError if it has none."""
     if task.robot is None or not task.robot.egocentric:
         env = settings.run.env
         whose = f"{env} has an external robot" if task.robot is None else f"{env} has the {task.robot.name}"
@@ -159,11 +151,7 @@ def _egocentric(settings: Any, task: EpisodeBatch, setting: str, others: Sequenc
 
 
 def _controller_view(settings: Any, task: EpisodeBatch) -> View:
-    """Return the view of the controller.
-
-    Raises:
-        ConfigError: The robot of `task` has no egocentric view.
-    """
+    """Return the view of the controller."""
     if settings.hierarchy.controller_view == "observation":
         return ColumnsView()
     others = sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
@@ -171,11 +159,7 @@ def _controller_view(settings: Any, task: EpisodeBatch) -> View:
 
 
 def primitive_view(settings: Any, task: EpisodeBatch) -> View:
-    """Return the view of the primitive.
-
-    Raises:
-        ConfigError: There is no position to hide, or the robot of `task` has no egocentric view.
-    """
+    """Return the view of the primitive; raise ConfigError if it has no position to hide, or no egocentric view."""
     hierarchy = settings.hierarchy
     if hierarchy.primitive_view == "egocentric":
         if hierarchy.hide_position:

@@ -69,22 +69,14 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         return to_arrays(state)
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> TrainState:
-        """Return the state that `to_arrays` converted.
-
-        Raises:
-            CheckpointError: The arrays are not a state of this run: levels, names, shapes, types or values differ.
-        """
+        """Return the state that `to_arrays` converted; raise CheckpointError unless it is one of this run."""
         levels = [str(name) for name in np.atleast_1d(arrays["levels"])]
         self._check_levels(levels, has_all=levels == list(self.level_names))
         check_arrays(arrays, self.start(0))
         return from_arrays(arrays)
 
     def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
-        """Check names, shapes and types of the arrays of a checkpoint before they are read.
-
-        Raises:
-            CheckpointError: They are not those of a state of this run.
-        """
+        """Raise CheckpointError unless names, shapes and types of arrays are those of a state of this run."""
         levels = [name.removesuffix("/theta") for name in headers if name.endswith("/theta")]
         self._check_levels(levels, has_all=set(levels) <= set(self.level_names))
         check_headers(headers, self.start(0))
