@@ -90,7 +90,7 @@ def test_the_help_of_train_fits_two_screens_and_shows_what_the_preset_sets(shes)
 def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_room(shes, words, env, settings):
     text = shes("train", *words, "--help-all")
     config = make_config(env, "smoke", settings)
-    for room in config:
+    for room in config.rooms:
         assert f" {room} options " in text
     for name in config.settings.keys() - {"env"}:
         assert re.search(rf"{config.setting(name).flag}\b", text), name

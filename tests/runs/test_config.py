@@ -56,7 +56,7 @@ def test_a_setting_is_in_a_room_and_is_told_by_its_own_name():
 )
 def test_rooms_are_those_of_the_algorithm(env, algorithm, rooms):
     config = TrainConfig.of(env=env, algorithm=algorithm)
-    assert list(config) == [*rooms.split(), "environment", "episodes", "evaluation"]
+    assert list(config.rooms) == [*rooms.split(), "environment", "episodes", "evaluation"]
     for room in ("novelty", "hierarchy"):
         if room not in config:
             with pytest.raises(AttributeError, match=f"no room of settings '{room}' here; it has run, "):

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from shes.envs.builtin import BUILTIN_ENVIRONMENTS
+from shes.envs.builtin import BUILTIN_ENVIRONMENTS, BUILTIN_SPECS
 from shes.errors import UnknownNameError
 
 __all__ = ["MAX_EPISODE_STEPS", "SPECS_OF", "find_id", "gymnasium_id", "register_ids", "register_known"]
 
 MAX_EPISODE_STEPS = 500
 """Control steps after which Gymnasium truncates an episode (SHES paper, Table I)."""
-SPECS_OF: dict[str, Collection[str]] = {name: each.specs for name, each in BUILTIN_ENVIRONMENTS.items()}
+SPECS_OF: dict[str, Collection[str]] = dict.fromkeys(BUILTIN_ENVIRONMENTS, BUILTIN_SPECS)
 """The specifications of every environment by name; `register_ids` adds to it."""
 
 

@@ -119,8 +119,8 @@ def _check_environment(_kind: str, environment: Environment) -> None:
 ENVIRONMENTS: Registry[Environment] = Registry(
     "environment",
     {
-        name: Environment(resolve_name(f"shes.envs.bodies.{each.body}"), resolve_name(f"shes.envs.tasks.{each.task}"))
-        for name, each in BUILTIN_ENVIRONMENTS.items()
+        name: Environment(resolve_name(f"shes.envs.bodies.{body}"), resolve_name(f"shes.envs.tasks.{task}"))
+        for name, (body, task) in BUILTIN_ENVIRONMENTS.items()
     },
     fix=_HOW_TO_REGISTER,
     check=_check_environment,

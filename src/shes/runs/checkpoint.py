@@ -20,7 +20,7 @@ from shes.free_space import free_memory
 from shes.runs.headers import SUFFIX, Header, read_headers
 from shes.storage import write_atomically
 
-__all__ = ["Best", "Checkpoint", "CheckpointWriter", "HeaderCheck", "accept_headers", "load_checkpoint"]
+__all__ = ["Best", "Checkpoint", "CheckpointWriter", "HeaderCheck", "load_checkpoint"]
 __all__ += ["restore", "save_checkpoint"]
 
 StateT = TypeVar("StateT")
@@ -53,10 +53,6 @@ _DAMAGES = (
 
 HeaderCheck: TypeAlias = Callable[[Mapping[str, Header]], object]
 """Checks the names, shapes and types of an algorithm's arrays."""
-
-
-def accept_headers(headers: Mapping[str, Header]) -> None:
-    """Accept any arrays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +118,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool =
     write_atomically(path, write)
 
 
-def load_checkpoint(path: Path, check: HeaderCheck = accept_headers) -> Checkpoint:
+def load_checkpoint(path: Path, check: HeaderCheck | None = None) -> Checkpoint:
     """Read the checkpoint at `path`, without executing code from it.
 
     Args:
@@ -147,7 +143,8 @@ def load_checkpoint(path: Path, check: HeaderCheck = accept_headers) -> Checkpoi
             _check_own(headers)
             own = {name: _read(archive, name) for name in _OWN}
             _check_format(int(own["format"]))
-            check({name: header for name, header in headers.items() if name not in _OWN})
+            if check is not None:
+                check({name: header for name, header in headers.items() if name not in _OWN})
             _check_memory(headers)
             arrays = {name: _read(archive, name) for name in headers if name not in _OWN}
         return _from_arrays(own, arrays)

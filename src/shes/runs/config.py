@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
-from shes.algorithms.evolution.rooms import SCHEDULED
+from shes.algorithms.evolution.rooms import (
+    SCHEDULED,
+    EstimateSettings,
+    EvolutionSettings,
+    HierarchySettings,
+    NetworkSettings,
+    NoveltySettings,
+    ScheduleSettings,
+    TransferSettings,
+)
 from shes.envs.registry import find_environment
+from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import make_schedule
-from shes.runs.rooms import check_names, check_record, learner, settings_in
-from shes.settings import Execution, Setting, flag, out_of_range
-
-if TYPE_CHECKING:
-    from shes.algorithms.evolution.rooms import (
-        EstimateSettings,
-        EvolutionSettings,
-        HierarchySettings,
-        NetworkSettings,
-        NoveltySettings,
-        ScheduleSettings,
-        TransferSettings,
-    )
-    from shes.envs.tasks.options import TaskOptions
-    from shes.runs.rooms import EpisodeSettings, EvaluationSettings, RunSettings, WorkerSettings
-    from shes.settings import Settings
+from shes.runs.rooms import (
+    EpisodeSettings,
+    EvaluationSettings,
+    RunSettings,
+    WorkerSettings,
+    check_names,
+    check_record,
+    learner,
+    settings_in,
+)
+from shes.settings import Execution, Setting, Settings, flag, out_of_range
 
 __all__ = ["TrainConfig"]
 
@@ -37,20 +42,19 @@ _WHOLE_GROUPS = 48
 class TrainConfig:
     """The settings of a training run, immutable, in rooms: `config.evolution.sigma`. See `shes.runs.rooms`."""
 
-    if TYPE_CHECKING:
-        run: RunSettings
-        workers: WorkerSettings
-        environment: TaskOptions
-        body: Settings
-        episodes: EpisodeSettings
-        evaluation: EvaluationSettings
-        evolution: EvolutionSettings
-        schedules: ScheduleSettings
-        novelty: NoveltySettings
-        networks: NetworkSettings
-        hierarchy: HierarchySettings
-        estimate: EstimateSettings
-        transfer: TransferSettings
+    run: RunSettings
+    workers: WorkerSettings
+    environment: TaskOptions
+    body: Settings
+    episodes: EpisodeSettings
+    evaluation: EvaluationSettings
+    evolution: EvolutionSettings
+    schedules: ScheduleSettings
+    novelty: NoveltySettings
+    networks: NetworkSettings
+    hierarchy: HierarchySettings
+    estimate: EstimateSettings
+    transfer: TransferSettings
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         """Build the rooms from settings by name.
@@ -90,10 +94,6 @@ class TrainConfig:
     def __contains__(self, room: str) -> bool:
         """Return whether there is a room of this name."""
         return room in self.rooms
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterate over the names of the rooms."""
-        return iter(self.rooms)
 
     def __eq__(self, other: object) -> bool:
         """Return whether all settings are equal."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from shes.envs.registry import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
-from shes.runs.checkpoint import Checkpoint, HeaderCheck, accept_headers, load_checkpoint
+from shes.runs.checkpoint import Checkpoint, HeaderCheck, load_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.device import device_changes
 from shes.runs.provenance import provenance
@@ -201,7 +201,7 @@ class RunFolder:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
-    def load(self, name: str | int, check: HeaderCheck = accept_headers) -> Checkpoint:
+    def load(self, name: str | int, check: HeaderCheck | None = None) -> Checkpoint:
         """Return checkpoint `name` of this run. `check` is that of `load_checkpoint`.
 
         Raises:

@@ -30,6 +30,12 @@ def read_csv(path: Path) -> dict[str, list[float]]:
         raise _damaged(path, error) from error
 
 
+def read_wall_time(path: Path) -> float:
+    """Return the wall-clock seconds of a run so far, from its `progress.csv` at `path`; 0 before the first row."""
+    times = read_csv(path).get("wall_time_s", []) if path.exists() else []
+    return times[-1] if times else 0.0
+
+
 def _read_rows(path: Path) -> list[list[str]]:
     """Return the rows of a CSV file, its header first; those without a value are left out."""
     try:

@@ -39,11 +39,6 @@ class Forest:
     group: str
     """The group that is drawn below the base."""
 
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """Groups of which a finished cell is needed."""
-        return (self.group,)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
@@ -54,11 +49,6 @@ class Sweep:
     settings: tuple[str, ...]
     factors: tuple[float, ...]
     """Factors of the base's values."""
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """Groups of which a finished cell is needed."""
-        return (self.group,)
 
 
 class Curve(NamedTuple):

@@ -73,7 +73,7 @@ def draw_figures(
     results = _Results(study, summaries, comparisons)
     drawn: list[Path] = []
     for asked in study.design.figures:
-        if results.has(*asked.groups):
+        if results.has(*(asked.groups if isinstance(asked, Curves) else (asked.group,))):
             with _style():
                 figure = _draw(results, asked)
             try:

@@ -26,7 +26,7 @@ from shes.studies.significance import check_scipy
 from shes.studies.study import CHECKPOINTS, Study, cell_config
 from shes.studies.tables import Cell, Summary, read_tables
 from shes.training.evaluate import evaluate
-from shes.training.train import resume, start_run
+from shes.training.train import differing, resume, start_run
 
 __all__ = ["Outcome", "StudyWorker", "cells_left", "check_study", "read_summaries", "run_cell", "run_study"]
 
@@ -110,24 +110,19 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
 def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
     """Raise RunFolderError unless a run folder has the settings of its cell."""
     # The path of the primitive is not compared: the same folder may have another path.
-    wanted, there = (
+    there, wanted = (
         {
             **settings.numbers(),
             "generations": settings.run.generations,
             "env_steps": settings.run.env_steps,
             "primitive": settings.settings.get("primitive") is not None,
         }
-        for settings in (config, folder.read_config())
+        for settings in (folder.read_config(), config)
     )
-    other = [
-        f"{name} is {there.get(name)!r} there and {value!r} in the study"
-        for name, value in wanted.items()
-        if there.get(name) != value
-    ]
-    if other:
+    if others := differing(there, wanted):
         raise RunFolderError(
-            f"{folder.path} holds a run of other settings than cell {cell.name}: {'; '.join(other[:3])}. "
-            f"Choose another folder with --out, or remove this one to have it made anew."
+            f"{folder.path} holds a run of other settings than cell {cell.name}: {others}. "
+            "Choose another folder with --out, or remove this one to have it made anew."
         )
 
 

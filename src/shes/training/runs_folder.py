@@ -17,7 +17,7 @@ from shes.errors import PolicyError, RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import find_run
-from shes.runs.tables import read_csv
+from shes.runs.tables import read_wall_time
 from shes.storage import storage_errors, write_atomically
 from shes.training.listening import AnyListener
 from shes.training.train import Run, check_resumable, differing, finish_run
@@ -74,7 +74,7 @@ class RunsFolder:
         there = cls.open(path) if cls.is_at(path) else cls(path, {}, set())
         for name, config in configs.items():
             before = there.configs.get(name)
-            if before is not None and (others := differing(before, config)):
+            if before is not None and (others := differing(before.numbers(), config.numbers())):
                 raise RunFolderError(
                     f"{path} has run {name} with other settings: {others}. Choose another folder with --out."
                 )
@@ -162,9 +162,7 @@ def _read(record: dict[str, Any]) -> tuple[dict[str, TrainConfig], set[str]]:
 
 def _minutes(path: Path) -> float:
     """Return the minutes for which the run at `path` has been trained."""
-    table = RunFolder(path).progress
-    times = read_csv(table).get("wall_time_s", []) if table.exists() else []
-    return times[-1] / 60 if times else 0.0
+    return read_wall_time(RunFolder(path).progress) / 60
 
 
 def _is_as_long(before: TrainConfig, now: TrainConfig) -> bool:

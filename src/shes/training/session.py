@@ -11,7 +11,7 @@ from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.log import logger
-from shes.runs.tables import Records, Row, read_csv
+from shes.runs.tables import Records, Row, read_wall_time
 from shes.training.divergence import Divergence
 from shes.training.evaluate import evaluate_state, evaluation_seeds
 from shes.training.interruption import Interruption
@@ -39,7 +39,7 @@ class Session:
         self._divergence = Divergence(self._config)
         self._records, self._writer, self._backend, self._audience = records, writer, backend, audience
         self._is_stopped = False
-        self._earlier_s = _wall_time(folder)
+        self._earlier_s = read_wall_time(folder.progress)
         self._start = self._generation_start = perf_counter()
         backend.on_event = self._tell_event
         self._tell("on_start", folder.path, self._config, checkpoint.generation, backend.num_workers)
@@ -132,9 +132,3 @@ class Session:
         if self._audience.tell(method, *content) and not self._is_stopped:
             logger.info("a listener ends the run")
             self._is_stopped = True
-
-
-def _wall_time(folder: RunFolder) -> float:
-    """Return the wall-clock seconds of the run so far, from its table."""
-    times = read_csv(folder.progress).get("wall_time_s", []) if folder.progress.exists() else []
-    return times[-1] if times else 0.0

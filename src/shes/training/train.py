@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +112,7 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyL
         for name in ("0", "best", "last"):
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
         # From here on the run can be resumed.
-        folder.record_start(config, {level: asdict(origin) for level, origin in origins.items()})
+        folder.record_start(config, origins)
         return _go_on(folder, algorithm, state, checkpoint, audience)
 
 
@@ -184,7 +184,7 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
     if not folder.config.is_file():
         return start_run(config, path, listener)
     stored = folder.read_config()
-    if others := differing(stored, config):
+    if others := differing(stored.numbers(), config.numbers()):
         raise RunFolderError(
             f"{path} holds a run of other settings: {others}. Choose another folder with --out, or remove this one to "
             "have it made anew."
@@ -197,9 +197,8 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
     return resume(path, listener=listener, **{**changed, "minutes": config.run.minutes})
 
 
-def differing(before: TrainConfig, now: TrainConfig) -> str:
-    """Return the first settings in which the numbers of two runs differ, in words; empty if they are the same."""
-    there, wanted = before.numbers(), now.numbers()
+def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
+    """Return the first settings in which two runs differ, in words; empty if they are the same."""
     names = [name for name in {**wanted, **there} if there.get(name) != wanted.get(name)]
     return "; ".join(f"{name} is {there.get(name)!r} there, not {wanted.get(name)!r}" for name in names[:3])
 

@@ -8,7 +8,6 @@ of the other.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from shes.algorithms.contract import Algorithm
@@ -22,7 +21,7 @@ from shes.runs.rooms import RunSettings, learner
 from shes.settings import flag
 from shes.training.build import OpenedRun, build_task, open_run
 
-__all__ = ["TRANSFERRED", "Transferred", "brought_settings", "check_robot", "transfer"]
+__all__ = ["TRANSFERRED", "brought_settings", "check_robot", "transfer"]
 
 TRANSFERRED = ("primitive", "controller")
 """Levels that may come from another run, which the setting of the same name gives."""
@@ -35,22 +34,8 @@ _SUGGESTED = {"primitive": (), "controller": ("controller_interval", "goal_dista
 """Settings that come with a level unless another value is asked for."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Transferred:
-    """The origin of a level."""
-
-    run: str
-    """The run folder, or the name of a shipped agent."""
-    env: str
-    """Its environment."""
-    checkpoint: str
-    """Checkpoint: `best`, `last` or the number of a generation."""
-    generation: int
-    """Generation of the checkpoint."""
-
-
-def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState, Transferred]:
-    """Return the run at `path`, the state of its level of this name, and the level's origin.
+def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState, dict[str, Any]]:
+    """Return the run at `path`, the state of its level of this name, and the level's origin for the record.
 
     Raises:
         RunFolderError: `path` is neither a run folder nor a shipped agent.
@@ -73,8 +58,8 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState
             f"{path} has no {level}: its levels are {', '.join(opened.algorithm.level_names)}. Name a run with "
             f"--{level} that trained one: {trained_by}."
         )
-    origin = Transferred(run=path, env=opened.config.run.env, checkpoint=checkpoint, generation=opened.state.generation)
-    return opened, levels[level], origin
+    env, generation = opened.config.run.env, opened.state.generation
+    return opened, levels[level], {"run": path, "env": env, "checkpoint": checkpoint, "generation": generation}
 
 
 def _checkpoint_names(folder: RunFolder) -> list[str]:
@@ -153,7 +138,7 @@ def _robot(config: TrainConfig) -> tuple[str | None, str]:
     return name, f"{who} with {task.action_size} controls of up to {task.control_limit:g}"
 
 
-def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Transferred]]:
+def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict[str, Any]]]:
     """Return `state` with the levels from other runs that the settings name, and their origins.
 
     A level comes with its parameters and observation statistics.
@@ -163,7 +148,7 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, Tran
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: The level has other inputs or outputs.
     """
-    origins: dict[str, Transferred] = {}
+    origins: dict[str, dict[str, Any]] = {}
     config = algorithm.problem.settings
     for name in TRANSFERRED:
         path = config.settings.get(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -88,9 +89,7 @@ def vary(
     for seed in seeds:
         if seeds.count(seed) > 1:
             raise ConfigError(f"seed {seed} is given twice: it would be the same run. Set --seed.")
-    count = len(seeds)
-    for values in sweep.values():
-        count *= len(values)
+    count = math.prod((len(seeds), *map(len, sweep.values())))
     if count > _MOST_RUNS:
         raise ConfigError(f"these are {count:,} runs; at most {_MOST_RUNS:,} are allowed. Sweep fewer values.")
     found: dict[str, TrainConfig] = {}
@@ -99,9 +98,7 @@ def vary(
         group = "_".join(
             _file_name(f"{name.replace('_', '-')}-{text}") for name, text in zip(sweep, texts, strict=True)
         )
-        while (
-            group and f"{group}/seed-{seeds[0]}" in found
-        ):  # two values may differ only in what a file name cannot hold
+        while group and f"{group}/seed-{seeds[0]}" in found:  # the file names of two values may be equal
             group += "-"
         for seed in seeds:
             asked = {**settings, **values, "seed": seed}
