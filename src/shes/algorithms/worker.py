@@ -92,14 +92,10 @@ def simulator_factory(device: str, nconmax: int | None, njmax: int | None) -> Si
 
 
 def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, episodes: int, horizon: int) -> int:
-    """Return how many lanes fit into the memory of a GPU.
+    """Return how many lanes of `episodes` episodes fit into `free_bytes` of a GPU, with `sim_bytes` for a simulation.
 
-    Args:
-        free_bytes: Free memory.
-        sim_bytes: Memory of one simulation.
-        design: The agents' design. A lane's parameters are stored twice, flat and as contiguous matrices.
-        episodes: Number of episodes in a lane.
-        horizon: Steps of an episode. Exploration noise is stored twice while it is replaced.
+    A lane's parameters are stored twice, flat and as contiguous matrices, and so is exploration noise while it is
+    replaced.
     """
     decisions = -(-horizon // design.controller_interval)
     noise = 4 * (horizon * design.policies[-1].sizes[-1] + decisions * design.decision_size)
@@ -228,7 +224,6 @@ class RolloutWorker:
         return max(1, min(asked or share, self._room.get(kind, share)))
 
     def _measure_room(self, generation: Generation) -> int:
-        """Return how many lanes fit into the device's memory."""
         free = WarpDevice(self.plan.device).free_bytes()
         if free is None:
             return sys.maxsize

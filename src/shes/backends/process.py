@@ -27,12 +27,9 @@ class WorkerProcess:
     """A worker process and the tasks it is working on."""
 
     def __init__(self, factory: bytes, import_path: str, timeout_s: float | None) -> None:
-        """Start the process.
+        """Start the process, which imports from `import_path` and makes its worker by the pickled `factory`.
 
-        Args:
-            factory: The pickled function that creates its worker.
-            import_path: Its import path.
-            timeout_s: Seconds after which a message that the process has sent in part raises BlockingIOError.
+        A message that the process has sent in part raises BlockingIOError after `timeout_s` seconds.
         """
         self._socket, theirs = socket.socketpair()
         read_end, self._lifeline = os.pipe()

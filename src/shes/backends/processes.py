@@ -72,14 +72,7 @@ class ProcessesBackend(Backend):
         worker_warning_s: float | None = None,
         worker_timeout_s: float | None = None,
     ) -> None:
-        """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles.
-
-        Args:
-            factory: Function that creates a worker.
-            num_workers: Number of processes.
-            worker_warning_s: Seconds without an answer after which an event names the worker; none for never.
-            worker_timeout_s: Seconds without an answer after which a worker is replaced; none for never.
-        """
+        """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles."""
         self.num_workers = num_workers
         self.worker_warning_s, self.worker_timeout_s = worker_warning_s, worker_timeout_s
         limits = [limit for limit in (worker_warning_s, worker_timeout_s) if limit is not None]

@@ -45,7 +45,6 @@ class BarePhysics:
     """Replays episodes one after another with `mj_step`: the limit of one core."""
 
     def __init__(self, model: mujoco.MjModel, episodes: Sequence[Episode]) -> None:
-        """Take the model and the episodes to replay."""
         self.model, self.episodes = model, episodes
         self.data = mujoco.MjData(model)
         self._ends = np.cumsum([model.nq, model.nv, model.nv])
@@ -87,13 +86,11 @@ def record_generation(plan: WorkerPlan, state: TrainState, settings: Hyperparame
 
 
 def _play(worker: Backend, work: Work, num_tasks: int) -> list[EpisodeResults]:
-    """Return the results of the first `num_tasks` tasks of `work`."""
     worker.broadcast(work.generation)
     return list(worker.map(work.tasks[:num_tasks]))
 
 
 def _snapshots(results: Sequence[EpisodeResults]) -> list[Snapshot]:
-    """Return the snapshots in `results`."""
     return [left for each in results for left in each.snapshots if left is not None]
 
 

@@ -16,7 +16,6 @@ class RandomResults:
     """A `Worker` that returns random results at once."""
 
     def __init__(self, state_size: int) -> None:
-        """Take the size of the physics state in snapshots."""
         self._state = np.zeros(state_size)
         self._rng = np.random.default_rng(0)
         self._generation: Generation | None = None
@@ -46,7 +45,6 @@ class RandomResults:
         )
 
     def _snapshots(self, task: EpisodeTask, generation: Generation) -> list[Snapshot | None]:
-        """Return the snapshots that `task` asks for."""
         left = Snapshot(state=self._state, steps=0, goals=np.zeros((generation.snapshot_goals, 2)))
         return [left if task.snapshot_steps or slot == task.kept_slot else None for slot in task.slots]
 

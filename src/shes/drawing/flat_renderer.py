@@ -60,7 +60,6 @@ class FlatRenderer(Renderer):
         return self.top_view
 
     def _is_scenery(self, geom: int) -> bool:
-        """Return whether a geom is ground, wall or block, not robot."""
         return self.model.geom(geom).name.startswith(("floor", "wall", "platform", "block"))
 
     def _draw_geom(self, sheet: _Sheet, geom: int) -> None:

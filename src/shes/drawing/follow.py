@@ -49,12 +49,10 @@ class FollowView(NamedTuple):
 
 
 def follow_view(model: mujoco.MjModel, data: mujoco.MjData, extent: tuple[float, float, float, float]) -> FollowView:
-    """Return the view of the robot at the pose of `data`.
+    """Return the view of the robot at the pose of `data`, whose positions of bodies and geoms have been computed.
 
-    Args:
-        model: A decorated world, whose scenery is in `SCENERY_GROUP`.
-        data: Its state, with positions of bodies and geoms computed.
-        extent: Least x and y, greatest x and y of the world, in metres.
+    The scenery of the decorated world `model` is in `SCENERY_GROUP`; `extent` is its least x and y, greatest x and
+    y, in metres.
     """
     robot = data.xpos[_ROBOT_BODY]
     low, high = np.reshape(extent, (2, 2))

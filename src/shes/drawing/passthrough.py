@@ -19,7 +19,6 @@ class PassthroughDrawer(Drawer):
     cameras = ("own",)
 
     def __init__(self, width: int, height: int) -> None:
-        """Make pictures of `width` x `height` pixels."""
         self.size = (width, height)
 
     def draw(self, pose: Picture, /, markers: Sequence[Marker] = (), camera: str = "own") -> Picture:

@@ -30,7 +30,6 @@ class Renderer(Drawer):
     cameras = CAMERAS
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
-        """Draw `model` in pictures of `width` x `height` pixels."""
         self.model = model
         self.width, self.height = width, height
         self.data = mujoco.MjData(model)

@@ -50,15 +50,10 @@ def open_window(batch: EpisodeBatch) -> Window:
 
 
 def make_renderer(make_spec: Callable[[], mujoco.MjSpec], width: int, height: int) -> Renderer:
-    """Return MuJoCo's renderer or, without OpenGL, the flat renderer.
-
-    Args:
-        make_spec: Returns the world, undecorated.
-        width: Width of a picture in pixels.
-        height: Height of a picture in pixels.
+    """Return MuJoCo's renderer of the undecorated world of `make_spec` or, without OpenGL, the flat renderer.
 
     Raises:
-        ConfigError: The size is not allowed, or MUJOCO_GL names an OpenGL that does not work.
+        ConfigError: The size in pixels is not allowed, or MUJOCO_GL names an OpenGL that does not work.
     """
     for name, pixels in (("width", width), ("height", height)):
         if not (is_whole(pixels) and 16 <= pixels <= MAX_PIXELS):

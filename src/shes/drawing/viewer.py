@@ -56,7 +56,6 @@ class Viewer:
         return self._window.is_running()
 
     def _follow(self) -> None:
-        """Make the camera follow the robot."""
         with self._window.lock():
             camera = self._window.cam
             camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING

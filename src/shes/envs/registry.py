@@ -111,7 +111,6 @@ class Environment(NamedTuple):
 
 
 def _check_environment(_kind: str, environment: Environment) -> None:
-    """Check that body and task are complete classes."""
     check_class("body", environment.body, Body)
     check_class("task", environment.task, Task, num_arguments=4)
 

@@ -56,13 +56,7 @@ INTEGRATORS = {
 
 
 def empty_world(name: str, integrator: str, *, has_block: bool = False) -> mujoco.MjSpec:
-    """Return a world with a floor and the default contact parameters of the tasks.
-
-    Args:
-        name: Name of the model.
-        integrator: A key of `INTEGRATORS`.
-        has_block: Whether the world has a movable block, which makes all contacts stiffer.
-    """
+    """Return a world with a floor and the default contact parameters of the tasks, stiffer for one with a block."""
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.compiler.degree = True
@@ -150,7 +144,6 @@ def _has(grid: Grid, sign: str) -> bool:
 
 
 def _robot_cell(grid: Grid) -> tuple[int, int]:
-    """Return row and column of the robot's start."""
     row = next(i for i, cells in enumerate(grid) if "r" in cells)
     return row, grid[row].index("r")
 

@@ -39,7 +39,6 @@ def default_cache_dir() -> Path:
 
 
 def _block(seed: int, number: int, length: int) -> F32Array:
-    """Return the first `length` normals of block `number`."""
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(number,))))
     return rng.standard_normal(length, dtype=np.float32)
 

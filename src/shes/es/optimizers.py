@@ -147,5 +147,4 @@ def _mix(old: F32Array, new: F32Array, share: float) -> F32Array:
 
 
 def _norm(vector: F64Array) -> float:
-    """Return the Euclidean norm of `vector` [D]."""
     return float(np.sqrt(np.sum(np.square(vector))))

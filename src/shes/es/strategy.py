@@ -165,7 +165,6 @@ class EvolutionStrategy:
         return draw_noise_index(self.state.seed, self.state.generation, num_groups, self.dims, self.table.size)
 
     def _start(self, initial: ArrayLike | Sequence[ArrayLike] | None, seed: int) -> TrainState:
-        """Return the state before the first generation."""
         if initial is None:
             starts = [np.zeros(dim, np.float32) for dim in self.dims]
         else:

@@ -211,7 +211,6 @@ class AgentBatch(ABC, Generic[Design]):
         return np.zeros_like(position[:, 0], dtype=np.float64)
 
     def _zero_parameters(self, rows: int, size: int) -> F32Array:
-        """Return zeros [rows, size] for parameters."""
         return aligned_rows(rows, size) if self.xp is np else self.xp.zeros((rows, size), np.float32)
 
     def _contiguous(self, policy: MLP, theta: F32Array) -> Layers:

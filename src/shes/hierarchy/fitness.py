@@ -40,14 +40,10 @@ def shaped_fitness(
     search: NoveltyState | None,
     neighbours: int,
 ) -> list[F64Array]:
-    """Return for each level the shaped fitness [n'] of the members that perturb it.
+    """Return for each level the shaped fitness [n'] of the members that perturb it, by its own rule.
 
-    Args:
-        results: Results of the population.
-        signs: Signs of every member at each level [G, M, L].
-        rules: Update rule of each level.
-        search: State of the novelty search, if enabled.
-        neighbours: Number of nearest neighbours in the archive.
+    `signs` [G, M, L] are those of every member at each level. With a novelty search, the fitness of the first level
+    is blended with the mean distance to the nearest `neighbours` in the archive.
     """
     shaped: list[F64Array] = []
     for level, rule in enumerate(rules):

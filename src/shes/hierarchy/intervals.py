@@ -64,11 +64,7 @@ def branch_work(
 ) -> Work:
     """Return the pairs of the generation that follows `state`. The primitive is the last level.
 
-    Args:
-        state: The state before the generation.
-        estimate: Hyperparameters of the interval estimate.
-        table_size: Number of normals in the noise table.
-        snapshots: Snapshots of whole episodes; None if the environment sets the goals, and episodes continue.
+    Pairs start from `snapshots` of whole episodes; None if the environment sets the goals, and episodes continue.
     """
     groups, level = estimate.num_pairs, len(state.levels) - 1
     primitive = state.levels[level]

@@ -25,12 +25,7 @@ __all__ = ["PopulationResults", "lower_diverged"]
 
 
 def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
-    """Return `values` with those of diverged episodes lowered to the minimum of the others.
-
-    Args:
-        values: A return or score of every episode, of any shape.
-        has_diverged: Whether the physics diverged, of the same shape.
-    """
+    """Return `values` of episodes, of any shape, with those of diverged ones lowered to the minimum of the others."""
     if not has_diverged.any() or has_diverged.all():
         return values
     return np.where(has_diverged, np.minimum(values, values[~has_diverged].min()), values)

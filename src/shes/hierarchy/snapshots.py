@@ -40,9 +40,7 @@ class SnapshotRecorder:
     def take(self, is_running: BoolArray, steps: IntArray) -> None:
         """Record the states and goals that are due, after the agents have decided and before the physics step.
 
-        Args:
-            is_running: Whether each row is running [N].
-            steps: Number of control steps of each row so far [N].
+        `steps` [N] are the control steps of each row so far.
         """
         due = np.flatnonzero(is_running & (steps == self._wanted + self._recorded * self._interval))
         due = due[self._recorded[due] < self._num_goals]

@@ -67,7 +67,6 @@ class TrainConfig:
         self._set({room: cls.of(values) for room, cls in classes.items()})
 
     def _set(self, rooms: dict[str, Settings]) -> None:
-        """Set and check the rooms."""
         self.__dict__["rooms"] = rooms
         self._check()
 
@@ -81,28 +80,23 @@ class TrainConfig:
         return TrainConfig({**self.settings, **values})
 
     def __getattr__(self, name: str) -> Any:
-        """Return a room."""
         rooms = self.__dict__.get("rooms", {})
         if name not in rooms:
             raise AttributeError(f"a run has no room of settings {name!r} here; it has {', '.join(rooms)}")
         return rooms[name]
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Raise: a configuration is immutable."""
         raise AttributeError(f"settings cannot be changed: {name}. Use having().")
 
     def __contains__(self, room: str) -> bool:
-        """Return whether there is a room of this name."""
         return room in self.rooms
 
     def __eq__(self, other: object) -> bool:
-        """Return whether all settings are equal."""
         return isinstance(other, TrainConfig) and self.rooms == other.rooms
 
     __hash__ = None  # type: ignore[assignment] - a room may not be hashable
 
     def __repr__(self) -> str:
-        """Return the rooms as text."""
         return f"TrainConfig({', '.join(map(repr, self.rooms.values()))})"
 
     @property

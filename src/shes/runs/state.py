@@ -97,7 +97,6 @@ def unreadable_state(folder: RunFolder, error: Exception) -> RunState:
 
 
 def _is_locked(folder: RunFolder) -> bool:
-    """Return whether a process trains in `folder`."""
     file = folder.path / ".lock"
     if not file.is_file():
         return False

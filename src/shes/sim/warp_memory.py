@@ -23,12 +23,8 @@ def bytes_per_sim(
 ) -> float:
     """Return the memory of a simulation of `model` on `device`, in bytes; 0 on the CPU.
 
-    Args:
-        model: The model.
-        device: `warp-cpu` or `cuda`.
-        nstep: Physics steps in a control step, whose graph takes memory too.
-        nconmax: As for `WarpSimulator`.
-        njmax: As for `WarpSimulator`.
+    The graph of a control step of `nstep` physics steps takes memory, too. For `nconmax` and `njmax` see
+    `WarpSimulator`.
     """
     memory, used = WarpDevice(device), 0.0
     for num_sims in _MEASURED:

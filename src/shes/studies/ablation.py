@@ -148,14 +148,10 @@ SCALES: dict[str, _Scale] = {
 
 
 def ablation(scale: str = "laptop", seeds: int | None = None) -> Study:
-    """Return the cells of the ablation.
-
-    Args:
-        scale: `laptop` (hours on two cores) or `smoke` (a minute).
-        seeds: Number of seeds of every variant; that of the scale if none.
+    """Return the cells of the ablation, with `seeds` seeds of every variant; with those of the scale if None.
 
     Raises:
-        UnknownNameError: There is no such scale.
+        UnknownNameError: There is no such scale: `laptop` takes hours on two cores, `smoke` a minute.
         ConfigError: `seeds` is not positive.
     """
     check_size(scale, seeds, SCALES)

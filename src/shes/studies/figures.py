@@ -85,7 +85,6 @@ def draw_figures(
 
 
 def _draw(results: _Results, asked: Forest | Sweep | Curves) -> Figure:
-    """Return a figure."""
     if isinstance(asked, Forest):
         return _draw_forest(results, asked)
     if isinstance(asked, Sweep):
@@ -94,13 +93,11 @@ def _draw(results: _Results, asked: Forest | Sweep | Curves) -> Figure:
 
 
 def _title(env: str) -> str:
-    """Return the title of an environment."""
     return env.replace("-", " ").title()
 
 
 @contextmanager
 def _style() -> Iterator[None]:
-    """Set the style inside the block."""
     with plt.rc_context({"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": _DPI, "font.size": 10}):
         yield
 

@@ -186,14 +186,10 @@ def _pieces(whole_episodes: Mapping[str, Any]) -> dict[str, Variant]:
 
 
 def learning(scale: str = "laptop", seeds: int | None = None) -> Study:
-    """Return the cells of the learning study.
-
-    Args:
-        scale: `laptop` (two hours on two cores) or `smoke` (a minute).
-        seeds: Number of seeds of every variant; that of the scale if none.
+    """Return the cells of the learning study, with `seeds` seeds of every variant; with those of the scale if None.
 
     Raises:
-        UnknownNameError: There is no such scale.
+        UnknownNameError: There is no such scale: `laptop` takes two hours on two cores, `smoke` a minute.
         ConfigError: `seeds` is not positive.
     """
     check_size(scale, seeds, SCALES)
@@ -217,7 +213,6 @@ def _settings(variant: Variant, size: _Scale) -> dict[str, Any]:
 
 
 def _design(labels: Mapping[str, str]) -> StudyDesign:
-    """Return the comparisons and figures of the study."""
     base = Curve("pieces", BASE)
 
     def panel(title: str, group: str, *names: str) -> CurvePanel:

@@ -128,7 +128,6 @@ def _check_columns(row: Mapping[str, str]) -> None:
 
 
 def _value(name: str, text: str) -> Any:
-    """Return the value written as `text`."""
     if name in _WORDS:
         return text
     if not text:

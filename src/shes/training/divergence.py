@@ -37,13 +37,9 @@ class Divergence:
         )
 
     def check(self, *, is_over: bool) -> None:
-        """Check that the run learns.
+        """Raise DivergenceError if every episode of the last `max_diverged_generations` has diverged.
 
-        Args:
-            is_over: Whether the run ends here; then one sound generation is enough.
-
-        Raises:
-            DivergenceError: Every episode of the last `max_diverged_generations`, or of all, has diverged.
+        If the run ends here, also if every episode since its start has.
         """
         is_never_sound = is_over and self._in_a_row > 0 and not self._is_any_sound
         if self._in_a_row < self._limit and not is_never_sound:

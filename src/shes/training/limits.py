@@ -91,15 +91,9 @@ _SIZES = ("population_size", "episodes_per_policy", "evaluation_episodes", "hori
 
 
 def check_limits(workload: Workload, design: AgentDesign, names: Mapping[str, str] = MappingProxyType({})) -> None:
-    """Check that the arrays and processes of a run fit this machine.
+    """Raise ConfigError, with the largest value that fits, unless the arrays and processes of a run fit this machine.
 
-    Args:
-        workload: The numbers of the run.
-        design: Design of its agents.
-        names: Other names that the user gives some of the settings.
-
-    Raises:
-        ConfigError: They do not; the message names the largest value that fits.
+    `names` are other names that the user gives some of the settings.
     """
     if workload.num_workers > max_workers():
         raise ConfigError(

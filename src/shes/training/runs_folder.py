@@ -110,11 +110,7 @@ class RunsFolder:
         return cls(path, changed, kept)
 
     def train(self, names: list[str], listener: Callable[[str], AnyListener]) -> Generator[Ended]:
-        """Train the runs `names` to their ends, one after another, and yield each when it has ended.
-
-        Args:
-            names: The runs, in order.
-            listener: Returns the listener of a run.
+        """Train the runs `names` to their ends, in order, and yield each when it has ended.
 
         Raises:
             RunFolderError: The folder or a run is in use, or a run has other settings.
@@ -137,7 +133,6 @@ class RunsFolder:
                     yield Ended(name=name, run=run)
 
     def _write(self) -> None:
-        """Write the record."""
         record = {
             "format": _FORMAT,
             "runs": {name: config.to_dict() for name, config in self.configs.items()},

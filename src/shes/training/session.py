@@ -123,7 +123,6 @@ class Session:
             self._tell_event(event)
 
     def _tell_event(self, event: str) -> None:
-        """Log a warning and tell the listener."""
         logger.warning(event)
         self._tell("on_event", event)
 

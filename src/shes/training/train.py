@@ -171,14 +171,7 @@ def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -
 def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) -> Run:
     """Train the run at `path` to its end: from its last checkpoint, or from the start if there is no run yet.
 
-    Args:
-        config: Its settings. Execution settings may differ from those of the run so far.
-        path: The run folder.
-        listener: Receives the progress, as in `train`.
-
-    Raises:
-        RunFolderError: The folder holds a run with other settings.
-        ShesError: Raised by `start_run` or `resume`.
+    Execution settings of `config` may differ from those of the run so far; raise RunFolderError if others do.
     """
     folder = RunFolder(path)
     if not folder.config.is_file():

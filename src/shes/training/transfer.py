@@ -63,7 +63,6 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState
 
 
 def _checkpoint_names(folder: RunFolder) -> list[str]:
-    """Return the names of the checkpoints in `folder`."""
     stems = sorted(file.stem for file in folder.checkpoints.glob("*.npz"))
     prefix = "generation_"
     return [f"{int(stem.removeprefix(prefix))}" if stem.startswith(prefix) else stem for stem in stems]
@@ -72,14 +71,9 @@ def _checkpoint_names(folder: RunFolder) -> list[str]:
 def brought_settings(
     level: str, path: str, checkpoint: str, values: Mapping[str, Any], asked: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the settings that come with a level of the run at `path`.
+    """Return the settings that come with the primitive or the controller, `level`, of the run at `path`.
 
-    Args:
-        level: `primitive` or `controller`.
-        path: The run folder, or the name of a shipped agent.
-        checkpoint: `best`, `last` or the number of a generation.
-        values: Settings of the new run so far.
-        asked: Settings that were asked for, not from a preset.
+    `values` are the settings of the new run so far; those in `asked` were asked for, not taken from a preset.
 
     Raises:
         RunFolderError: `path` is neither a run folder nor a shipped agent.

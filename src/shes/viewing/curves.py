@@ -17,9 +17,7 @@ _RESAMPLES = 2000
 def interpolate(x: Sequence[F64Array], y: Sequence[F64Array]) -> tuple[F64Array, F64Array]:
     """Return the grid that all curves cover [grid], and their linearly interpolated values there [runs, grid].
 
-    Args:
-        x: Abscissae of each curve, ascending.
-        y: Values of each curve.
+    `x` are the ascending abscissae of each curve, `y` its values.
     """
     start, end = max(each[0] for each in x), min(each[-1] for each in x)
     every = np.concatenate(x)

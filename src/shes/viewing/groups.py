@@ -34,12 +34,9 @@ class Group:
 def group_runs(folders: Sequence[RunFolder], *, by_time: bool = False) -> list[Group]:
     """Return the groups of repetitions in `folders`.
 
-    Workers and machine do not change the numbers of a run: two runs with the same seed are one result seen twice, and
-    no repetitions. A group that has a seed twice is divided by workers and machine, else into single runs.
-
-    Args:
-        folders: The run folders.
-        by_time: Whether runs are compared over time, which depends on workers and machine.
+    Workers and machine do not change the numbers of a run: two runs with the same seed are one result seen twice,
+    and no repetitions. A group that has a seed twice is divided by workers and machine, else into single runs; over
+    time, which depends on them, each group is.
     """
     found: list[list[RunFolder]] = []
     for group in _divided(folders, _design):
@@ -113,7 +110,6 @@ def _of_one_kind(facts: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
 
 
 def _differ(facts: list[dict[str, Any]], name: str) -> bool:
-    """Return whether the values of `name` differ."""
     return any(each.get(name) != facts[0].get(name) for each in facts)
 
 

@@ -43,19 +43,7 @@ class Playback:
     """Episodes of one checkpoint, under evaluation's conditions."""
 
     def __init__(self, run: Path | str, checkpoint: str, seed: int | None = None, steps: int | None = None) -> None:
-        """Load `checkpoint` of `run`.
-
-        Args:
-            run: Run folder, or the name of a shipped agent.
-            checkpoint: `best`, `last` or the number of a generation.
-            seed: Seed of the episodes, as for `evaluate`.
-            steps: Control steps after which an episode ends; None is evaluation's horizon.
-
-        Raises:
-            RunFolderError: `run` is neither a run folder nor a shipped agent.
-            CheckpointError: The checkpoint is missing or damaged.
-            ConfigError: `seed` is negative or `steps` is not positive.
-        """
+        """Load `checkpoint` of `run`; for the arguments and errors see `render`."""
         if seed is not None and seed < 0:
             raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
         if steps is not None and (not isinstance(steps, int) or steps < 1):

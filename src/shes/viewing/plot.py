@@ -107,7 +107,6 @@ def _has_level(folder: RunFolder, column: str) -> bool:
 
 
 def _draw_group(axis: Axes, group: Group, table: str, column: str, x: str) -> None:
-    """Draw one column of the group's runs."""
     xs, ys = zip(*(_read_curve(folder, table, column, x) for folder in group.folders), strict=True)
     is_single = len(group.folders) == 1
     grid, values = (xs[0], np.stack(ys)) if is_single else interpolate(xs, ys)

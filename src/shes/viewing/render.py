@@ -101,7 +101,6 @@ def _check_arguments(checkpoints: Sequence[str], camera: str, size: int) -> None
 
 
 def _counted(moments: Iterator[Moment], steps: int, on_step: Callable[[int, int], None]) -> Iterator[Moment]:
-    """Yield `moments`, and call `on_step` after each."""
     for number, moment in enumerate(moments):
         yield moment
         on_step(number, steps)

@@ -115,7 +115,6 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
 
 
 def _level(arrays: Mapping[str, np.ndarray], name: str) -> LevelState:
-    """Return the level called `name`."""
     start = f"{name}/optimizer_"
     slots = {key.removeprefix(start): values for key, values in arrays.items() if key.startswith(start)}
     steps = int(slots.pop("steps"))

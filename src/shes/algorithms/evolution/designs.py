@@ -120,7 +120,6 @@ def primitive_layers(settings: Any) -> tuple[int, ...]:
 
 
 def _clock_size(settings: Any) -> int:
-    """Return the number of clock features."""
     return 0 if settings.networks.clock_frequency is None else Clock.size
 
 
@@ -151,7 +150,6 @@ def _egocentric(settings: Any, task: EpisodeBatch, setting: str, others: Sequenc
 
 
 def _controller_view(settings: Any, task: EpisodeBatch) -> View:
-    """Return the view of the controller."""
     if settings.hierarchy.controller_view == "observation":
         return ColumnsView()
     others = sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))

@@ -201,7 +201,6 @@ def roll_out_branches(
 
 
 def _roll_out_pairs(state: TrainState, estimate: IntervalEstimate, work: Work, backend: Backend) -> Population:
-    """Return the results of the pairs of `work`."""
     return Population(
         work=work,
         results=roll_out_tasks(work.tasks, work.generation, backend),

@@ -156,7 +156,6 @@ class Flagrun(Task):
         self._move_goals(ids)
 
     def _move_goals(self, ids: IntArray) -> None:
-        """Give episodes `ids` their next goals."""
         for i in ids[self._num_used[ids] == _GOALS_AT_ONCE].tolist():
             self._draw_goals(i)
         rows = self.xp.asarray(ids)
