@@ -15,9 +15,8 @@ class Beacon(Task):
     name = "beacon"
     description = TaskDescription(reward="exp(-distance)", ends="never", score="return", success="distance below 1 m")
 
-    def __init__(self, body, num_episodes, *rest):
-        super().__init__(body, num_episodes, *rest)
-        self.beacon = np.zeros((num_episodes, 2))
+    def allocate(self):
+        self.beacon = np.zeros((self.num_episodes, 2))
 
     @classmethod
     def build_world(cls, body, options):

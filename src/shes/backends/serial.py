@@ -19,7 +19,6 @@ class SerialBackend(Backend):
 
     def __init__(self, factory: WorkerFactory, num_workers: int = 1) -> None:
         """Create the worker. `num_workers` is ignored."""
-        del num_workers
         self.num_workers = 1
         self._worker: Worker = factory()
 

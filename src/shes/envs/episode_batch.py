@@ -57,7 +57,6 @@ class Reader(ABC):
             position: Robots' positions [N, 2] in metres.
             heading: Robots' headings [N] in radians.
         """
-        del rows, position, heading
         return None
 
     @abstractmethod
@@ -206,7 +205,6 @@ class EpisodeBatch(ABC):
         Raises:
             ConfigError: The environment brings its own physics.
         """
-        del ids
         raise ConfigError(
             "episodes of an environment that Gymnasium makes cannot be branched: its physics state is its own. "
             "Set --primitive-estimate episode."

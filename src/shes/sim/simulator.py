@@ -60,7 +60,6 @@ class Simulator(ABC):
         Raises:
             ConfigError: This simulator does not implement it.
         """
-        del ids
         raise ConfigError(_NO_STATES.format(type(self).__name__))
 
     def set_states(self, ids: IntArray, states: F64Array) -> None:
@@ -69,7 +68,6 @@ class Simulator(ABC):
         Raises:
             ConfigError: This simulator does not implement it.
         """
-        del ids, states
         raise ConfigError(_NO_STATES.format(type(self).__name__))
 
     def step(self, ids: IntArray, nstep: int) -> None:

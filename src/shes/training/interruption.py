@@ -30,7 +30,6 @@ class Interruption:
             signal.signal(number, handler)
 
     def _handle(self, number: int, frame: object) -> None:
-        del number, frame
         is_second, self.is_requested = self.is_requested, True
         if self._may_raise or is_second:
             raise KeyboardInterrupt

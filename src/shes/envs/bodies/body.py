@@ -107,7 +107,6 @@ class Body(ABC):
 
         None means that the robot has no symmetry, or that its class does not define one.
         """
-        del is_mirrored
         return None
 
     def position(self, qpos: F64Array) -> F64Array:

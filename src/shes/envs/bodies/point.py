@@ -60,7 +60,6 @@ class Point(Body):
 
     def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
         """Write the velocity [N, 2]: the heading is always 0."""
-        del qpos, angle
         out[:] = qvel
 
     def fallen(self, qpos: F64Array) -> BoolArray:
@@ -79,7 +78,6 @@ class FallingPoint(Point):
 
     def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
         """Write height and velocity [N, 4]."""
-        del angle
         out[:, 0] = qpos[:, 2]
         out[:, 1:] = qvel
 

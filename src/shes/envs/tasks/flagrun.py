@@ -15,10 +15,9 @@ from shes.envs.markers import TARGET, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.options import FURTHEST_M, TaskOptions
-from shes.envs.tasks.task import SimulatorFactory, Task, TaskDescription
+from shes.envs.tasks.task import Task, TaskDescription
 from shes.envs.worlds import ARENA, add_grid, empty_world
 from shes.settings import Ge, Le, Shared
-from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["Flagrun", "FlagrunOptions"]
@@ -74,11 +73,9 @@ class Flagrun(Task):
         success="the distance to the goal of the step is below 1 m",
     )
 
-    def __init__(
-        self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
-    ) -> None:
-        """Build the arena for `body` and `num_episodes` simulations of it."""
-        super().__init__(body, num_episodes, options, simulator)
+    def allocate(self) -> None:
+        """Allocate goals, distances and the observation."""
+        num_episodes = self.num_episodes
         self._goal: F64Array = self.xp.ones((num_episodes, 2))
         self._offset: F64Array = self.xp.zeros((2, num_episodes))  # from robot to goal along x and y
         self._distance: F64Array = self.xp.ones(num_episodes)

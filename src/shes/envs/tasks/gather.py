@@ -17,10 +17,9 @@ from shes.envs.bodies.body import Body
 from shes.envs.markers import FOOD, POISON, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.options import TaskOptions
-from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
+from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
 from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
 from shes.errors import ConfigError
-from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["Gather", "GatherOptions"]
@@ -85,12 +84,9 @@ class Gather(Task):
         success="the score is above 0",
     )
 
-    def __init__(
-        self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
-    ) -> None:
-        """Build the arena for `body` and `num_episodes` simulations of it."""
-        super().__init__(body, num_episodes, options, simulator)
-        n, xp = num_episodes, self.xp
+    def allocate(self) -> None:
+        """Allocate objects, distances and the observation."""
+        n, xp = self.num_episodes, self.xp
         # Coordinates come first, [xy, N, kind, object], so that all x and all y are contiguous.
         self._places: F64Array = xp.zeros((2, n, 2, NUM_OBJECTS))
         self.present: BoolArray = xp.zeros((n, 2, NUM_OBJECTS), dtype=np.bool_)

@@ -14,10 +14,9 @@ from shes.envs.bodies.body import Body
 from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.options import Coordinates, TaskOptions
-from shes.envs.tasks.task import TIME_SCALE, SimulatorFactory, Task, TaskDescription
+from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
 from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
-from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
 __all__ = ["SUCCESS_DISTANCE_M", "BlockOptions", "TargetOptions", "TargetTask"]
@@ -65,14 +64,12 @@ class TargetTask(Task):
         success="the distance is below 5 m",
     )
 
-    def __init__(
-        self, body: Body, num_episodes: int, options: TaskOptions, simulator: SimulatorFactory = CpuSimulator
-    ) -> None:
-        """Build the world for `body` and `num_episodes` simulations of it."""
-        super().__init__(body, num_episodes, options, simulator)
-        self.target: F64Array = self.xp.tile(self.xp.asarray(self.own_target, dtype=np.float64), (num_episodes, 1))
+    def allocate(self) -> None:
+        """Allocate targets and the observation."""
+        own_target = self.xp.asarray(self.own_target, dtype=np.float64)
+        self.target: F64Array = self.xp.tile(own_target, (self.num_episodes, 1))
         """Targets [N, 2] or [N, 3] in metres."""
-        self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
+        self._observation: F64Array = self.xp.zeros((self.num_episodes, self.observation_size))
 
     @classmethod
     def check_options(cls, options: Any) -> None:

@@ -86,6 +86,10 @@ class Task(EpisodeBatch):
         self.time = self.xp.zeros(num_episodes, dtype=np.int64)
         self.reward, self.running_return = (self.xp.zeros(num_episodes) for _ in range(2))
         self._heading: F64Array | None = None  # computed when it is first read after a step
+        self.allocate()
+
+    def allocate(self) -> None:
+        """Allocate the task's own arrays, at the end of the constructor."""
 
     @classmethod
     def check_options(cls, options: Any) -> None:
