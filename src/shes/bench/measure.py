@@ -39,15 +39,11 @@ _REPLAY_S = 1.0
 def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -> dict[str, Any]:
     """Measure the speed of whole generations on the device of `config`, relative to a bare `mj_step` loop on one core.
 
-    Every generation is the first of a run. The bare loop replays the start states and controls of part of it, without
-    policy or task: the limit of one core. A replay precedes and follows each generation; speeds are medians, and
-    `ratio` is the median of the ratios divided by the number of workers. A single worker runs on the core of the loop,
-    because on a shared machine the speeds of two cores may differ by a third.
-
-    Args:
-        config: Settings of the run.
-        repeats: Minimum number of generations.
-        seconds: Minimum duration of the measurement in seconds.
+    Every generation is the first of a run. The bare loop replays the start states and controls of part of it,
+    without policy or task: the limit of one core. A replay precedes and follows each generation; speeds are
+    medians, and `ratio` is the median of the ratios divided by the number of workers. A single worker runs on the
+    core of the loop, because on a shared machine the speeds of two cores may differ by a third. There are at least
+    `repeats` generations, for `seconds` or longer.
 
     Raises:
         ConfigError: The environment has its own physics, or the algorithm is not an evolution strategy.
@@ -121,14 +117,9 @@ def _evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
 def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -> dict[str, Any]:
     """Measure the parent's work between generations, in total and by part: medians in milliseconds.
 
-    Results are random; no episode is played. With `--primitive-estimate interval`, `total_ms` and the parts include the
-    update from branches. The checkpoint is written in a thread beside the next generation: `checkpoint_ms` is not part
-    of `total_ms`.
-
-    Args:
-        config: Settings of the run.
-        repeats: Minimum number of updates.
-        seconds: Minimum duration of the measurement in seconds.
+    Results are random; no episode is played. With `--primitive-estimate interval`, `total_ms` and the parts include
+    the update from branches. The checkpoint is written in a thread beside the next generation: `checkpoint_ms` is
+    not part of `total_ms`. There are at least `repeats` updates, for `seconds` or longer.
 
     Raises:
         ConfigError: The device is not the CPU, or the algorithm is not an evolution strategy.

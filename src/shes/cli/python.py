@@ -44,6 +44,7 @@ def train(
         StorageError: A file cannot be written.
         WorkerError: A worker failed, or workers keep dying.
         PolicyError: A policy returned NaN.
+        DivergenceError: Every episode of `max_diverged_generations` generations in a row diverged.
     """
     with ExitStack() as stack:
         return training.train(env, preset=preset, out=out, listener=_shown(stack, listener, progress), **settings)

@@ -93,17 +93,7 @@ class OpenedRun:
 
 
 def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> OpenedRun:
-    """Read a checkpoint of a run.
-
-    Args:
-        run: The run folder, or the name of a shipped agent.
-        checkpoint: `best`, `last` or the number of a generation.
-        execution: Execution settings that replace those of the run.
-
-    Raises:
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
-        CheckpointError: The checkpoint is missing or damaged.
-    """
+    """Read a checkpoint of a run, with `execution` settings in place of its own; for the rest see `load`."""
     folder = RunFolder.open(run)
     config = folder.read_config().having(**execution)
     algorithm = build_algorithm(config)

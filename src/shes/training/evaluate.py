@@ -10,11 +10,12 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from shes.algorithms.contract import Algorithm, AnyState
+from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
-from shes.hierarchy.results import PopulationResults, lower_diverged
+from shes.hierarchy.results import lower_diverged
 from shes.runs.device import check_asked_device
 from shes.training.build import build_backend, open_run
 from shes.training.limits import Workload, check_limits
@@ -101,10 +102,8 @@ def evaluate_state(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[
         )
         for number, block in enumerate(blocks)
     ]
-    backend.broadcast(Generation(levels=parameters, sigma=0.0, episodes_per_policy=rows, is_evaluation=True))
-    results = PopulationResults.empty(len(parameters), len(tasks), rows)
-    for task, result in zip(tasks, backend.map(tasks), strict=True):
-        results.add(task, result)
+    generation = Generation(levels=parameters, sigma=0.0, episodes_per_policy=rows, is_evaluation=True)
+    results = roll_out_tasks(tasks, generation, backend)
     count = len(seeds)  # the last block may be shorter: its unused slots are at the end
 
     def column(values: np.ndarray) -> F64Array:

@@ -14,15 +14,7 @@ __all__ = ["watch"]
 def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None) -> None:
     """Show the episodes that `evaluate` runs, in real time, until the window is closed.
 
-    Args:
-        run: Run folder, or the name of a shipped agent.
-        checkpoint: `best`, `last` or the number of a generation.
-        seed: Seed of the episodes, as for `evaluate`.
-
-    Raises:
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
-        CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: There is no screen, the environment has no window, or `seed` is negative.
+    For arguments and errors see `render`; here a ConfigError also says that there is no screen, or no window.
     """
     playback = Playback(run, checkpoint, seed)
     window = open_window(playback.task)

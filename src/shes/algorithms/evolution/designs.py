@@ -56,12 +56,7 @@ def primitive_design(problem: Problem) -> PrimitiveDesign:
 
 
 def hierarchical_design(problem: Problem) -> HierarchicalDesign:
-    """Return the design of a controller and its primitive.
-
-    Raises:
-        ConfigError: A view, the symmetry or `hide_position` does not suit the environment, or the environment does not
-            give the robot's position.
-    """
+    """Return the design of a controller and its primitive; for the errors see `primitive_design`."""
     task, settings = problem.sample(), problem.settings
     output, view = (
         make_controller_output(settings.hierarchy.controller_output, settings.settings),
