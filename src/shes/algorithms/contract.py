@@ -53,7 +53,6 @@ class Report(Generic[StateT]):
     """Result of one generation."""
 
     state: StateT
-    """State after the generation."""
     columns: Mapping[str, Any]
     """Its row of `progress.csv`, after `generation`, `env_steps`, `wall_time_s` and `env_steps_per_s`.
 

@@ -25,9 +25,7 @@ class Problem(EpisodeSetup):
     """An environment to learn in, with the settings of the run."""
 
     name: str
-    """Name of the environment."""
     settings: Any
-    """Settings of the run."""
     noise_table_size: int
     """Number of normals in the shared noise table."""
     num_threads: int = 1

@@ -65,7 +65,6 @@ class WorkerPlan(EpisodeSetup):
     """Data that a worker receives once, at its start."""
 
     design: AgentDesign
-    """Design of the agents."""
     branch_design: AgentDesign | None = None
     """Design of the agents in branches, if the primitive is evaluated by intervals."""
     noise_table: Path

@@ -27,7 +27,6 @@ class Worker(Protocol):
 
 
 WorkerFactory: TypeAlias = Callable[[], Worker]
-"""Function that creates a worker."""
 
 
 class Backend(ABC):
@@ -39,7 +38,6 @@ class Backend(ABC):
     Options: ClassVar[type[Settings]] = Settings
     """Settings of this backend. Mark each field with `Execution`: a backend never changes the numbers of a run."""
     num_workers: int = 1
-    """Number of workers."""
     on_event: Callable[[str], None] | None = None
     """Receives messages about silent, lost and replaced workers at once. If None, they wait for `take_events`."""
 

@@ -29,7 +29,6 @@ class LearningLevel:
     level: LevelState
     """The level before the update."""
     rule: UpdateRule
-    """Fitness shaping and optimizer."""
     fitness: F64Array
     """Fitness of every member [n]."""
     signs: NDArray[np.int8]
@@ -37,7 +36,6 @@ class LearningLevel:
     noise_index: IntArray
     """Start of each group's slice of the noise table [G]."""
     learning_rate: float
-    """The optimizer's rate."""
 
 
 def learning_levels(state: TrainState, report: GenerationReport, table_size: int) -> list[LearningLevel]:

@@ -19,13 +19,10 @@ class ObservationElement:
     name: str
     """Short name, unique in the observation, e.g. `torso_z`."""
     meaning: str
-    """Meaning, in a few words."""
     unit: str = "1"
     """Unit after scaling; `1` for a dimensionless number."""
     low: float = -np.inf
-    """Lower bound."""
     high: float = np.inf
-    """Upper bound."""
 
 
 def elements(

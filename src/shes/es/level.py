@@ -45,9 +45,7 @@ class LevelState:
     theta: F32Array
     """Parameters of the mean policy [D]."""
     optimizer: OptimizerState
-    """State of the optimizer."""
     statistics: ObservationStatistics
-    """Moments of the level's observations."""
 
     @classmethod
     def start(cls, name: str, theta: F32Array, optimizer: Optimizer, observation_size: int) -> LevelState:
@@ -120,9 +118,7 @@ class UpdateRule:
     fall_price: float = 0.0
     """Subtracted from a member's shaped fitness for a fall, zero or positive."""
     shaping: FitnessShaping = CentredRanks()
-    """Fitness shaping."""
     optimizer: Optimizer = Adam()
-    """Optimizer."""
 
     def __post_init__(self) -> None:
         """Raise ConfigError if a coefficient is negative or not finite."""

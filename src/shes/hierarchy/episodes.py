@@ -131,7 +131,6 @@ class EpisodeTask:
     slots: tuple[int, ...]
     """Rows of the matmul, among R, for these episodes. Those of a member are neighbours."""
     seeds: tuple[int, ...]
-    """Seed of each episode."""
     records_statistics: bool = True
     """Whether the observations of these episodes enter the statistics."""
     start: Snapshot | None = None
@@ -155,7 +154,6 @@ class EpisodeResults(ByEpisode):
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """Seconds that the worker spent on each of `PARTS` since its previous result."""
     log: tuple[str, ...] = ()
-    """Log messages of the simulator."""
 
 
 def spread(tasks: list[EpisodeTask], num_workers: int) -> list[EpisodeTask]:

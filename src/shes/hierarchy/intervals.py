@@ -42,11 +42,8 @@ class IntervalEstimate:
     goal_distance: float
     """Half width in metres of the square from which goals are drawn if there is no snapshot."""
     update: UpdateRule
-    """Update rule of the primitive."""
     sigma: Schedule
-    """Standard deviation of the perturbations."""
     learning_rate: Schedule
-    """Learning rate."""
 
     @property
     def branch_steps(self) -> int:

@@ -42,7 +42,6 @@ class Work:
     tasks: list[EpisodeTask]
     """The tasks, in the order of the members."""
     generation: Generation
-    """Data that the tasks share."""
 
 
 def population_tasks(

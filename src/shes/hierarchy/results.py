@@ -42,7 +42,6 @@ class PopulationResults(ByEpisode):
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """Seconds spent on each of `PARTS`, summed over workers."""
     log: list[str] = field(default_factory=list)
-    """Log messages of the simulators."""
     snapshots: dict[tuple[int, int], Snapshot] = field(default_factory=dict)
     """Snapshots by member and episode, in the order of the tasks."""
 

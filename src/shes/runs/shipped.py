@@ -56,15 +56,12 @@ class ShippedAgent:
     description: str
     """What it does, on one line."""
     env: str
-    """Environment of its training."""
     commands: tuple[str, ...]
     """Commands that trained it."""
     cores: int
-    """Number of cores of its run."""
     hours: float
     """Wall-clock time of its run, in hours."""
     env_steps: int
-    """Environment steps of its run."""
     generation: int
     """Generation of its run with the best evaluation, whose policies it has."""
     evaluation: FreshEvaluation

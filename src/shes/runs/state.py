@@ -17,7 +17,6 @@ class RunState:
     """The state of a run."""
 
     run: str
-    """The run folder."""
     env: str | None
     algorithm: str | None
     preset: str | None
@@ -27,7 +26,6 @@ class RunState:
     generations: int | None
     """Number of generations after which it ends."""
     env_steps: int | None
-    """Environment steps of training."""
     best_score: float | None
     """Score of the best evaluation; None before the first one."""
     state: Literal["running", "finished", "stopped", "damaged", "tables only", "unreadable"]

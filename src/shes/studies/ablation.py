@@ -38,7 +38,6 @@ GROUPS: dict[str, str] = {
     "transfer": "a primitive that was trained alone: frozen, and learning further",
     "horizon": "the maze with longer episodes, and equally many environment steps",
 }
-"""Groups of cells."""
 BASE = "base"
 _METRICS = {
     "point-gather": Measure("best_score", "score of the best checkpoint", "score"),
@@ -89,7 +88,6 @@ Found by 33 short runs, most with one seed; with it most seeds learn within 1.5 
 
 SWEPT = ("sigma", "learning_rate", "controller_interval", "goal_distance", "population_size")
 FACTORS = (0.25, 0.5, 2.0, 4.0)
-"""Factors of the base's values."""
 _CHOICES: dict[str, Variant] = {
     "mirrored-pair": Variant("two-way mirroring", {"mirrored": "pair"}),
     "mirrored-none": Variant("no mirroring", {"mirrored": "none"}),
@@ -116,7 +114,6 @@ class _Scale:
     """The size of the ablation."""
 
     settings: Mapping[str, Any]
-    """Changes to every base."""
     seeds: int
     sweep_seeds: int
     horizons: tuple[int, ...]

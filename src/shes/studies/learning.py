@@ -38,11 +38,9 @@ GROUPS: dict[str, str] = {
     "alternatives": "other networks, fitness shapings, reward and schedule",
     "sweep": "population, sigma, learning rate and intervals, at half and twice the base",
 }
-"""Groups of cells."""
 BASE = "base"
 SWEPT = ("population_size", "sigma", "learning_rate", "intervals")
 FACTORS = (0.5, 2.0)
-"""Factors of the base's values."""
 
 _PRESET = "smoke"
 """Not `laptop`, which would bring back pieces that a variant leaves out."""
@@ -75,7 +73,6 @@ class _Scale:
     """The size of the study."""
 
     settings: Mapping[str, Any]
-    """Changes to the base."""
     seeds: int
     env_steps: int
     """Environment steps of training in every run."""

@@ -89,7 +89,6 @@ class OpenedRun:
     config: TrainConfig
     algorithm: Algorithm[Any]
     state: Any
-    """State of the algorithm."""
 
 
 def open_run(run: Path | str, checkpoint: str = "best", **execution: Any) -> OpenedRun:

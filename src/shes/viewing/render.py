@@ -19,7 +19,6 @@ from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
 __all__ = ["VIEWS", "render"]
 
 VIEWS = ("both", *CAMERAS)
-"""Allowed values of `camera`."""
 
 _CAPTION_PIXELS = 28
 _BAR, _INK = (28, 32, 38, 200), (240, 243, 246)

@@ -35,13 +35,11 @@ class GenerationReport:
     """Result of one generation."""
 
     state: TrainState
-    """The state after the update."""
     population: Population
     """The members evaluated by whole episodes; the pairs, if a primitive alone is evaluated by intervals."""
     branches: Population | None
     """The pairs of a primitive that is evaluated by intervals under a controller."""
     updates: tuple[LevelUpdate, ...]
-    """The update of each level."""
     rollout_s: float
     """Duration of the rollouts in seconds."""
     update_s: float

@@ -46,7 +46,6 @@ class Hyperparameters:
     learning_rate: Schedule
     """Learning rate (alpha)."""
     updates: tuple[UpdateRule, ...]
-    """Update rule of each level."""
     learns: tuple[bool, ...]
     """Whether each level learns. A frozen level has no perturbation, update or new statistics (II-D)."""
     mirrored: str = "quad"
@@ -88,15 +87,12 @@ class Population:
     """Members and their results: from whole episodes, or pairs on branches."""
 
     work: Work
-    """Noise, signs and tasks of the members."""
     results: PopulationResults
-    """Returns, steps and flags of every episode."""
     rules: tuple[UpdateRule, ...]
     """Update rule of each of their levels."""
     learns: tuple[bool, ...]
     """Whether the observations enter the statistics of each of their levels."""
     learning_rate: float
-    """Learning rate of the update."""
 
     @property
     def is_branched(self) -> bool:
