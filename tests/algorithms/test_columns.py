@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import rankdata
 
-from shes.algorithms.evolution.algorithm import GenerationReport, evolve, generation_work
+from shes.algorithms.evolution.algorithm import GenerationReport, evolve
 from shes.algorithms.evolution.columns import columns
-from shes.algorithms.evolution.populations import Population
+from shes.algorithms.evolution.populations import Population, generation_work
 from shes.algorithms.worker import RolloutWorker
 from shes.backends.serial import SerialBackend
 from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule

@@ -9,7 +9,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.algorithm import evolve, generation_work
+from shes.algorithms.evolution.algorithm import evolve
+from shes.algorithms.evolution.populations import generation_work
 from shes.backends.serial import SerialBackend
 from shes.es.gradient import weighted_noise_sum
 from shes.es.noise import NoiseTable

@@ -23,8 +23,6 @@ from shes.hierarchy.agent import AgentDesign
 from shes.settings import Settings
 from shes.types import ArrayHeader
 
-__all__ = ["Algorithm", "AnyState", "Report"]
-
 
 class AnyState(Protocol):
     """Attributes of every algorithm's state."""

@@ -17,8 +17,6 @@ from shes.hierarchy.flat import FlatDesign
 from shes.policies.mlp import MLP
 from shes.sim.warp_device import WarpDevice
 
-__all__ = ["Problem"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Problem(EpisodeSetup):

@@ -8,8 +8,6 @@ from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.learners import SES, SHES, PrimitiveES
 from shes.registry import Registry, subclass_of
 
-__all__ = ["ALGORITHMS", "find_algorithm", "learners", "register_algorithm"]
-
 ALGORITHMS: Registry[type[Algorithm[Any]]] = Registry(
     "algorithm",
     {"shes": SHES, "es": SES},

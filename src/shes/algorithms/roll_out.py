@@ -8,8 +8,6 @@ from shes.backends.backend import Backend
 from shes.hierarchy.episodes import EpisodeTask, Generation, spread
 from shes.hierarchy.results import PopulationResults
 
-__all__ = ["roll_out_tasks"]
-
 
 def roll_out_tasks(tasks: Sequence[EpisodeTask], generation: Generation, backend: Backend) -> PopulationResults:
     """Return the results of `tasks`, which share `generation`, computed by the workers of `backend`."""

@@ -27,8 +27,6 @@ from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice, is_out_of_memory
 from shes.sim.warp_memory import bytes_per_sim
 
-__all__ = ["EpisodeSetup", "RolloutWorker", "WorkerPlan", "lanes_in_memory", "lanes_that_fit", "simulator_factory"]
-
 _SIMULATOR_LOG = logging.getLogger("shes.mujoco")
 _MAX_LOG_LINES = 20  # of the simulator, kept with the results of one task
 _CACHE_BYTES = 24 * 2**20  # more weights than this would leave the shared cache between two steps

@@ -8,8 +8,6 @@ from typing import Any, ClassVar, Protocol, TypeAlias
 
 from shes.settings import Settings
 
-__all__ = ["Backend", "Worker", "WorkerFactory"]
-
 
 class Worker(Protocol):
     """Object that a backend creates in each of its processes."""

@@ -15,8 +15,6 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any
 
-__all__ = ["WorkerProcess", "cause_of_death"]
-
 _END_S = 10.0  # wait for a killed process; one that waits for a disk may take longer
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"

@@ -19,8 +19,6 @@ from typing import Any
 
 from shes.errors import ShesError, WorkerError
 
-__all__ = ["main"]
-
 _PR_SET_PDEATHSIG = 1
 
 

@@ -26,8 +26,6 @@ from shes.backends.process import WorkerProcess, cause_of_death
 from shes.errors import ConfigError, WorkerError
 from shes.settings import Execution, Gt, Settings
 
-__all__ = ["ProcessesBackend"]
-
 MAX_LOSSES = 3
 """The run ends when this many workers died on one task, or as many per worker in a row without a result."""
 _TOLD_AT, _REPLACED_AT = 2, 10

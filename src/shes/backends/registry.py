@@ -7,8 +7,6 @@ from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.registry import Registry, subclass_of
 
-__all__ = ["BACKENDS"]
-
 BACKENDS: Registry[type[Backend]] = Registry(
     "backend",
     {"processes": ProcessesBackend, "serial": SerialBackend},

@@ -11,8 +11,6 @@ from threadpoolctl import threadpool_limits
 from shes.backends.backend import Backend, Worker, WorkerFactory
 from shes.errors import ShesError, WorkerError
 
-__all__ = ["SerialBackend"]
-
 
 class SerialBackend(Backend):
     """One worker in this process. BLAS is limited to one thread, because more threads would change rounding."""

@@ -26,8 +26,6 @@ from shes.hierarchy.population import Work
 from shes.sim.cpu import CpuSimulator
 from shes.types import F64Array, FloatArray, IntArray
 
-__all__ = ["BarePhysics", "Episode", "record_generation"]
-
 _REPLAYED = 24  # number of whole episodes that the bare loop replays
 
 

@@ -31,8 +31,6 @@ from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.training.build import build_algorithm, build_backend, build_task
 
-__all__ = ["bench_rollout", "bench_update"]
-
 _REPLAY_S = 1.0
 
 

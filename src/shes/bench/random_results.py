@@ -9,8 +9,6 @@ import numpy as np
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation, Snapshot, empty_outcomes
 from shes.hierarchy.moments import Moments
 
-__all__ = ["RandomResults"]
-
 
 class RandomResults:
     """A `Worker` that returns random results at once."""

@@ -17,8 +17,6 @@ from shes.es.level import LevelState, TrainState, UpdateRule, draw_noise_index
 from shes.es.noise import NoiseTable
 from shes.types import F64Array, IntArray
 
-__all__ = ["LearningLevel", "learning_levels", "time_parts", "timed"]
-
 _T = TypeVar("_T")
 
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from shes.envs.markers import Marker
 
-__all__ = ["Drawer", "Picture", "Window"]
-
 Picture = NDArray[np.uint8]
 """Pixels [H, W, 3]."""
 

@@ -14,8 +14,6 @@ from shes.drawing.renderer import Renderer, check_camera
 from shes.envs.markers import ROBOT, Marker
 from shes.types import F64Array
 
-__all__ = ["FlatRenderer"]
-
 _BOX, _SPHERE = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_SPHERE)
 _BARS = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 _OVERSAMPLING = 2  # pictures are drawn larger and then reduced, which smooths edges

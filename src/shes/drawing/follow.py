@@ -11,8 +11,6 @@ import numpy as np
 from shes.drawing.scenery import SCENERY_GROUP
 from shes.types import F64Array
 
-__all__ = ["FollowView", "follow_view"]
-
 _AZIMUTH_DEG = 90.0
 _DISTANCE_M = 11.0
 _ELEVATIONS_DEG = range(42, 90)

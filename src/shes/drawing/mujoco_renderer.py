@@ -15,8 +15,6 @@ from shes.drawing.scenery import FOLLOW_FIELD_OF_VIEW_DEG, decorate
 from shes.envs.markers import Marker
 from shes.types import F64Array
 
-__all__ = ["MujocoRenderer", "add_markers"]
-
 _TOP_MARGIN = 1.02
 _TOP_DISTANCE_M = 120.0  # nearly no perspective, so that walls hide nothing
 _MAX_GEOMS = 4000

@@ -12,8 +12,6 @@ from mujoco.rendering.classic import gl_context
 
 from shes.errors import ConfigError
 
-__all__ = ["HOW_TO_GET_OPENGL", "find_opengl", "is_switched_off", "offer_opengl", "use_opengl"]
-
 HOW_TO_GET_OPENGL = (
     "For three-dimensional pictures install EGL or OSMesa, on Debian and Ubuntu: "
     "sudo apt install libegl1 libgl1-mesa-dri (EGL), or: sudo apt install libosmesa6 (OSMesa)."

@@ -10,8 +10,6 @@ import numpy as np
 from shes.drawing.drawer import Drawer, Picture
 from shes.envs.markers import Marker
 
-__all__ = ["PassthroughDrawer", "PassthroughWindow"]
-
 
 class PassthroughDrawer(Drawer):
     """A drawer whose poses are pictures [H, W, 3]. It resizes them, and ignores markers."""

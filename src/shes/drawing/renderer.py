@@ -14,8 +14,6 @@ from shes.envs.markers import Marker
 from shes.errors import UnknownNameError
 from shes.types import F64Array
 
-__all__ = ["CAMERAS", "Renderer", "between", "check_camera"]
-
 CAMERAS = ("follow", "top")
 """`follow` is behind and above the robot, and moves with it; `top` shows the whole world from above."""
 _RIM_M = 1.0

@@ -19,8 +19,6 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError
 
-__all__ = ["make_drawer", "make_renderer", "open_window"]
-
 logger = logging.getLogger("shes.drawing")
 
 

@@ -7,8 +7,6 @@ import numpy as np
 
 from shes.envs.markers import ROBOT
 
-__all__ = ["FOLLOW_FIELD_OF_VIEW_DEG", "MAX_PIXELS", "SCENERY_GROUP", "decorate"]
-
 MAX_PIXELS = 2048
 """Largest width or height of a picture."""
 FOLLOW_FIELD_OF_VIEW_DEG = 45.0

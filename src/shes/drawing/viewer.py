@@ -18,8 +18,6 @@ from shes.envs.markers import Marker
 from shes.errors import ConfigError
 from shes.types import F64Array
 
-__all__ = ["Viewer"]
-
 _FRAMES_PER_STEP = 3
 _CLOSE_TIMEOUT_S = 10.0
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["BUILTIN_ENVIRONMENTS", "BUILTIN_SPECS"]
-
 BUILTIN_SPECS = ("shes", "hiro")
 """Specifications of every environment here: equal to `Task.specs`, but known without importing the class."""
 BUILTIN_ENVIRONMENTS = {

@@ -19,8 +19,6 @@ from shes.envs.markers import Marker
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 
-__all__ = ["EpisodeBatch", "Reader"]
-
 
 class Reader(ABC):
     """Interprets observations and actions of an environment for an agent. It holds no simulation."""

@@ -10,8 +10,6 @@ from collections.abc import Collection
 from shes.envs.builtin import BUILTIN_ENVIRONMENTS, BUILTIN_SPECS
 from shes.errors import UnknownNameError
 
-__all__ = ["MAX_EPISODE_STEPS", "SPECS_OF", "find_id", "gymnasium_id", "register_ids", "register_known"]
-
 MAX_EPISODE_STEPS = 500
 """Control steps after which Gymnasium truncates an episode (SHES paper, Table I)."""
 SPECS_OF: dict[str, Collection[str]] = dict.fromkeys(BUILTIN_ENVIRONMENTS, BUILTIN_SPECS)

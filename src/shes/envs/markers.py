@@ -9,8 +9,6 @@ import numpy as np
 
 from shes.types import F64Array
 
-__all__ = ["FOOD", "GOAL", "POISON", "ROBOT", "TARGET", "TRAIL", "Marker", "ball", "disc", "line"]
-
 Rgba = tuple[float, float, float, float]
 
 FOOD: Rgba = (0.18, 0.65, 0.30, 1.0)

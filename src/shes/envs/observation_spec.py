@@ -9,8 +9,6 @@ import numpy as np
 
 from shes.types import F64Array
 
-__all__ = ["ObservationElement", "bounds", "elements"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationElement:

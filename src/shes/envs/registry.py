@@ -26,17 +26,6 @@ if TYPE_CHECKING:
 
     from shes.envs.external.reader import Locate
 
-__all__ = [
-    "ENVIRONMENTS",
-    "GYMNASIUM",
-    "Environment",
-    "EnvironmentMaker",
-    "find_environment",
-    "make_task",
-    "register_environment",
-    "register_external",
-]
-
 GYMNASIUM = "gymnasium:"
 """Prefix of an environment name that is followed by a Gymnasium id."""
 _HOW_TO_REGISTER = (

@@ -10,8 +10,6 @@ import numpy as np
 
 from shes.types import F64Array
 
-__all__ = ["PlanarPose", "find_root", "yaw"]
-
 PlanarPose: TypeAlias = tuple[float, float, float]
 """x and y in metres, heading in radians."""
 

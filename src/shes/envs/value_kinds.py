@@ -6,8 +6,6 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-__all__ = ["is_whole"]
-
 
 def is_whole(value: Any) -> TypeGuard[int]:
     """Return whether `value` is an integer of Python or NumPy; a bool or 25.0 is not."""

@@ -12,20 +12,6 @@ import re
 
 import mujoco
 
-__all__ = [
-    "ARENA",
-    "CELL_SIZE_M",
-    "INTEGRATORS",
-    "TIMESTEP_S",
-    "WALL_HEIGHT_M",
-    "Grid",
-    "add_grid",
-    "add_square_walls",
-    "empty_world",
-    "is_free",
-    "merged_boxes",
-]
-
 Grid = tuple[str, ...]
 """Rows of cells, row 0 first."""
 

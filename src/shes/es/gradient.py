@@ -15,8 +15,6 @@ from shes.arrays import to_host
 from shes.es.noise import NoiseTable
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = ["group_weights", "weighted_noise_sum"]
-
 _COLUMNS = 65536  # parameters summed at a time: enough that two threads do not wait for Python's lock
 
 

@@ -22,19 +22,6 @@ from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = [
-    "LevelParameters",
-    "LevelState",
-    "LevelUpdate",
-    "RunningEpisodes",
-    "TrainState",
-    "UpdateRule",
-    "draw_noise_index",
-    "perturb",
-    "select_fitness",
-    "update_level",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class LevelState:

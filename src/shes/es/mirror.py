@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from shes.errors import ConfigError, UnknownNameError
 
-__all__ = ["MIRRORINGS", "check_population", "sign_matrix"]
-
 MIRRORINGS = ("quad", "pair", "none")
 """`quad`: every combination of signs; `pair`: all plus and all minus; `none`: no mirroring."""
 

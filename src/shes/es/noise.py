@@ -21,8 +21,6 @@ from shes.free_space import free_disk, free_memory
 from shes.storage import remove_abandoned, storage_errors, write_atomically
 from shes.types import F32Array
 
-__all__ = ["NOISE_SEED", "NoiseTable", "default_cache_dir"]
-
 NOISE_SEED = 123
 """Seed of the table, as in the authors' code."""
 _FORMAT = 1  # part of the file name; increase it if the numbers ever change

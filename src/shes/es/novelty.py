@@ -18,20 +18,6 @@ import numpy as np
 from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
-__all__ = [
-    "NOVELTY_RULES",
-    "NS",
-    "NSR",
-    "NSRA",
-    "AuthorsNSRA",
-    "NoveltyState",
-    "WeightRule",
-    "behaviour_distance",
-    "blend",
-    "extend",
-    "novelty",
-]
-
 _DISTANCES = 1 << 20  # distances in memory at a time, at least one row of the archive's length: 40 MB with temporaries
 
 

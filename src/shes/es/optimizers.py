@@ -17,8 +17,6 @@ from shes.registry import Registry, subclass_of
 from shes.settings import Ge, Gt, Lt, Settings, Unasked
 from shes.types import F32Array, F64Array
 
-__all__ = ["OPTIMIZERS", "SGD", "Adam", "ClipUp", "Optimizer", "OptimizerState"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class OptimizerState:

@@ -17,8 +17,6 @@ from shes.errors import ConfigError
 from shes.es.mirror import check_population, sign_matrix
 from shes.registry import Registry, subclass_of
 
-__all__ = ["PERTURBATIONS", "ManyToMany", "OneToMany", "OneToManyHalves", "Perturbation", "Signs"]
-
 Signs: TypeAlias = NDArray[np.int8]
 """Signs [G, M, L] of every member of a population at each level."""
 

@@ -10,8 +10,6 @@ import numpy as np
 from shes.errors import PolicyError
 from shes.types import F64Array
 
-__all__ = ["TIES", "centred_ranks", "check_finite"]
-
 TIES = ("average", "index")
 """How equal fitness is ranked: by the average rank, or by position in the population."""
 

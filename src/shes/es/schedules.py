@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from shes.errors import ConfigError
 from shes.registry import Registry, subclass_of
 
-__all__ = ["SCHEDULES", "Constant", "Cosine", "Exponential", "Linear", "Schedule", "make_schedule"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule(ABC):

@@ -20,8 +20,6 @@ from shes.registry import Registry, subclass_of
 from shes.settings import Choices, Gt, Lt, Settings
 from shes.types import F64Array
 
-__all__ = ["FITNESS_SHAPINGS", "CentredRanks", "FitnessShaping", "PairRanks", "TopFraction", "ZScore"]
-
 
 class FitnessShaping(ABC):
     """Turns the fitness of a population into the members' weights."""

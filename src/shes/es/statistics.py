@@ -11,8 +11,6 @@ import numpy as np
 
 from shes.types import F32Array, F64Array
 
-__all__ = ["CLIP", "MIN_VARIANCE", "ObservationStatistics", "normalise"]
-
 MIN_VARIANCE = 0.01
 """Lower limit of the variance: normalisation magnifies no input more than tenfold."""
 CLIP = 5.0

@@ -30,8 +30,6 @@ from shes.es.shaping import FITNESS_SHAPINGS
 from shes.options import make, options_of
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = ["EvolutionStrategy"]
-
 
 class EvolutionStrategy:
     """Evolution strategy with mirrored noise and an ask-and-tell interface.

@@ -6,8 +6,6 @@ from enum import IntEnum
 
 import numpy as np
 
-__all__ = ["Purpose", "stream"]
-
 
 class Purpose(IntEnum):
     """Purpose of a random stream. The values determine a run's numbers and must not be changed."""

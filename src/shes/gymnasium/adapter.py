@@ -22,8 +22,6 @@ from shes.settings import Settings, setting_fields
 from shes.sim.cpu import CpuSimulator
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["TaskAdapter"]
-
 _PICTURE_DEFAULTS: dict[str, Any] = {"width": 480, "height": 480, "camera": "follow"}
 
 

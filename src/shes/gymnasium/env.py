@@ -12,8 +12,6 @@ from shes.drawing.drawer import Picture
 from shes.gymnasium.adapter import TaskAdapter
 from shes.types import F64Array
 
-__all__ = ["TaskEnv"]
-
 
 class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
     """One episode of a task at a time. Actions lie in [-1, 1]; a step takes 0.1 s of simulated time."""

@@ -23,8 +23,6 @@ from shes.errors import ConfigError
 from shes.gymnasium.adapter import TaskAdapter
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["TaskVectorEnv"]
-
 _RENDER_MODES = ["rgb_array"]
 
 

@@ -22,9 +22,6 @@ from shes.hierarchy.moments import Moments
 from shes.policies.mlp import MLP, Layers, Rows, aligned_rows
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = ["AgentBatch", "AgentDesign"]
-
-
 Design = TypeVar("Design", bound="AgentDesign")
 
 

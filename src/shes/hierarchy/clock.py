@@ -12,8 +12,6 @@ import numpy as np
 
 from shes.types import F64Array, IntArray
 
-__all__ = ["Clock"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:

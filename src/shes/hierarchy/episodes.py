@@ -15,18 +15,6 @@ from shes.es.level import LevelParameters
 from shes.hierarchy.moments import Moments
 from shes.types import F64Array
 
-__all__ = [
-    "PARTS",
-    "ByEpisode",
-    "EpisodeResults",
-    "EpisodeTask",
-    "Generation",
-    "Outcomes",
-    "Snapshot",
-    "empty_outcomes",
-    "spread",
-]
-
 PARTS = ("physics", "policy", "task")
 """Parts of a rollout that are timed: MuJoCo; the agent; the task's observations and rewards, and the rest."""
 

@@ -10,8 +10,6 @@ from shes.hierarchy.agent import AgentBatch
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.types import F32Array, IntArray
 
-__all__ = ["EXPLORATION_STD", "Exploration"]
-
 EXPLORATION_STD = 0.01
 """Standard deviation of the exploration noise on the controller's output and on the control (authors' code)."""
 

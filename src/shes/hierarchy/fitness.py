@@ -14,8 +14,6 @@ from shes.es.perturbation import Signs
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.types import F64Array
 
-__all__ = ["advance_novelty", "shaped_fitness"]
-
 
 def advance_novelty(
     state: NoveltyState | None, rule: WeightRule | None, results: PopulationResults, member: int

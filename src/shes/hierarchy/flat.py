@@ -12,8 +12,6 @@ from shes.hierarchy.agent import AgentBatch, AgentDesign
 from shes.policies.mlp import MLP
 from shes.types import F32Array, F64Array
 
-__all__ = ["FlatAgent", "FlatDesign"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class FlatDesign(AgentDesign):

@@ -15,8 +15,6 @@ import numpy as np
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = ["Frames", "turned_back"]
-
 
 class Frames:
     """The frames of N robots, in arrays of `xp`."""

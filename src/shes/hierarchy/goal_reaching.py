@@ -20,8 +20,6 @@ from shes.hierarchy.views import ColumnsView, View
 from shes.policies.mlp import MLP
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
-__all__ = ["GoalReachingAgent", "GoalReachingDesign", "StepInput"]
-
 _MIN_START_M = 1e-3  # a goal may be set where the robot stands; the relative progress must stay finite
 
 

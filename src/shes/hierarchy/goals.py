@@ -17,17 +17,6 @@ from shes.options import make
 from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
-__all__ = [
-    "GOAL_ENCODINGS",
-    "AngleEncoding",
-    "GoalEncoding",
-    "MetreAngleEncoding",
-    "UnitVectorEncoding",
-    "VectorEncoding",
-    "make_goal_encoding",
-    "register_goal_encoding",
-]
-
 DISTANCE_UNIT_M = 1000.0
 """Distances are divided by this (paper II-C)."""
 

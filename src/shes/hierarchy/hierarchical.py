@@ -17,8 +17,6 @@ from shes.hierarchy.views import ColumnsView, View
 from shes.policies.mlp import MLP
 from shes.types import CONTROLLER, PRIMITIVE, F32Array, F64Array, IntArray
 
-__all__ = ["MIN_COMPONENT_M", "HierarchicalAgent", "HierarchicalDesign"]
-
 MIN_COMPONENT_M: Final = np.sqrt(0.5)
 """Minimum size of each component of a goal vector, if goals have a minimum distance of 1 m."""
 

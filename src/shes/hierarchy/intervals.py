@@ -24,8 +24,6 @@ from shes.hierarchy.episodes import EpisodeTask, Generation, Snapshot
 from shes.hierarchy.population import Work
 from shes.hierarchy.results import PopulationResults
 
-__all__ = ["IntervalEstimate", "branch_work", "draw_snapshot_steps", "next_running"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalEstimate:

@@ -9,8 +9,6 @@ import numpy as np
 
 from shes.types import F64Array, IntArray
 
-__all__ = ["Moments"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Moments:

@@ -17,16 +17,6 @@ from shes.options import make
 from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
-__all__ = [
-    "CONTROLLER_OUTPUTS",
-    "ControllerOutput",
-    "HeadingVectorOutput",
-    "OneHotOutput",
-    "VectorOutput",
-    "make_controller_output",
-    "register_controller_output",
-]
-
 NUM_DIRECTIONS = 8
 """Number of directions of a one-hot output."""
 MIN_DISTANCE_M = 1.0

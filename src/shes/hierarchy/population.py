@@ -14,8 +14,6 @@ from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.types import IntArray
 
-__all__ = ["COMMON_RANDOM_NUMBERS", "Work", "mean_policy_task", "members_per_lane", "population_tasks"]
-
 _ENOUGH_ROWS = 3
 """Number of episodes per member from which each member has a matmul of its own.
 

@@ -14,8 +14,6 @@ from shes.hierarchy.goal_reaching import GoalReachingAgent, GoalReachingDesign, 
 from shes.policies.mlp import MLP
 from shes.types import F32Array, F64Array, IntArray
 
-__all__ = ["BranchAgent", "BranchDesign", "PrimitiveAgent", "PrimitiveDesign"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PrimitiveDesign(GoalReachingDesign):

@@ -21,8 +21,6 @@ from shes.hierarchy.episodes import (
 from shes.hierarchy.moments import Moments
 from shes.types import BoolArray, F64Array
 
-__all__ = ["PopulationResults", "lower_diverged"]
-
 
 def lower_diverged(values: F64Array, has_diverged: BoolArray) -> F64Array:
     """Return `values` of episodes, of any shape, with those of diverged ones lowered to the minimum of the others."""

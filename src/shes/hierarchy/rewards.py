@@ -14,17 +14,6 @@ from shes.options import make
 from shes.registry import Registry, subclass_of
 from shes.types import F64Array
 
-__all__ = [
-    "PRIMITIVE_REWARDS",
-    "CosineReward",
-    "MetresReward",
-    "NegativeDistanceReward",
-    "PrimitiveReward",
-    "ProgressReward",
-    "make_primitive_reward",
-    "register_primitive_reward",
-]
-
 METRE_REWARD, NEAR_REWARD = 4.0, 0.2
 """Rewards of `metres`: per metre of approach, and per step near the goal."""
 REACHED_M = 1.0

@@ -38,8 +38,6 @@ from shes.hierarchy.moments import Moments
 from shes.hierarchy.snapshots import SnapshotRecorder
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
-__all__ = ["Rollout"]
-
 NumberedTask = tuple[int, EpisodeTask]
 """A task with its number in the order of the results."""
 

@@ -13,8 +13,6 @@ from shes.hierarchy.agent import AgentBatch
 from shes.hierarchy.episodes import EpisodeTask, Snapshot
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["SnapshotRecorder"]
-
 
 class SnapshotRecorder:
     """Records states and goals of the episodes of a rollout while they run."""

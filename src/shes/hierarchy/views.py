@@ -16,8 +16,6 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.types import F64Array, IntArray
 
-__all__ = ["ColumnsView", "EgocentricView", "View"]
-
 
 class View(ABC):
     """Selects or computes the values that a level sees. It is sent to worker processes."""

@@ -15,8 +15,6 @@ import numpy as np
 from shes.errors import ConfigError
 from shes.types import F32Array
 
-__all__ = ["BIAS_INITIALISATIONS", "MLP", "OUTPUT_INITIALISATIONS", "Layers", "Rows", "aligned_rows"]
-
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
 """`glorot_normal` is that of the authors' code: a bias vector of n has the standard deviation sqrt(2 / (1 + n))."""
 

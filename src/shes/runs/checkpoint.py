@@ -20,9 +20,6 @@ from shes.free_space import free_memory
 from shes.runs.headers import SUFFIX, Header, read_headers
 from shes.storage import write_atomically
 
-__all__ = ["Best", "Checkpoint", "CheckpointWriter", "HeaderCheck", "load_checkpoint"]
-__all__ += ["restore", "save_checkpoint"]
-
 StateT = TypeVar("StateT")
 
 FORMAT = 2

@@ -33,8 +33,6 @@ from shes.runs.rooms import (
 )
 from shes.settings import Execution, Setting, Settings, flag, out_of_range
 
-__all__ = ["TrainConfig"]
-
 _WHOLE_GROUPS = 48
 """Members of a population that has whole mirrored groups, however they are mirrored and perturbed."""
 

@@ -9,8 +9,6 @@ from shes.errors import ConfigError
 from shes.runs.config import TrainConfig
 from shes.sim.warp_device import WarpDevice
 
-__all__ = ["check_asked_device", "device_changes", "device_facts"]
-
 
 def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
     """Check that the settings in `asked` have an effect on the device of `config`.

@@ -21,8 +21,6 @@ from shes.runs.provenance import provenance
 from shes.runs.shipped import find_run, shipped_hint, shipped_name
 from shes.storage import storage_errors, write_atomically
 
-__all__ = ["RunFolder", "new_folder"]
-
 _FORMAT = 2
 _BELOW = ("*/config.json", "*/*/config.json")
 """Records of the runs in a folder of runs."""

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["SUFFIX", "Header", "read_headers"]
-
 SUFFIX = ".npy"
 """End of the name of every member of the file."""
 

@@ -9,8 +9,6 @@ from contextlib import contextmanager, suppress
 from shes.runs.folder import RunFolder
 from shes.storage import storage_errors
 
-__all__ = ["logger", "run_log"]
-
 logger = logging.getLogger("shes.run")
 
 

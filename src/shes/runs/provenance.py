@@ -13,8 +13,6 @@ from typing import Any
 
 from shes.runs.device import device_facts
 
-__all__ = ["provenance"]
-
 _PACKAGES = ("shes", "mujoco", "numpy")
 
 

@@ -21,9 +21,6 @@ from shes.options import with_options
 from shes.settings import Choices, Execution, Ge, Gt, Lt, Setting, Settings, Shared, Shown, Unasked, setting_fields
 from shes.sim.warp_device import DEVICES
 
-__all__ = ["EpisodeSettings", "EvaluationSettings", "RunSettings", "WorkerSettings", "check_names"]
-__all__ += ["check_record", "execution_settings", "known_settings", "learner", "rooms_of", "settings_in"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings(Settings):

@@ -16,19 +16,6 @@ from typing import Any
 
 from shes.errors import RunFolderError, UnknownNameError, nearest_first
 
-__all__ = [
-    "AGENT_FILE",
-    "FreshEvaluation",
-    "ShippedAgent",
-    "find_run",
-    "read_agent",
-    "run_text",
-    "shipped_hint",
-    "shipped_name",
-    "shipped_names",
-    "shipped_path",
-]
-
 AGENTS = Path(str(files("shes") / "agents"))
 """Folder of the shipped agents."""
 AGENT_FILE = "agent.json"

@@ -9,8 +9,6 @@ from typing import Any, Literal
 from shes.errors import CheckpointError, ShesError
 from shes.runs.folder import RunFolder
 
-__all__ = ["RunState", "run_state", "unreadable_state"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RunState:

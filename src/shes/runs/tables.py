@@ -14,8 +14,6 @@ from shes.runs.folder import RunFolder
 from shes.runs.tensorboard import Events
 from shes.storage import storage_errors, write_atomically
 
-__all__ = ["CsvTable", "Records", "Row", "check_tables", "csv_text", "read_csv"]
-
 _MOST_TEXT = 200  # characters of the cause in a message, which may quote the file
 
 Row = dict[str, Any]

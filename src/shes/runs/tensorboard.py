@@ -20,8 +20,6 @@ from tensorboardX.summary import hparams, scalar
 
 from shes.storage import storage_errors
 
-__all__ = ["Events"]
-
 _GROUPS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "evaluation": {"evaluation": ("score_mean", "return_mean", "success_rate")},
     "progress": {

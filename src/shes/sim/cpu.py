@@ -11,8 +11,6 @@ from mujoco.batch import Batch
 from shes.sim.simulator import Simulator
 from shes.types import F64Array, IntArray
 
-__all__ = ["CpuSimulator", "count_divergences", "forget_divergences", "log_physics_warnings"]
-
 logger = logging.getLogger("shes.mujoco")
 logger.addHandler(logging.NullHandler())  # without it Python prints to stderr if logging is not configured
 

@@ -12,8 +12,6 @@ import mujoco
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["Simulator"]
-
 _NO_STATES = (
     "{} cannot copy physics states, which branched episodes start from. Define `states` and `set_states` in it, "
     "or set --primitive-estimate episode."

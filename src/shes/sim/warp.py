@@ -23,8 +23,6 @@ from shes.sim.warp_buffers import BufferPeaks, BufferSizes, default_sizes
 from shes.sim.warp_device import WarpDevice, WarpTimer, load_warp
 from shes.types import F64Array, IntArray
 
-__all__ = ["WarpSimulator"]
-
 _MAX_CONTACTS = 2**31 - 1
 """Largest number of contacts of all simulations together."""
 

@@ -14,8 +14,6 @@ import numpy as np
 
 from shes.errors import ConfigError
 
-__all__ = ["BufferPeaks", "BufferSizes", "default_sizes"]
-
 _CONTACTS_PER_TOUCH = {int(mujoco.mjtGeom.mjGEOM_SPHERE): 1, int(mujoco.mjtGeom.mjGEOM_CAPSULE): 2}
 """Contacts of one geom with a plane or box; other shapes have `_CONTACTS_OF_OTHERS`."""
 _CONTACTS_OF_OTHERS = 8

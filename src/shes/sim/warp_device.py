@@ -20,8 +20,6 @@ import numpy as np
 
 from shes.errors import ConfigError, MissingExtraError, UnknownNameError
 
-__all__ = ["DEVICES", "WarpDevice", "WarpTimer", "is_out_of_memory", "load_warp"]
-
 DEVICES = ("warp-cpu", "cuda")
 
 _PACKAGES = ("mujoco-warp", "warp-lang")

@@ -12,8 +12,6 @@ import numpy as np
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice, is_out_of_memory
 
-__all__ = ["bytes_per_sim"]
-
 _MEASURED = (16, 64, 512)
 """Numbers of simulations: a few to load the kernels, then enough to average over the pool's large blocks."""
 

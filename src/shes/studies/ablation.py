@@ -29,8 +29,6 @@ from shes.studies.study import Study
 from shes.studies.tables import Cell
 from shes.training.presets import make_config
 
-__all__ = ["BASE", "ENVS", "FACTORS", "GROUPS", "SCALES", "SWEPT", "ablation"]
-
 ENVS = ("point-gather", "point-maze")
 GROUPS: dict[str, str] = {
     "choices": "the paper's choices: mirroring, perturbation, primitive reward, goal encoding",

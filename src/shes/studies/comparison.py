@@ -15,8 +15,6 @@ from shes.studies.tables import Summary
 from shes.types import F64Array
 from shes.viewing.curves import interval
 
-__all__ = ["Comparison", "compare"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:

@@ -9,9 +9,6 @@ from typing import Any, NamedTuple
 
 from shes.errors import ConfigError, UnknownNameError
 
-__all__ = ["Curve", "CurvePanel", "Curves", "Forest", "Measure", "StudyDesign", "Sweep", "Variant", "check_size"]
-__all__ += ["multiplied", "sweep_name", "whole"]
-
 
 class Variant(NamedTuple):
     """Runs that differ from the base in some settings."""

@@ -20,8 +20,6 @@ from shes.studies.tables import Cell, Summary
 from shes.types import F64Array
 from shes.viewing.curves import interpolate, interval
 
-__all__ = ["draw_figures"]
-
 _WIDTH = 10.0
 """Width in inches."""
 _DPI = 150

@@ -8,7 +8,5 @@ from shes.studies.ablation import ablation
 from shes.studies.learning import learning
 from shes.studies.study import Study
 
-__all__ = ["STUDIES"]
-
 STUDIES: dict[str, Callable[[str, int | None], Study]] = {"ablation": ablation, "learning": learning}
 """Functions of the scale and the number of seeds."""

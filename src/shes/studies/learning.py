@@ -29,8 +29,6 @@ from shes.studies.study import Study, generation_steps
 from shes.studies.tables import Cell
 from shes.training.presets import make_config
 
-__all__ = ["BASE", "ENV", "FACTORS", "GROUPS", "SCALES", "SWEPT", "learning", "variants"]
-
 ENV = "ant-flagrun"
 GROUPS: dict[str, str] = {
     "pieces": "the base with one piece left out or changed",

@@ -15,8 +15,6 @@ from shes.training.evaluate import Evaluation, evaluate
 from shes.training.runs_folder import find_runs
 from shes.types import F64Array
 
-__all__ = ["MEASURES", "RunComparison", "compare_runs", "mean_difference_interval"]
-
 MEASURES = {"score": "scores", "return": "returns", "success": "successes"}
 """Measures that can be compared: name -> field of `Evaluation`."""
 

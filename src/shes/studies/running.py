@@ -28,8 +28,6 @@ from shes.studies.tables import Cell, Summary, read_tables
 from shes.training.evaluate import evaluate
 from shes.training.train import differing, resume, start_run
 
-__all__ = ["Outcome", "StudyWorker", "cells_left", "check_study", "read_summaries", "run_cell", "run_study"]
-
 _SUMMARY = "summary.json"
 _CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
 

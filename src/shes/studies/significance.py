@@ -10,8 +10,6 @@ import numpy as np
 from shes.errors import MissingExtraError
 from shes.types import F64Array
 
-__all__ = ["check_scipy", "holm", "permutation_test"]
-
 _DIGITS = 12  # to this many digits, differences of means do not depend on the order of summation
 
 

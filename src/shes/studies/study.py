@@ -13,8 +13,6 @@ from shes.studies.design import StudyDesign
 from shes.studies.tables import Cell
 from shes.training.presets import make_config
 
-__all__ = ["CHECKPOINTS", "Study", "cell_config", "cell_steps", "choose", "generation_steps"]
-
 CHECKPOINTS = ("best", "last")
 """Checkpoints that are evaluated on fresh episodes at the end of a cell."""
 _TRANSFER = ("primitive", "freeze_primitive")

@@ -14,8 +14,6 @@ from shes.errors import RunFolderError
 from shes.runs.tables import Row, csv_text
 from shes.storage import write_atomically
 
-__all__ = ["Cell", "Summary", "read_tables", "write_csv", "write_tables"]
-
 _SETTINGS = "settings"  # the column with the digest of a row's settings
 _PLACE = ("group", "variant", "env", "seed")
 _WORDS = frozenset({"group", "variant", "env", _SETTINGS})  # columns of text

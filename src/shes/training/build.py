@@ -25,17 +25,6 @@ from shes.runs.rooms import learner
 from shes.settings import setting_fields
 from shes.sim.warp_device import is_out_of_memory
 
-__all__ = [
-    "OpenedRun",
-    "build_algorithm",
-    "build_backend",
-    "build_environment",
-    "build_problem",
-    "build_task",
-    "check_device",
-    "open_run",
-]
-
 
 def build_environment(config: TrainConfig) -> EnvironmentMaker:
     """Return the environment of `config`."""

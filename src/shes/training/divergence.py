@@ -9,8 +9,6 @@ from typing import Any
 from shes.errors import DivergenceError
 from shes.runs.config import TrainConfig
 
-__all__ = ["Divergence"]
-
 
 class Divergence:
     """The diverged generations of a run during one call."""

@@ -21,8 +21,6 @@ from shes.training.build import build_backend, open_run
 from shes.training.limits import Workload, check_limits
 from shes.types import F64Array
 
-__all__ = ["TARGETS", "Evaluation", "evaluate", "evaluate_state", "evaluation_seeds", "fresh_seeds"]
-
 StateT = TypeVar("StateT", bound=AnyState)
 
 TARGETS = ("evaluation", "training")

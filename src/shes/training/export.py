@@ -29,8 +29,6 @@ from shes.training.build import OpenedRun, open_run
 from shes.training.onnx_graph import onnx_model
 from shes.types import F64Array
 
-__all__ = ["FORMATS", "describe", "export"]
-
 _FORMAT = 1  # of the description
 Networks = Mapping[str, tuple[MLP, LevelParameters]]
 """The network of each level by name, with its parameters and its normalisation."""

@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["Interruption"]
-
 
 class Interruption:
     """A context that delays Ctrl-C and SIGTERM while files are written; the second signal ends the run at once."""

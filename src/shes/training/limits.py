@@ -16,8 +16,6 @@ from shes.hierarchy.episodes import empty_outcomes
 from shes.runs.config import TrainConfig
 from shes.settings import flag
 
-__all__ = ["Workload", "check_limits", "max_workers"]
-
 _WORKER_BYTES = 45_000_000  # that a worker process shares with no other: 36 to 42 MB measured
 _ROW_BYTES = 10_000  # of a simulation, its task and its agent, without noise: up to 8.6 kB measured
 _MOST = 2**62  # larger than any value that fits

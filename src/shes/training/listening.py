@@ -13,8 +13,6 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.runs.tables import Row
 
-__all__ = ["AnyListener", "Audience", "Listener", "StopTraining"]
-
 
 class StopTraining(Exception):  # noqa: N818 - a request, as StopIteration is
     """Raised by a listener to end the run after this generation, as if it were over."""

@@ -13,8 +13,6 @@ from shes.es.level import LevelParameters
 from shes.es.statistics import CLIP
 from shes.policies.mlp import MLP
 
-__all__ = ["onnx_model"]
-
 _OPERATORS, _IR_VERSION = 17, 8  # onnxruntime 1.13 (2022) or newer
 
 

@@ -16,8 +16,6 @@ from shes.runs.config import TrainConfig
 from shes.training.build import OpenedRun, build_algorithm, open_run
 from shes.types import F32Array, F64Array, FloatArray
 
-__all__ = ["Agent", "Statistics", "load"]
-
 
 class Statistics(NamedTuple):
     """Moments by which a level's observations are normalised: `(observation - mean) / std`, clipped to ±5."""

@@ -15,8 +15,6 @@ from shes.runs.shipped import run_text
 from shes.settings import Needs, setting_fields
 from shes.training.transfer import TRANSFERRED, brought_settings
 
-__all__ = ["PRESETS", "make_config"]
-
 PRESETS: dict[str, dict[str, Any]] = {
     # Table I exactly; what it leaves open is as in the authors' code.
     "paper": {

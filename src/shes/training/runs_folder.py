@@ -22,8 +22,6 @@ from shes.storage import storage_errors, write_atomically
 from shes.training.listening import AnyListener
 from shes.training.train import Run, check_resumable, differing, finish_run
 
-__all__ = ["Ended", "RunsFolder", "find_runs"]
-
 _RECORD = "runs.json"
 _FORMAT = 1
 _LENGTHS = ("generations", "env_steps", "minutes")

@@ -17,8 +17,6 @@ from shes.training.evaluate import evaluate_state, evaluation_seeds
 from shes.training.interruption import Interruption
 from shes.training.listening import Audience
 
-__all__ = ["Session"]
-
 
 class Session:
     """The records, evaluations and checkpoints of a run during one call."""

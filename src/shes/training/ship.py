@@ -32,8 +32,6 @@ from shes.training.build import open_run
 from shes.training.evaluate import Evaluation, evaluate
 from shes.training.transfer import TRANSFERRED
 
-__all__ = ["main", "ship"]
-
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _RUN_OPTIONS = ("--out", "--primitive", "--controller")
 """Options of `shes train` that name run folders."""

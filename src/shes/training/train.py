@@ -25,14 +25,11 @@ from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
 from shes.training.interruption import Interruption
 from shes.training.limits import Workload, check_limits
-from shes.training.listening import AnyListener, Audience, Listener, StopTraining
+from shes.training.listening import AnyListener, Audience
 from shes.training.presets import make_config
 from shes.training.session import Session
 from shes.training.transfer import check_robot, transfer
 from shes.types import F64Array
-
-__all__ = ["Listener", "Run", "StopTraining", "check_resumable", "differing", "finish_run"]
-__all__ += ["resumable_settings", "resume", "start_run", "train"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,8 +21,6 @@ from shes.runs.rooms import RunSettings, learner
 from shes.settings import flag
 from shes.training.build import OpenedRun, build_task, open_run
 
-__all__ = ["TRANSFERRED", "brought_settings", "check_robot", "transfer"]
-
 TRANSFERRED = ("primitive", "controller")
 """Levels that may come from another run, which the setting of the same name gives."""
 _BROUGHT = {

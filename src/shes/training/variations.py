@@ -15,8 +15,6 @@ from shes.settings import Setting, out_of_range
 from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 
-__all__ = ["read_sweep", "vary"]
-
 _MOST_RUNS = 1_000
 _ELSEWHERE = {"seed": "Give several seeds by --seed 1 2 3.", "env": "Runs of a folder have one environment."}
 

@@ -8,8 +8,6 @@ import numpy as np
 
 from shes.types import F64Array
 
-__all__ = ["interpolate", "interval"]
-
 _CONFIDENCE = 0.95
 _RESAMPLES = 2000
 

@@ -10,8 +10,6 @@ from typing import Any
 
 from shes.runs.folder import RunFolder
 
-__all__ = ["Group", "group_runs"]
-
 _FIRST = ("env", "algorithm", "preset")
 """The kind of a run: settings that are named first in a label, because others follow from them."""
 _MOST_NAMED = 4

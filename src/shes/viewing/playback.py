@@ -19,8 +19,6 @@ from shes.training.evaluate import fresh_seeds
 from shes.training.play import Agent
 from shes.types import F64Array
 
-__all__ = ["Moment", "Playback"]
-
 _TRAIL_STEPS = 150
 _GOAL_RADIUS_M = 0.45
 _ABOVE_GROUND_M = 0.03

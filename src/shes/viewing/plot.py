@@ -24,8 +24,6 @@ from shes.types import F64Array
 from shes.viewing.curves import interpolate, interval
 from shes.viewing.groups import Group, group_runs
 
-__all__ = ["X_AXES", "plot"]
-
 X_AXES = {
     "generation": ("generation", 1.0),
     "env_steps": ("environment steps (millions)", 1e-6),

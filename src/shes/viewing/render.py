@@ -16,8 +16,6 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.viewing.playback import Moment, Playback
 from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
 
-__all__ = ["VIEWS", "render"]
-
 VIEWS = ("both", *CAMERAS)
 
 _CAPTION_PIXELS = 28

@@ -15,8 +15,6 @@ from shes.drawing.drawer import Picture
 from shes.errors import ConfigError, StorageError
 from shes.storage import write_atomically
 
-__all__ = ["FRAMES_PER_SECOND", "check_video_path", "write_video"]
-
 FRAMES_PER_SECOND = 20
 """Two frames per control step of 0.1 s. GIF times are multiples of 0.01 s, so 30 is not possible."""
 # A GIF has one palette for all frames, made from what moves.

@@ -8,8 +8,6 @@ from pathlib import Path
 from shes.drawing.rendering import open_window
 from shes.viewing.playback import Playback
 
-__all__ = ["watch"]
-
 
 def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None) -> None:
     """Show the episodes that `evaluate` runs, in real time, until the window is closed.

@@ -16,7 +16,6 @@ from time import perf_counter
 from shes.algorithms.evolution.populations import (
     Hyperparameters,
     Population,
-    generation_work,
     roll_out,
     roll_out_branches,
 )
@@ -26,8 +25,6 @@ from shes.es.noise import NoiseTable
 from shes.hierarchy.fitness import advance_novelty
 from shes.hierarchy.intervals import next_running
 from shes.hierarchy.results import PopulationResults
-
-__all__ = ["GenerationReport", "Hyperparameters", "evolve", "generation_work"]
 
 
 @dataclass(frozen=True, kw_only=True)

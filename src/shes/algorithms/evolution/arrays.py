@@ -13,8 +13,6 @@ from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
 from shes.types import ArrayHeader
 
-__all__ = ["check_arrays", "check_headers", "from_arrays", "to_arrays"]
-
 _GROWS = frozenset({"novelty/archive"})
 """Arrays whose first axis has a variable length."""
 _OPTIONAL = {"running/states": (np.float64, 2), "running/steps": (np.int64, 1)}

@@ -11,8 +11,6 @@ from shes.es.level import select_fitness
 from shes.hierarchy.episodes import PARTS
 from shes.types import F64Array, IntArray
 
-__all__ = ["columns"]
-
 
 def columns(report: GenerationReport) -> dict[str, Any]:
     """Return the row of `progress.csv` for a generation, by column.

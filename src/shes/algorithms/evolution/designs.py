@@ -22,15 +22,6 @@ from shes.hierarchy.views import ColumnsView, EgocentricView, View
 from shes.policies.mlp import MLP
 from shes.settings import flag
 
-__all__ = [
-    "branch_design",
-    "controller_inputs",
-    "flat_design",
-    "hierarchical_design",
-    "primitive_design",
-    "primitive_inputs",
-]
-
 
 def flat_design(problem: Problem) -> FlatDesign:
     """Return the design of an agent with a single policy.

@@ -18,8 +18,6 @@ from shes.hierarchy.agent import AgentDesign
 from shes.hierarchy.intervals import IntervalEstimate
 from shes.options import make
 
-__all__ = ["make_hyperparameters", "make_state", "make_update_rules"]
-
 
 def make_hyperparameters(settings: Any) -> Hyperparameters:
     """Return the hyperparameters of Algorithm 1."""

@@ -32,8 +32,6 @@ from shes.hierarchy.agent import AgentDesign
 from shes.settings import Settings
 from shes.types import ArrayHeader
 
-__all__ = ["SES", "SHES", "EvolutionAlgorithm", "PrimitiveES"]
-
 _MAX_THREADS = 8  # of the gradient; with more, memory bandwidth is the limit
 
 

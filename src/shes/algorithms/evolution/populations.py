@@ -30,8 +30,6 @@ from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapsho
 from shes.hierarchy.population import Work, mean_policy_task, members_per_lane, population_tasks
 from shes.hierarchy.results import PopulationResults
 
-__all__ = ["Hyperparameters", "Population", "generation_work", "roll_out", "roll_out_branches"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:

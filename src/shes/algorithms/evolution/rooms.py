@@ -27,23 +27,6 @@ from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown
 
-__all__ = [
-    "PRIMITIVE_ROOMS",
-    "SCHEDULED",
-    "SES_ROOMS",
-    "SHES_ROOMS",
-    "EstimateSettings",
-    "EvolutionSettings",
-    "HierarchySettings",
-    "NetworkSettings",
-    "NoveltySettings",
-    "PrimitiveEstimateSettings",
-    "PrimitiveSettings",
-    "PrimitiveTransferSettings",
-    "ScheduleSettings",
-    "TransferSettings",
-]
-
 SCHEDULED = {
     "learning_rate": ("learning_rate_schedule", "learning_rate_end"),
     "sigma": ("sigma_schedule", "sigma_end"),

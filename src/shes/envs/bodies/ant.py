@@ -16,8 +16,6 @@ from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.root import yaw
 from shes.types import BoolArray, F64Array
 
-__all__ = ["Ant"]
-
 TORSO_HEIGHT_M = 0.75
 TORSO_RADIUS_M = 0.25
 LEG_RADIUS_M = 0.08

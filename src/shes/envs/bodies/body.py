@@ -13,8 +13,6 @@ from shes.errors import ConfigError
 from shes.settings import Settings
 from shes.types import BoolArray, F64Array
 
-__all__ = ["Body"]
-
 
 class Body(ABC):
     """A robot. Its coordinates are the first of the model's qpos and qvel."""

@@ -14,8 +14,6 @@ from shes.envs.bodies.body import Body
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.types import BoolArray, F64Array
 
-__all__ = ["FallingPoint", "Point"]
-
 RADIUS_M = 0.25
 MASS_KG = 0.33
 HEIGHT_M = 0.5

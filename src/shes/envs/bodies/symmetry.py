@@ -13,8 +13,6 @@ import numpy as np
 
 from shes.types import F64Array, IntArray
 
-__all__ = ["SYMMETRIES", "SignedPermutation", "SymmetryGroup", "dihedral_group"]
-
 SYMMETRIES = ("none", "rotation", "dihedral")
 """Groups to choose from: `rotation` has the rotations, `dihedral` also the reflections."""
 

@@ -12,8 +12,6 @@ from shes.envs.episode_batch import Reader
 from shes.errors import ShapeError
 from shes.types import F64Array, IntArray
 
-__all__ = ["BodyReader"]
-
 
 class BodyReader(Reader):
     """Observations are arrays [O] or [N, O]; actions lie in [-1, 1]."""

@@ -7,8 +7,6 @@ from typing import ClassVar
 from shes.envs.tasks.target_task import BlockOptions, TargetTask
 from shes.envs.worlds import WALL_HEIGHT_M, Grid
 
-__all__ = ["Fall"]
-
 
 class Fall(TargetTask):
     """A chasm lies between robot and target, which stand on platforms 4 m high. A block pushed into it is a bridge.

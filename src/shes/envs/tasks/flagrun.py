@@ -20,8 +20,6 @@ from shes.envs.worlds import ARENA, add_grid, empty_world
 from shes.settings import Ge, Le, Shared
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["Flagrun", "FlagrunOptions"]
-
 NEAR_M = 1.0
 """Least distance of a new goal. Within it, the reward of a step is 1 higher."""
 DISTANCE_SCALE = 0.001

@@ -22,8 +22,6 @@ from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["Gather", "GatherOptions"]
-
 NUM_OBJECTS = 8
 """Number of objects of each kind: food and poison."""
 ACTIVITY_RANGE_M = 10.0

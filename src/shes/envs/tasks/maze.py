@@ -12,8 +12,6 @@ from shes.envs.worlds import Grid, is_free
 from shes.errors import ConfigError
 from shes.types import F64Array
 
-__all__ = ["Maze", "MazeOptions"]
-
 SQUARE_M = (-4.0, 20.0)
 """Range of both coordinates of training's targets."""
 

@@ -12,8 +12,6 @@ from typing import Annotated
 from shes.envs.worlds import INTEGRATORS
 from shes.settings import Choices, Example, Ge, Le, Lt, Settings, Unasked
 
-__all__ = ["FURTHEST_M", "SPECS", "Coordinates", "TaskOptions"]
-
 SPECS = {"shes": "euler", "hiro": "rk4"}
 """Specifications and their integrators."""
 FURTHEST_M = 1000.0

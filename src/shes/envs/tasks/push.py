@@ -7,8 +7,6 @@ from typing import ClassVar
 from shes.envs.tasks.target_task import BlockOptions, TargetTask
 from shes.envs.worlds import Grid
 
-__all__ = ["Push"]
-
 
 class Push(TargetTask):
     """A block stands in the way. Pushed straight ahead it closes the passage; pushed aside it opens it.

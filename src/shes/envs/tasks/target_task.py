@@ -19,8 +19,6 @@ from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
 from shes.types import BoolArray, F64Array, IntArray
 
-__all__ = ["SUCCESS_DISTANCE_M", "BlockOptions", "TargetOptions", "TargetTask"]
-
 SUCCESS_DISTANCE_M = 5.0
 """An episode succeeds nearer to the target than this."""
 

@@ -26,8 +26,6 @@ from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
 from shes.types import BoolArray, F64Array, FloatArray, IntArray
 
-__all__ = ["CONTROL_STEP_S", "FRAME_SKIP", "TIME_SCALE", "VELOCITY_CLIP", "SimulatorFactory", "Task", "TaskDescription"]
-
 FRAME_SKIP = 5
 """Physics steps per control step."""
 CONTROL_STEP_S = FRAME_SKIP * TIMESTEP_S
