@@ -21,10 +21,10 @@ assert shes
 COMMON = {"spec", "integrator", "reset_noise", "evaluation"}
 OWN = {
     Gather: {"fall_penalty"},
-    Maze: {"target", "evaluation_target", "target_sampling"},
-    Push: {"target", "evaluation_target", "observe_block"},
-    Fall: {"target", "evaluation_target", "observe_block"},
-    Flagrun: {"controller_interval", "goal_distance"},
+    Maze: {"target", "evaluation_target", "waypoints", "target_sampling"},
+    Push: {"target", "evaluation_target", "waypoints", "observe_block"},
+    Fall: {"target", "evaluation_target", "waypoints", "observe_block"},
+    Flagrun: {"controller_interval", "goal_distance", "stiff_contacts"},
 }
 
 
@@ -81,6 +81,39 @@ def test_a_target_has_as_many_coordinates_as_the_tasks_own(option, name, wrong):
     kind = name.removeprefix("point-")
     with pytest.raises(ConfigError, match=rf"{option} of {kind} must be \d coordinates in metres, got \(.*\)\. Set -"):
         make_task(name, 1, ENVIRONMENTS[name].options(**{option: wrong}))
+
+
+@pytest.mark.parametrize(("name", "wrong"), [("point-push", (1.0, 2.0, 3.0)), ("point-fall", (1.0, 2.0))])
+def test_a_waypoint_has_as_many_coordinates_as_the_target(name, wrong):
+    with pytest.raises(
+        ConfigError, match=r"waypoints of \w+ must be \d coordinates each, got \(.*\)\. Set --waypoints"
+    ):
+        make_task(name, 1, ENVIRONMENTS[name].options(waypoints=wrong))
+
+
+def test_the_reward_is_the_way_left_through_the_waypoints_and_evaluation_ignores_them():
+    options = {"target": (6.0, 8.0), "waypoints": (6.0, 0.0, 6.0, 4.0), "reset_noise": 0.0}
+    task = make_task("point-maze", 2, MazeOptions(**options))
+    both = np.arange(2)
+    task.reset(both, [1, 2])
+
+    def reward_at(*places):
+        task.sim.qpos[:, :2] = places
+        return task.update_features().tolist()
+
+    # The second robot stays, so that an index shared by the episodes would show.
+    assert reward_at((0, 0), (0, 0)) == [-14, -14]
+    assert reward_at((2.5, 0), (0, 0)) == [-11.5, -14]
+    assert reward_at((3.5, 0), (0, 0)) == pytest.approx([-(np.hypot(2.5, 4) + 4), -14])  # 2.5 m from the first: passed
+    assert reward_at((0, 0), (0, 0)) == pytest.approx([-(np.hypot(6, 4) + 4), -14])  # and it stays so
+    assert reward_at((6, 1.5), (0, 0)) == [-6.5, -14]
+    assert reward_at((6, 8), (0, 0)) == [0, -14]
+    assert task.distance.tolist() == [0, 10]
+    task.reset(both[:1], [3])
+    assert reward_at((0, 0), (6, 0)) == [-14, -8]
+    evaluated = make_task("point-maze", 1, MazeOptions(**options, evaluation_target=(0.0, 5.0), evaluation=True))
+    evaluated.reset(both[:1], [1])
+    assert evaluated.update_features().tolist() == [-5]
 
 
 def test_options_that_every_task_has_suffice():

@@ -365,6 +365,12 @@ ROWS: dict[str, Row] = {
     "evaluation_target": Row(
         (1.0, 2.0), lambda r: batches(lambda b: b.target[0].tolist())(r)[1], [1, 2], [0, 16], env="point-maze"
     ),
+    "stiff_contacts": Row(
+        True, batches(lambda b: set(b.sim.model.geom_solimp[:, 0])), [{0.995}] * 2, [{0.8}] * 2, env="point-flagrun"
+    ),
+    "waypoints": Row(
+        (-8.0, 8.0), batches(lambda b: b._num_waypoints), [1, 0], [0, 0], env="point-push"
+    ),
     "observe_block": Row(False, batches(lambda b: b.observe().shape[1]), [7, 7], [11, 11], env="point-push"),
     "fall_penalty": Row(
         False, batches(fall_reward), [0.0] * 2, [-10.0] * 2, env="ant-gather", beside={"spec": "hiro", "horizon": 2}

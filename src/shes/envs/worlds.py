@@ -41,8 +41,8 @@ INTEGRATORS = {
 }
 
 
-def empty_world(name: str, integrator: str, *, has_block: bool = False) -> mujoco.MjSpec:
-    """Return a world with a floor and the default contact parameters of the tasks, stiffer for one with a block."""
+def empty_world(name: str, integrator: str, *, stiff_contacts: bool = False) -> mujoco.MjSpec:
+    """Return a world with a floor and the default contact parameters of the tasks; stiff ones are those with a block."""
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.compiler.degree = True
@@ -56,7 +56,7 @@ def empty_world(name: str, integrator: str, *, has_block: bool = False) -> mujoc
     geom.friction = [1.0, 0.5, 0.5]
     geom.margin = 0.01
     geom.solref = [0.02, 1.0]
-    geom.solimp = _STIFF_SOLIMP if has_block else _SOLIMP
+    geom.solimp = _STIFF_SOLIMP if stiff_contacts else _SOLIMP
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[FLOOR_HALF_SIZE_M] * 3, conaffinity=1)
     return spec
 

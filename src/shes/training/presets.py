@@ -81,12 +81,13 @@ _IN_THE_WORLD = {"controller_view": "observation", "controller_output": "vector"
 _WALKERS: dict[str, dict[str, Any]] = {
     "ant-flagrun": {
         **_ANT_WALKER,
+        "intervals": 1,
         "fall_price": 8.0,
         "hidden": (),
         "population_size": 1200,
         "sigma": 0.05,
         "learning_rate": 0.02,
-        "generations": 20,
+        "generations": 30,
         "evaluation_interval": 5,
     },
     "ant-gather": _ANT,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -35,6 +35,8 @@ class FlagrunOptions(TaskOptions):
     """Control steps between two goals."""
     goal_distance: Annotated[float, Ge(NEAR_M), Le(FURTHEST_M), Shared()] = 4.0
     """Half width of the square around the robot from which goals are drawn, in metres."""
+    stiff_contacts: bool = False
+    """Whether contacts are as stiff as in Push and Fall, to train a primitive for these tasks."""
 
 
 class FlagrunReader(BodyReader):
@@ -88,9 +90,9 @@ class Flagrun(Task):
         self._observation: F64Array = self.xp.zeros((num_episodes, self.observation_size))
 
     @classmethod
-    def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
+    def build_world(cls, body: Body, options: Any) -> mujoco.MjSpec:
         """Return the arena of Gather."""
-        spec = empty_world(f"{body.name}-{cls.name}", options.integrator)
+        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, stiff_contacts=options.stiff_contacts)
         add_grid(spec, ARENA)
         body.add_to(spec)
         return spec

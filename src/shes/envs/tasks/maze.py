@@ -25,11 +25,16 @@ class MazeOptions(TargetOptions):
     its free_cells."""
 
     def check(self) -> None:
-        """Check that `target_sampling` has an effect: a fixed target is not sampled."""
+        """Check that `target_sampling` has an effect, and that `waypoints` lead to a fixed target."""
         if self.target is not None and self.target_sampling != "square":
             raise ConfigError(
                 f"target {self.target} fixes training's target, so target_sampling {self.target_sampling!r} has no "
                 "effect. Omit --target or --target-sampling."
+            )
+        if self.waypoints is not None and self.target is None and not self.evaluation:
+            raise ConfigError(
+                f"waypoints {self.waypoints} lead to one target, and training's target is random. Set --target, the "
+                f"task's own is {Maze.own_target}."
             )
 
 

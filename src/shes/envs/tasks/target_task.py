@@ -21,6 +21,8 @@ from shes.types import BoolArray, F64Array, IntArray
 
 SUCCESS_DISTANCE_M = 5.0
 """An episode succeeds nearer to the target than this."""
+PASSED_DISTANCE_M = 3.0
+"""A waypoint is passed nearer than this."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +33,9 @@ class TargetOptions(TaskOptions):
     """Fixed target of training in metres; none is the task's own distribution of targets."""
     evaluation_target: Coordinates | None = None
     """Target of evaluation in metres; none is the task's own."""
+    waypoints: Coordinates | None = None
+    """Points on the way to the target, one after another, each passed within 3 m; help for training only. The reward is
+    minus the length of the way that is left through them. Evaluation does not use them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,10 +68,17 @@ class TargetTask(Task):
     )
 
     def allocate(self) -> None:
-        """Allocate targets and the observation."""
+        """Allocate targets, the way to them, and the observation."""
         own_target = self.xp.asarray(self.own_target, dtype=np.float64)
         self.target: F64Array = self.xp.tile(own_target, (self.num_episodes, 1))
         """Targets [N, 2] or [N, 3] in metres."""
+        way = [] if self.options.evaluation else list(self.options.waypoints or ())
+        ends = np.reshape([*way, *(self.options.target or self.own_target)], (-1, len(self.own_target)))
+        legs = np.sqrt(((ends[1:] - ends[:-1]) ** 2).sum(axis=1))
+        self._num_waypoints = len(legs)
+        self._way: F64Array = self.xp.asarray(ends)  # the waypoints and, last, the target
+        self._way_beyond: F64Array = self.xp.asarray(np.append(np.cumsum(legs[::-1])[::-1], 0.0))
+        self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # waypoints passed
         self._observation: F64Array = self.xp.zeros((self.num_episodes, self.observation_size))
 
     @classmethod
@@ -80,11 +92,14 @@ class TargetTask(Task):
                     f"{name} of {cls.name} must be {len(cls.own_target)} coordinates in metres, got {place}. "
                     f"Set --{name.replace('_', '-')}."
                 )
+        size, way = len(cls.own_target), options.waypoints
+        if way is not None and len(way) % size:
+            raise ConfigError(f"waypoints of {cls.name} must be {size} coordinates each, got {way}. Set --waypoints.")
 
     @classmethod
     def build_world(cls, body: Body, options: TaskOptions) -> mujoco.MjSpec:
         """Return the world of `grid` with the body in it."""
-        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, has_block=bool(cls.block_axes))
+        spec = empty_world(f"{body.name}-{cls.name}", options.integrator, stiff_contacts=bool(cls.block_axes))
         body.add_to(spec, cls.ground_m)
         add_grid(spec, cls.grid)
         return spec
@@ -123,7 +138,11 @@ class TargetTask(Task):
     @property
     def distance(self) -> F64Array:
         """Distance to the target [N] in metres, in all coordinates that the target has."""
-        offset = self.sim.qpos[:, : self.target.shape[1]] - self.target
+        return self._distance_to(self.target)
+
+    def _distance_to(self, points: F64Array) -> F64Array:
+        """Return the distances [N] of the robots to points [N, 2] or [N, 3]."""
+        offset = self.sim.qpos[:, : points.shape[1]] - points
         offset *= offset
         total = offset[:, 0]
         for axis in range(1, offset.shape[1]):
@@ -149,7 +168,9 @@ class TargetTask(Task):
     def reset_features(self, ids: IntArray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the targets of episodes `ids`; see `Task.reset_features`."""
         chosen = np.array([self._choose_target(rng) for rng in rngs])
-        self.target[self.xp.asarray(ids)] = self.xp.asarray(chosen)
+        rows = self.xp.asarray(ids)
+        self.target[rows] = self.xp.asarray(chosen)
+        self._next[rows] = 0
 
     def _choose_target(self, rng: np.random.Generator) -> tuple[float, ...] | F64Array:
         """Return the target of an episode; only `training_target` draws from `rng`."""
@@ -162,8 +183,12 @@ class TargetTask(Task):
         return self.own_target
 
     def update_features(self) -> F64Array:
-        """Return the reward [N]: minus the distance to the target."""
-        return -self.distance
+        """Return the reward [N]: minus the distance to the target, or minus the way left through the waypoints."""
+        if not self._num_waypoints:
+            return -self.distance
+        passed = self._distance_to(self._way[self._next]) < PASSED_DISTANCE_M
+        self._next += passed & (self._next < self._num_waypoints)
+        return -(self._distance_to(self._way[self._next]) + self._way_beyond[self._next])
 
     def observe(self) -> F64Array:
         """Return robot and block, time, and target [N, O]."""
