@@ -42,7 +42,7 @@ INTEGRATORS = {
 
 
 def empty_world(name: str, integrator: str, *, stiff_contacts: bool = False) -> mujoco.MjSpec:
-    """Return a world with a floor and the default contact parameters of the tasks; stiff ones are those with a block."""
+    """Return a world with a floor and the contact parameters of the tasks, or the stiff ones of tasks with a block."""
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.compiler.degree = True
