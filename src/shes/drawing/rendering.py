@@ -23,11 +23,7 @@ logger = logging.getLogger("shes.drawing")
 
 
 def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
-    """Return a drawer of the poses of `batch`; call it before the first reset.
-
-    Raises:
-        ConfigError: The environment has no pictures, or the size is not allowed.
-    """
+    """Return a drawer of the poses of `batch`, if it has pictures of this size; call it before the first reset."""
     if batch.draws_itself:
         batch.draw_by("rgb_array")
         offer_opengl()
@@ -36,11 +32,7 @@ def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
 
 
 def open_window(batch: EpisodeBatch) -> Window:
-    """Return a window that shows the poses of `batch`; call it before the first reset.
-
-    Raises:
-        ConfigError: There is no screen, or the environment has no window.
-    """
+    """Return a window that shows the poses of `batch`, if there is a screen; call it before the first reset."""
     if batch.draws_itself:
         batch.draw_by("human")
         return PassthroughWindow()

@@ -226,9 +226,5 @@ def _refuse_id(name: str) -> None:
 def make_task(
     name: str, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
 ) -> Task:
-    """Return `num_episodes` episodes of environment `name`, a body and a task.
-
-    Raises:
-        UnknownNameError: `name` is not in `ENVIRONMENTS`.
-    """
+    """Return `num_episodes` episodes of environment `name` in `ENVIRONMENTS`, a body and a task."""
     return ENVIRONMENTS.find(name).make(num_episodes, options, simulator)

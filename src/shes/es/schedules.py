@@ -100,11 +100,6 @@ SCHEDULES: Registry[type[Schedule]] = Registry(
 
 
 def make_schedule(quantity: str, kind: str, start: float, end: float, generations: int) -> Schedule:
-    """Return the schedule registered as `kind`. For the other arguments see `Schedule`.
-
-    Raises:
-        UnknownNameError: `kind` is not in `SCHEDULES`.
-        ConfigError: The end of an exponential schedule is zero.
-    """
+    """Return the schedule registered as `kind`. For the other arguments see `Schedule`."""
     schedule = SCHEDULES.find(kind, kind=f"schedule of {quantity}", fix=f"Set --{quantity.replace('_', '-')}-schedule.")
     return schedule(quantity=quantity, start=start, end=end, generations=generations)

@@ -95,8 +95,7 @@ class Rollout:
     ) -> Iterator[tuple[int, EpisodeResults]]:
         """Run all of `work`, one task per lane at a time, and yield numbered results as tasks finish.
 
-        Raises:
-            PolicyError: A policy returned NaN or infinity.
+        A PolicyError is raised for a policy that returned NaN or infinity.
         """
         self._exploration.begin(generation)
         num_goals = generation.snapshot_goals

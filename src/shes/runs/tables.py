@@ -82,12 +82,7 @@ class CsvTable:
     """A CSV file to which whole rows are appended; numbers read back bit-identically."""
 
     def __init__(self, path: Path, keep_until: int) -> None:
-        """Open `path` and remove the rows after generation `keep_until`.
-
-        Raises:
-            StorageError: The file cannot be written.
-            RunFolderError: The file is damaged.
-        """
+        """Open `path` and remove the rows after generation `keep_until`; raise RunFolderError if it is damaged."""
         self._path = path
         self._columns: list[str] | None = None
         if path.exists():

@@ -50,8 +50,7 @@ def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
     """Train a cell to its end from its last checkpoint, if it has one; evaluate it and return its summary.
 
     Raises:
-        RunFolderError: Its folder holds a run with other settings.
-        ShesError: Raised by `start_run`, `resume` or `evaluate`.
+        ShesError: Raised by `start_run`, `resume` or `evaluate`; its folder may hold a run with other settings.
     """
     path = out / cell.name
     summary = _read_summary(path)

@@ -95,8 +95,7 @@ def check_device(config: TrainConfig) -> None:
 
     Raises:
         MissingExtraError: It needs a package that is not installed.
-        ConfigError: There is no GPU, its driver is too old, versions do not match, the world needs the CPU, or the
-            memory is too small for one episode.
+        ConfigError: There is no such GPU or driver, the world needs the CPU, or there is no memory for one episode.
     """
     workers = config.workers
     if workers.device == "cpu":

@@ -63,7 +63,6 @@ class RunsFolder:
 
         Raises:
             RunFolderError: `path` is a file or a run folder, or has a run of other settings.
-            StorageError: It cannot be written.
         """
         if path.exists() and not path.is_dir():
             raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
@@ -164,11 +163,7 @@ def _is_as_long(before: TrainConfig, now: TrainConfig) -> bool:
 
 
 def find_runs(run: Path | str) -> list[RunFolder]:
-    """Return the run folder `run`, or those below it that have a generation, in natural order.
-
-    Raises:
-        RunFolderError: `run` is neither a run folder, nor a folder of runs, nor a shipped agent.
-    """
+    """Return the run folder `run`, or those below it that have a generation, in natural order."""
     path = find_run(run)
     if RunFolder(path).config.is_file() or not path.is_dir():
         return [RunFolder.open(run)]
