@@ -29,8 +29,7 @@ class Drawer(ABC):
     def between(self, start: Any, end: Any, fraction: float) -> Any:
         """Return the pose a `fraction` of the way from `start` to `end`."""
 
-    @abstractmethod
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - some hold none
         """Release its resources."""
 
 

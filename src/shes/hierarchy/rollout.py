@@ -24,15 +24,7 @@ from shes.errors import PolicyError
 from shes.es.level import perturb
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.episodes import (
-    PARTS,
-    EpisodeResults,
-    EpisodeTask,
-    Generation,
-    Outcomes,
-    Snapshot,
-    empty_outcomes,
-)
+from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, Outcomes, Snapshot, empty_outcomes
 from shes.hierarchy.exploration import Exploration
 from shes.hierarchy.moments import Moments
 from shes.hierarchy.snapshots import SnapshotRecorder
