@@ -10,7 +10,7 @@ import json
 import signal
 import traceback
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -183,9 +183,11 @@ def _run_stage(stage: Sequence[Cell], failed: set[str], backend: Backend) -> Ite
     for cell in stage:
         if cell.primitive in failed:
             yield Outcome(cell=cell, error=f"not run: it begins with the primitive of {cell.primitive}, which failed.")
+    events: list[str] = []
+    backend.on_event = events.append
     for outcome in backend.map([cell for cell in stage if cell.primitive not in failed]):
-        events = tuple(backend.take_events())
-        yield Outcome(cell=outcome.cell, summary=outcome.summary, error=outcome.error, events=events)
+        yield replace(outcome, events=tuple(events))
+        events.clear()
 
 
 def check_study(study: Study, out: Path) -> None:
