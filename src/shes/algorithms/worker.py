@@ -196,9 +196,9 @@ class RolloutWorker:
         if rollout is None:
             if plan.device != "cpu":
                 WarpDevice(plan.device).release_memory()
-            make = partial(plan.env.make, options=self._options(generation), simulator=plan.simulator)
-            horizon = self._horizon(generation)
-            design = self._design(generation)
+            options = plan.evaluation if generation.is_evaluation else plan.training
+            make = partial(plan.env.make, options=options, simulator=plan.simulator)
+            horizon, design = self._horizon(generation), self._design(generation)
             rollout = Rollout(design, make, self._lanes, generation.rows_per_lane, horizon, generation.members_per_lane)
             self._rollouts[generation.kind] = rollout
         return rollout
@@ -255,9 +255,6 @@ class RolloutWorker:
         self._collector.lines.append(
             f"{before} policies at a time are too many for the memory of device {device}: {now} from here on"
         )
-
-    def _options(self, generation: Generation) -> TaskOptions:
-        return self.plan.evaluation if generation.is_evaluation else self.plan.training
 
     def _design(self, generation: Generation) -> AgentDesign:
         plan = self.plan

@@ -239,7 +239,6 @@ class CheckpointWriter:
     """Writes checkpoints in a thread of its own, one at a time and in order."""
 
     def __init__(self) -> None:
-        """Start the writing thread."""
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="shes-checkpoint")
         self._last: Future[None] | None = None
 

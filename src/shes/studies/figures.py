@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -22,7 +21,7 @@ from shes.viewing.curves import interpolate, interval
 
 _WIDTH = 10.0
 """Width in inches."""
-_DPI = 150
+_STYLE = {"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150, "font.size": 10}
 _BASE_COLOR, _COLOR = "#1f77b4", "#c44e00"
 _Place = tuple[str, str, str]
 """Environment, group, variant."""
@@ -72,7 +71,7 @@ def draw_figures(
     drawn: list[Path] = []
     for asked in study.design.figures:
         if results.has(*(asked.groups if isinstance(asked, Curves) else (asked.group,))):
-            with _style():
+            with plt.rc_context(_STYLE):
                 figure = _draw(results, asked)
             try:
                 write_atomically(out / asked.file, lambda file, figure=figure: figure.savefig(file, format="png"))
@@ -92,12 +91,6 @@ def _draw(results: _Results, asked: Forest | Sweep | Curves) -> Figure:
 
 def _title(env: str) -> str:
     return env.replace("-", " ").title()
-
-
-@contextmanager
-def _style() -> Iterator[None]:
-    with plt.rc_context({"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": _DPI, "font.size": 10}):
-        yield
 
 
 def _draw_forest(results: _Results, figure_of: Forest) -> Figure:
