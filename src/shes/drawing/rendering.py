@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from typing import TypeAlias
 
 import mujoco
 
-from shes.drawing.drawer import Drawer, Window
+from shes.drawing.drawer import Drawer
 from shes.drawing.flat_renderer import FlatRenderer
 from shes.drawing.mujoco_renderer import MujocoRenderer
 from shes.drawing.opengl import HOW_TO_GET_OPENGL, find_opengl, is_switched_off, offer_opengl
@@ -20,6 +21,9 @@ from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError
 
 logger = logging.getLogger("shes.drawing")
+
+Window: TypeAlias = Viewer | PassthroughWindow
+"""Shows poses in real time: `show` moves to a pose, with markers, in the time of a control step."""
 
 
 def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,7 +22,7 @@ from shes.viewing.curves import interpolate, interval
 
 _WIDTH = 10.0
 """Width in inches."""
-_STYLE = {"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150, "font.size": 10}
+_STYLE: dict[Any, Any] = {"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150, "font.size": 10}
 _BASE_COLOR, _COLOR = "#1f77b4", "#c44e00"
 _Place = tuple[str, str, str]
 """Environment, group, variant."""
