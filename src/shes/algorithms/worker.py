@@ -36,26 +36,18 @@ _SHARE_OF_MEMORY = 0.75  # of a GPU's memory; tasks and policies need some as we
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeSetup:
-    """The environment of a run, and how its episodes are computed."""
+    """The environment of a run, its options, and the settings by which its episodes are computed."""
 
     env: EnvironmentMaker
     """Makes the episodes. Sent instead of a name, because a worker's registry lacks the classes of a user's script."""
     training: TaskOptions
-    """Options of the environment in training."""
     evaluation: TaskOptions
-    """Options of the environment in evaluation."""
     horizon: int
-    """Maximum number of control steps in an episode of training."""
     evaluation_horizon: int
-    """Maximum number of control steps in an episode of evaluation."""
     chunk_size: int = 0
-    """Number of policies that a worker runs in lockstep; 0 chooses. On the CPU it does not affect the numbers."""
     device: str = "cpu"
-    """Device that computes the physics: `cpu`, `warp-cpu` or `cuda`."""
     nconmax: int | None = None
-    """Maximum number of contacts per simulation on a device; None chooses."""
     njmax: int | None = None
-    """Maximum number of constraint rows per simulation on a device; None chooses."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,10 +41,8 @@ class ShippedAgent:
     """The description of a shipped agent in `agent.json`."""
 
     description: str
-    """What it does, on one line."""
     env: str
     commands: tuple[str, ...]
-    """Commands that trained it."""
     cores: int
     hours: float
     """Wall-clock time of its run, in hours."""

@@ -117,19 +117,13 @@ class Records:
         hyperparameters: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         """Open the tables and remove the rows after `generation`, which ended at `env_steps`."""
-        self._progress = CsvTable(folder.progress, generation)
-        self._evaluation = CsvTable(folder.evaluation, generation)
+        self._tables = {path.stem: CsvTable(path, generation) for path in (folder.progress, folder.evaluation)}
         self._events = Events(folder.tensorboard, generation, env_steps, hyperparameters)
 
-    def add_progress(self, row: Row) -> None:
-        """Add the row of a generation."""
-        self._progress.add(row)
-        self._events.add("progress", row)
-
-    def add_evaluation(self, row: Row) -> None:
-        """Add the row of an evaluation."""
-        self._evaluation.add(row)
-        self._events.add("evaluation", row)
+    def add(self, table: str, row: Row) -> None:
+        """Add the row of a generation to `progress`, or that of an evaluation to `evaluation`."""
+        self._tables[table].add(row)
+        self._events.add(table, row)
 
     def close(self) -> None:
         """Close the event files."""

@@ -40,7 +40,6 @@ class Outcome:
     summary: Summary | None = None
     error: str = ""
     events: tuple[str, ...] = ()
-    """Events of the workers meanwhile."""
 
 
 # One cell, in a worker process.

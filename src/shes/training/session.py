@@ -84,7 +84,7 @@ class Session:
         if state.generation == 1 or state.generation % self._config.evaluation.evaluation_interval == 0:
             with interruption.at_once():
                 evaluation = self._evaluate(state)
-            self._records.add_evaluation(evaluation)
+            self._records.add("evaluation", evaluation)
             is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score means nothing
             if is_sound and best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
                 best = Best(
@@ -100,7 +100,7 @@ class Session:
             row["evaluation_s"] = round(self._generation_start - now, 4)
         if state.generation % self._config.evaluation.keep_checkpoints == 0:
             paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
-        self._records.add_progress(row)
+        self._records.add("progress", row)
         arrays = self._algorithm.to_arrays(state)
         self.checkpoint = Checkpoint(arrays=arrays, best=best, numbers=self.checkpoint.numbers)
         self._writer.write(paths, self.checkpoint)
