@@ -85,7 +85,7 @@ class ProcessesBackend(Backend):
 
     def broadcast(self, state: Any) -> None:
         """Send `state` to every worker, and later to the replacements of lost ones."""
-        self._state = _pickle(state)
+        self._state = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
         for process in self._processes:
             process.send("state", self._state)
         self._start_missing()
@@ -201,7 +201,7 @@ class ProcessesBackend(Backend):
             if run.queue:
                 number = run.queue.popleft()
                 process.tasks[number] = None
-                process.send("task", number, _pickle(run.tasks[number]))
+                process.send("task", number, pickle.dumps(run.tasks[number], pickle.HIGHEST_PROTOCOL))
             else:
                 process.send("end")
         elif kind == "result":
@@ -243,10 +243,6 @@ class ProcessesBackend(Backend):
     def _tell(self, event: str) -> None:
         if self.on_event is not None:
             self.on_event(event)
-
-
-def _pickle(value: Any) -> bytes:
-    return pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
 
 
 def _pickle_factory(factory: WorkerFactory) -> bytes:

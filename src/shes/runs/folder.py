@@ -45,6 +45,14 @@ def new_folder(config: TrainConfig, kind: str = "") -> Path:
         number += 1
 
 
+def check_folder_of_runs(path: Path) -> None:
+    """Raise RunFolderError if `path`, for a folder of several runs, is a file or a run folder."""
+    if path.exists() and not path.is_dir():
+        raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
+    if (path / "config.json").exists():
+        raise RunFolderError(f"{path} is a run folder: several runs need a folder of their own. Set --out.")
+
+
 def _is_part(record: Any) -> bool:
     """Return whether `record` can be what `provenance` says of a part of a run, with other entries."""
     if not isinstance(record, dict) or not all(isinstance(record.get(name, {}), dict) for name in _OBJECTS):

@@ -19,7 +19,7 @@ from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.errors import RunFolderError, ShesError
 from shes.runs.config import TrainConfig
-from shes.runs.folder import RunFolder
+from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.tables import Row, read_csv
 from shes.storage import storage_errors, write_atomically
 from shes.studies.significance import check_scipy
@@ -198,10 +198,7 @@ def check_study(study: Study, out: Path) -> None:
         MissingExtraError: SciPy, which compares the finished runs, is not installed.
     """
     check_scipy()
-    if out.exists() and not out.is_dir():
-        raise RunFolderError(f"{out} is a file, not a folder. Choose another path with --out.")
-    if RunFolder(out).config.exists():
-        raise RunFolderError(f"{out} is a run folder: the runs of a study need one of their own. Set --out.")
+    check_folder_of_runs(out)
     for cell in study.cells:
         if cell.primitive is not None and not RunFolder(out / cell.primitive).config.is_file():
             continue  # the settings of the primitive are not known yet; the worker checks them

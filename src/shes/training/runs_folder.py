@@ -15,7 +15,7 @@ from typing import Any
 
 from shes.errors import PolicyError, RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig
-from shes.runs.folder import RunFolder
+from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.shipped import find_run
 from shes.runs.tables import read_wall_time
 from shes.storage import storage_errors, write_atomically
@@ -64,10 +64,7 @@ class RunsFolder:
         Raises:
             RunFolderError: `path` is a file or a run folder, or has a run of other settings.
         """
-        if path.exists() and not path.is_dir():
-            raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
-        if RunFolder(path).config.exists():
-            raise RunFolderError(f"{path} already holds a run: several need a folder of their own. Set --out.")
+        check_folder_of_runs(path)
         there = cls.open(path) if cls.is_at(path) else cls(path, {}, set())
         for name, config in configs.items():
             before = there.configs.get(name)
