@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,21 +73,13 @@ def draw_figures(
     for asked in study.design.figures:
         if results.has(*(asked.groups if isinstance(asked, Curves) else (asked.group,))):
             with plt.rc_context(_STYLE):
-                figure = _draw(results, asked)
+                figure = _DRAW[type(asked)](results, asked)
             try:
                 write_atomically(out / asked.file, lambda file, figure=figure: figure.savefig(file, format="png"))
             finally:
                 plt.close(figure)
             drawn.append(out / asked.file)
     return drawn
-
-
-def _draw(results: _Results, asked: Forest | Sweep | Curves) -> Figure:
-    if isinstance(asked, Forest):
-        return _draw_forest(results, asked)
-    if isinstance(asked, Sweep):
-        return _draw_sweep(results, asked)
-    return _draw_curves(results, asked)
 
 
 def _title(env: str) -> str:
@@ -215,3 +207,6 @@ def _draw_curve(axis: Axes, runs: Sequence[Summary], column: str, name: str, col
     words = f"{name} ({len(runs)} seed{'s' * (len(runs) != 1)})"
     axis.plot(grid / 1000, values.mean(axis=0), color=color, label=words)
     axis.fill_between(grid / 1000, low, high, color=color, alpha=0.2, linewidth=0)
+
+
+_DRAW: dict[type, Callable[..., Figure]] = {Forest: _draw_forest, Sweep: _draw_sweep, Curves: _draw_curves}
