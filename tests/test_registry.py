@@ -4,7 +4,6 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.es.novelty import NOVELTY_RULES
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
-from shes.es.schedules import SCHEDULES
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
@@ -19,7 +18,6 @@ REGISTRIES = [
     OPTIMIZERS,
     PERTURBATIONS,
     PRIMITIVE_REWARDS,
-    SCHEDULES,
 ]
 every_registry = pytest.mark.parametrize("registry", REGISTRIES, ids=lambda registry: registry.kind)
 

@@ -59,8 +59,8 @@ def test_both_levels_learn(table):
         SETTINGS,
         population_size=24,
         updates=(UpdateRule(),) * 2,
-        learning_rate=constant("learning_rate", 0.08),
-        episodes_per_policy=constant("episodes_per_policy", 1),
+        learning_rate=constant(0.08),
+        episodes_per_policy=constant(1),
     )
     _, reports = formula_run(table, 100, settings)
     assert reports[-1].state.levels[PRIMITIVE].theta == pytest.approx(np.full(5, 2), abs=0.15)

@@ -19,9 +19,16 @@ from tests.backends.workers import Worker, start_dying, start_failing, start_ref
 from tests.e2e import runs
 
 
+def noted(backend):
+    """Let `backend` keep its messages in `told`."""
+    backend.told = []
+    backend.on_event = backend.told.append
+    return backend
+
+
 @pytest.fixture
 def backend():
-    with ProcessesBackend(Worker, 2) as made:
+    with noted(ProcessesBackend(Worker, 2)) as made:
         made.broadcast(100)
         yield made
 
@@ -44,13 +51,12 @@ def test_a_worker_that_dies_at_work_is_replaced_and_its_tasks_are_done_again(bac
     before = backend.pids()
     tasks = [("add", 1), ("die_once", tmp_path / "marker"), *[("add", i) for i in range(2, 10)]]
     assert list(backend.map(tasks)) == [101, 100, *range(102, 110)]
-    (event,) = backend.take_events()
+    (event,) = backend.told
     (dead,) = set(before) - set(backend.pids())
     assert event.startswith(f"worker {dead} died (exit code -9); ")
     assert int(event.partition("; ")[2].split()[0]) >= 1
     assert event.endswith("tasks are done again")
     assert len(set(backend.pids())) == 2
-    assert backend.take_events() == []
 
 
 def test_workers_killed_between_two_maps_are_replaced_and_get_the_state(backend):
@@ -59,9 +65,7 @@ def test_workers_killed_between_two_maps_are_replaced_and_get_the_state(backend)
     for pid in before:
         os.kill(pid, signal.SIGKILL)
     assert list(backend.map([("add", i) for i in range(8)])) == list(range(100, 108))
-    assert sorted(backend.take_events()) == sorted(
-        f"worker {pid} died (exit code -9); 0 tasks are done again" for pid in before
-    )
+    assert sorted(backend.told) == sorted(f"worker {pid} died (exit code -9); 0 tasks are done again" for pid in before)
     assert not set(before) & set(backend.pids())
     assert not any(psutil.pid_exists(pid) for pid in before)  # not even zombies
 
@@ -84,7 +88,7 @@ def test_a_task_that_always_kills_its_worker_is_an_error_that_names_the_fix(back
     with pytest.raises(WorkerError, match=message):
         list(backend.map([*[("add", i) for i in range(6)], ("die", diary), ("add", 7)]))
     assert len(diary.read_text().splitlines()) <= MAX_LOSSES
-    assert len(backend.take_events()) == MAX_LOSSES
+    assert len(backend.told) == MAX_LOSSES
     assert psutil.Process().children() == []
     backend.broadcast(7)
     assert list(backend.map([("add", 1)])) == [8]  # without that task it works again
@@ -94,7 +98,7 @@ def test_losses_are_counted_for_each_map_and_task(backend, tmp_path):
     for generation in range(MAX_LOSSES + 1):
         tasks = [("die_once", tmp_path / f"{generation}-{i}") for i in range(2)] + [("add", 1)] * 4
         assert list(backend.map(tasks)) == [100, 100] + [101] * 4
-    assert len(backend.take_events()) >= MAX_LOSSES + 1
+    assert len(backend.told) >= MAX_LOSSES + 1
 
 
 @pytest.mark.parametrize(
@@ -102,10 +106,10 @@ def test_losses_are_counted_for_each_map_and_task(backend, tmp_path):
 )
 def test_workers_that_die_at_once_are_an_error_that_names_the_cause_and_no_endless_loop(start, cause):
     message = rf"workers keep dying \({cause}\) at once\. .*--backend serial does the same work in this process\. Every"
-    with ProcessesBackend(start, 2) as backend, pytest.raises(WorkerError, match=message) as caught:
+    with noted(ProcessesBackend(start, 2)) as backend, pytest.raises(WorkerError, match=message) as caught:
         list(backend.map([("add", 1)]))
     assert "memory" not in str(caught.value)
-    assert len(backend.take_events()) == 2 * MAX_LOSSES
+    assert len(backend.told) == 2 * MAX_LOSSES
     assert psutil.Process().children() == []
 
 
@@ -188,7 +192,7 @@ def test_workers_that_replace_others_search_where_the_first_did(monkeypatch, tmp
 
 
 def test_workers_ignore_ctrl_c_from_their_first_moment():
-    with ProcessesBackend(Worker, 3) as backend:
+    with noted(ProcessesBackend(Worker, 3)) as backend:
         before = backend.pids()
         for _ in range(20):
             for pid in before:
@@ -196,7 +200,7 @@ def test_workers_ignore_ctrl_c_from_their_first_moment():
             time.sleep(0.01)
         backend.broadcast(1)
         assert list(backend.map([("add", 1)] * 9)) == [2] * 9
-        assert (backend.take_events(), backend.pids()) == ([], before)
+        assert (backend.told, backend.pids()) == ([], before)
 
 
 def test_starting_workers_leaves_the_signal_mask_as_it_was():
@@ -251,10 +255,10 @@ def test_a_worker_that_is_stopped_while_it_sends_a_result_is_replaced(monkeypatc
 
 
 def test_a_worker_that_goes_on_is_told_of_and_loses_no_work():
-    with ProcessesBackend(Worker, 1, worker_warning_s=0.2, worker_timeout_s=60) as backend:
+    with noted(ProcessesBackend(Worker, 1, worker_warning_s=0.2, worker_timeout_s=60)) as backend:
         (pid,) = backend.pids()
         assert list(backend.map([("where", 1.0)])) == [(pid, None)]
-        *_, last = backend.take_events()
+        *_, last = backend.told
         assert re.fullmatch(rf"worker {pid} answers again, after \d+ s", last)
 
 

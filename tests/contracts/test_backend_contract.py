@@ -49,7 +49,6 @@ def own_backend(request, others):
 def test_a_backend_fulfils_the_contract_class(backend):
     assert isinstance(backend, Backend)
     assert backend.num_workers >= 1
-    assert backend.take_events() == []
 
 
 @pytest.mark.parametrize("count", [1, 2, 4, 20])

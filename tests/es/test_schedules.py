@@ -7,16 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.errors import ConfigError, UnknownNameError
-from shes.es.schedules import SCHEDULES, Constant, make_schedule
+from shes.es.schedules import SCHEDULES, Schedule
 
 every_kind = pytest.mark.parametrize("kind", SCHEDULES)
 moving = pytest.mark.parametrize("kind", [kind for kind in SCHEDULES if kind != "constant"])
 values = st.floats(1e-6, 1e6)
 
 
-def _make(kind, start=0.1, end=0.001, generations=100, quantity="learning_rate"):
-    return make_schedule(quantity, kind, start, end, generations)
+def _make(kind, start=0.1, end=0.001, generations=100):
+    return Schedule(kind=kind, start=start, end=end, generations=generations)
 
 
 @every_kind
@@ -74,9 +73,7 @@ def test_linear_differences_and_exponential_factors_are_the_same_every_generatio
 
 
 def test_a_constant_ignores_its_end_and_generations():
-    schedule = make_schedule("sigma", "constant", 0.02, -1, 0)
-    assert [schedule.value(g) for g in (0, 1, 10**9)] == [0.02] * 3
-    assert Constant(quantity="sigma", start=0.02).value(7) == 0.02
+    assert [_make("constant", 0.02, -1, 0).value(g) for g in (0, 1, 10**9)] == [0.02] * 3
 
 
 @pytest.mark.parametrize("kind", ["linear", "cosine"])
@@ -85,17 +82,4 @@ def test_a_value_may_fall_to_zero(kind):
 
 
 def test_a_value_may_grow():
-    assert [_make("linear", 1, 5, 4, "episodes").value(g) for g in range(6)] == [1, 2, 3, 4, 5, 5]
-
-
-@pytest.mark.parametrize(
-    ("quantity", "flag"), [("learning_rate", "--learning-rate"), ("sigma", "--sigma"), ("episodes", "--episodes")]
-)
-def test_an_unknown_kind_is_refused_with_the_nearest_name_and_its_flag(quantity, flag):
-    with pytest.raises(UnknownNameError, match=rf"schedule of {quantity} 'liner'.*'linear'\?.*Set {flag}-schedule\."):
-        _make("liner", quantity=quantity)
-
-
-def test_an_exponential_never_reaches_zero():
-    with pytest.raises(ConfigError, match=r"end of the exponential schedule of sigma must be positive, got 0\."):
-        _make("exponential", end=0, quantity="sigma")
+    assert [_make("linear", 1, 5, 4).value(g) for g in range(6)] == [1, 2, 3, 4, 5, 5]

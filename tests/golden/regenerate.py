@@ -20,7 +20,7 @@ from shes.envs.tasks.options import TaskOptions
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import Adam
-from shes.es.schedules import Constant
+from shes.es.schedules import Schedule
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.goals import make_goal_encoding
@@ -78,9 +78,9 @@ def golden_run(folder, change=0.0):
     )
     settings = Hyperparameters(
         population_size=16,
-        episodes_per_policy=_constant("episodes_per_policy", 2),
-        sigma=_constant("sigma", 0.07),
-        learning_rate=_constant("learning_rate", 0.02),
+        episodes_per_policy=Schedule(start=2),
+        sigma=Schedule(start=0.07),
+        learning_rate=Schedule(start=0.02),
         updates=(UpdateRule(weight_decay=0.005),) * 2,
         learns=(True, True),
     )
@@ -88,10 +88,6 @@ def golden_run(folder, change=0.0):
     with SerialBackend(partial(RolloutWorker, plan)) as backend:
         reports = itertools.islice(evolve(state, settings, table, backend), GENERATIONS)
         return {"generations": [_numbers(report) for report in reports]}
-
-
-def _constant(quantity, value):
-    return Constant(quantity=quantity, start=value, end=value, generations=1)
 
 
 def _numbers(report):

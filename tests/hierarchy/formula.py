@@ -8,7 +8,7 @@ import pytest
 from shes.algorithms.evolution.algorithm import Hyperparameters, evolve
 from shes.backends.backend import Backend
 from shes.es.level import LevelState, TrainState, UpdateRule
-from shes.es.schedules import Constant, make_schedule
+from shes.es.schedules import Schedule
 from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.episodes import EpisodeResults
 from shes.hierarchy.moments import Moments
@@ -19,19 +19,19 @@ DIMS = (3, 5)
 EPISODES = 3
 
 
-def constant(quantity, value):
-    return Constant(quantity=quantity, start=value, end=value, generations=1)
+def constant(value):
+    return Schedule(start=value)
 
 
-def changing(quantity, start, end, generations, kind="linear"):
-    return make_schedule(quantity, kind, start, end, generations)
+def changing(start, end, generations, kind="linear"):
+    return Schedule(kind=kind, start=start, end=end, generations=generations)
 
 
 SETTINGS = Hyperparameters(
     population_size=8,
-    episodes_per_policy=constant("episodes_per_policy", EPISODES),
-    sigma=constant("sigma", 0.1),
-    learning_rate=constant("learning_rate", 0.02),
+    episodes_per_policy=constant(EPISODES),
+    sigma=constant(0.1),
+    learning_rate=constant(0.02),
     updates=(UpdateRule(weight_decay=0.005),) * 2,
     learns=(True, True),
 )

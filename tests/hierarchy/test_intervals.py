@@ -39,8 +39,8 @@ def _estimate(**changes):
         "horizon": HORIZON,
         "goal_distance": 4.0,
         "update": UpdateRule(shaping=PairRanks()),
-        "sigma": changing("sigma", 0.2, 0.1, 2),
-        "learning_rate": constant("learning_rate", 0.03),
+        "sigma": changing(0.2, 0.1, 2),
+        "learning_rate": constant(0.03),
     }
     return IntervalEstimate(**{**settings, **changes})
 
@@ -115,7 +115,7 @@ def test_pairs_depend_on_the_seed_and_the_generation_and_on_nothing_else():
     def bits(state, estimate=None):
         return _task_bits(branch_work(state, estimate or _estimate(), TABLE_SIZE, left))
 
-    assert bits(_alone()) == bits(_alone()) == bits(_alone(), _estimate(sigma=constant("sigma", 9.0)))
+    assert bits(_alone()) == bits(_alone()) == bits(_alone(), _estimate(sigma=constant(9.0)))
     others = [bits(_alone(seed=4)), bits(_alone(generation=1))]
     for other in others:
         for i in (1, 3):  # noise and seeds

@@ -51,7 +51,7 @@ FAKES = {
 }
 """Agents, and after how many steps their environment moves the goals that it sets."""
 
-FAKE = replace(SETTINGS, episodes_per_policy=constant("episodes_per_policy", 2))
+FAKE = replace(SETTINGS, episodes_per_policy=constant(2))
 SINGLE = replace(SETTINGS, updates=SETTINGS.updates[:1], learns=(True,))
 """Settings for one level."""
 RULES = {
@@ -75,17 +75,17 @@ OPTIONS = {
     **{f"{name} common numbers": {"common_random_numbers": name} for name in COMMON_RANDOM_NUMBERS if name != "group"},
     **{f"novelty {name}": {"novelty": rule, "novelty_neighbours": 3} for name, rule in NOVELTY.items()},
     "schedules": {
-        "sigma": changing("sigma", 0.1, 0.02, 3),
-        "learning_rate": changing("learning_rate", 0.05, 0.01, 2, "cosine"),
-        "episodes_per_policy": changing("episodes_per_policy", 1, 3, 2),
+        "sigma": changing(0.1, 0.02, 3),
+        "learning_rate": changing(0.05, 0.01, 2, "cosine"),
+        "episodes_per_policy": changing(1, 3, 2),
     },
-    "fewer and fewer episodes": {"episodes_per_policy": changing("episodes_per_policy", 3, 1, 3)},
+    "fewer and fewer episodes": {"episodes_per_policy": changing(3, 1, 3)},
     "some statistics": {"statistics_fraction": 0.5},
     "frozen primitive": {"learns": (True, False)},
     "frozen controller": {"learns": (False, True)},
     "everything": {
-        "sigma": changing("sigma", 0.1, 0.05, 3, "exponential"),
-        "episodes_per_policy": changing("episodes_per_policy", 1, 3, 2),
+        "sigma": changing(0.1, 0.05, 3, "exponential"),
+        "episodes_per_policy": changing(1, 3, 2),
         "updates": (RULES["z_score"], RULES["clipup"]),
         "perturbation": OneToMany(),
         "novelty": NSRA(patience=1),
@@ -96,7 +96,7 @@ OPTIONS = {
 ONE_LEVEL = {
     "plain": {},
     "no mirroring, own episodes": {"mirrored": "none", "common_random_numbers": "off"},
-    "novelty, schedule": {"novelty": NSR(), "episodes_per_policy": changing("episodes_per_policy", 1, 3, 2)},
+    "novelty, schedule": {"novelty": NSR(), "episodes_per_policy": changing(1, 3, 2)},
 }
 CASES = {
     **{name: ("both", replace(FAKE, **options)) for name, options in OPTIONS.items()},
@@ -173,7 +173,7 @@ def _estimate(**changes):
     """Return how a primitive of these runs is judged by intervals; its episodes are over in the third generation."""
     numbers = {"population_size": 12, "intervals": 2, "controller_interval": 8, "horizon": 32, "goal_distance": 4.0}
     rule = UpdateRule(shaping=PairRanks(), fall_price=0.5)
-    rates = {"sigma": constant("sigma", 0.1), "learning_rate": constant("learning_rate", 0.03)}
+    rates = {"sigma": constant(0.1), "learning_rate": constant(0.03)}
     return IntervalEstimate(update=rule, **{**numbers, **rates, **changes})
 
 

@@ -40,9 +40,9 @@ def table():
 
 SCHEDULED = replace(
     SETTINGS,
-    sigma=changing("sigma", 0.1, 0.02, 4),
-    learning_rate=changing("learning_rate", 0.02, 0.001, 3, "cosine"),
-    episodes_per_policy=changing("episodes_per_policy", 1, 4, 3),
+    sigma=changing(0.1, 0.02, 4),
+    learning_rate=changing(0.02, 0.001, 3, "cosine"),
+    episodes_per_policy=changing(1, 4, 3),
 )
 
 
@@ -64,7 +64,7 @@ def test_generations_with_schedules_are_the_textbooks(table):
 
 def test_the_learning_rate_of_a_schedule_is_that_of_the_step(table):
     rule = UpdateRule(optimizer=SGD(momentum=0.0))
-    settings = replace(SETTINGS, updates=(rule, rule), learning_rate=changing("learning_rate", 0.5, 0.1, 2, "linear"))
+    settings = replace(SETTINGS, updates=(rule, rule), learning_rate=changing(0.5, 0.1, 2, "linear"))
     state = formula_state(settings)
     _, reports = formula_run(table, 3, settings, state=state)
     for report, rate in zip(reports, (0.5, 0.3, 0.1), strict=True):
@@ -75,7 +75,7 @@ def test_the_learning_rate_of_a_schedule_is_that_of_the_step(table):
 
 
 def test_the_episodes_of_a_schedule_are_whole_and_one_at_least(table):
-    settings = replace(SETTINGS, episodes_per_policy=changing("episodes_per_policy", 4, 0, 8))
+    settings = replace(SETTINGS, episodes_per_policy=changing(4, 0, 8))
     assert [settings.episodes(t) for t in (0, 1, 2, 6, 7, 8, 99)] == [4, 4, 3, 1, 1, 1, 1]  # 3.5 is rounded to even
     backend, reports = formula_run(table, 5, SCHEDULED)
     assert [generation.episodes_per_policy for generation in backend.generations] == [1, 2, 3, 4, 4]

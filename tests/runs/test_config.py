@@ -325,14 +325,6 @@ def test_a_learning_rate_may_fall_to_zero_where_a_schedule_reaches_it(how):
         assert make(**settings).schedules.learning_rate_end == 0
 
 
-def test_what_the_episodes_schedule_is_set_by_is_a_flag_that_there_is():
-    config = make(episodes_schedule="linear", episodes_end=5)
-    assert (
-        flag(f"{build_algorithm(config).hyperparameters.episodes_per_policy.quantity}_schedule")
-        == "--episodes-schedule"
-    )
-
-
 # Levels, and what concerns one that is not there.
 
 

@@ -132,7 +132,8 @@ def folder(tmp_path):
 
 def test_charts_are_in_named_groups_against_generations_and_learning_curves_against_steps(folder):
     records = Records(folder, 0)
-    records.add_progress(
+    records.add(
+        "progress",
         {
             "generation": 1,
             "env_steps": 160,
@@ -142,9 +143,9 @@ def test_charts_are_in_named_groups_against_generations_and_learning_curves_agai
             "controller_return_max": 9.0,
             "primitive_update_ratio": 0.25,
             "rollout_s": 0.1,
-        }
+        },
     )
-    records.add_evaluation({"generation": 1, "env_steps": 160, "score_mean": 1.5, "score_std": 3.0})
+    records.add("evaluation", {"generation": 1, "env_steps": 160, "score_mean": 1.5, "score_std": 3.0})
     records.close()
     assert scalars(folder.tensorboard) == [
         ("training/controller_return_mean", 1, 0.5),
@@ -198,7 +199,7 @@ def test_a_run_that_goes_on_hides_later_events_and_keeps_earlier_files(folder):
     for generation in (0, 1):
         records = Records(folder, generation, 100 * generation)
         row = {"generation": generation + 1, "env_steps": 100 * generation + 100, "score_mean": generation + 0.5}
-        records.add_progress(row)
+        records.add("progress", row)
         records.close()
     for place, group, unit in (
         (folder.tensorboard, "training", 1),
@@ -213,7 +214,7 @@ def test_a_run_that_goes_on_hides_later_events_and_keeps_earlier_files(folder):
 def test_events_need_no_thread(folder):
     before = threading.active_count()
     records = Records(folder, 0)
-    records.add_progress({"generation": 1, "score_mean": 0.5})
+    records.add("progress", {"generation": 1, "score_mean": 0.5})
     assert threading.active_count() == before
     records.close()
 
@@ -226,7 +227,7 @@ def test_a_full_disk_is_told_at_once(folder, monkeypatch):
 
     monkeypatch.setattr("tensorboardX.record_writer.RecordWriter.write", full)
     with pytest.raises(StorageError, match=r"cannot write .*tensorboard: the disk is full"):
-        records.add_progress({"generation": 1, "score_mean": 0.5})
+        records.add("progress", {"generation": 1, "score_mean": 0.5})
     records.close()
 
 

@@ -161,7 +161,7 @@ def test_a_folder_with_a_run_of_other_settings_is_refused_and_named(finished, ot
 
 
 def test_the_folder_of_a_run_is_no_place_for_a_study(finished):
-    with pytest.raises(RunFolderError, match="is a run folder: the runs of a study need one of their own"):
+    with pytest.raises(RunFolderError, match="is a run folder: several runs need a folder of their own"):
         check_study(Study(cells=()), finished[0] / cell().name)
 
 

@@ -137,7 +137,7 @@ def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(tmp_path,
     with RunFolder(path).lock():
         assert "is in use" in refused(capsys, *again)
     assert (path / "runs.json").read_bytes() == record
-    assert "already holds a run: several need a folder of their own" in refused(
+    assert "is a run folder: several runs need a folder of their own" in refused(
         capsys, *again[:-6], "--out", path / "seed-4", "--seed", "4", "5"
     )
     assert "is a file" in refused(capsys, *again, "--out", path / "runs.json")

@@ -34,9 +34,9 @@ class Problem(EpisodeSetup):
         """Module of the arrays on the device: NumPy or CuPy."""
         return np if self.device == "cpu" else WarpDevice(self.device).xp
 
-    def make_task(self, num_episodes: int = 1, *, is_evaluation: bool = False) -> EpisodeBatch:
-        """Return the environment for `num_episodes` episodes. The caller closes it."""
-        return self.env.make(num_episodes, self.evaluation if is_evaluation else self.training)
+    def make_task(self, *, is_evaluation: bool = False) -> EpisodeBatch:
+        """Return the environment for one episode. The caller closes it."""
+        return self.env.make(1, self.evaluation if is_evaluation else self.training)
 
     def sample(self) -> EpisodeBatch:
         """Return the environment for one episode, already closed, to read its observation spec and controls.

@@ -42,11 +42,7 @@ def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
 
 
 def find_algorithm(name: str, *, sets_goals: bool = False) -> type[Algorithm[Any]]:
-    """Return the algorithm called `name`. `sets_goals` says whether the environment itself sets goals.
-
-    Raises:
-        UnknownNameError: `name` is not in `ALGORITHMS`.
-    """
+    """Return the algorithm called `name`. `sets_goals` says whether the environment itself sets goals."""
     found = ALGORITHMS.find(name)
     return _PRIMITIVE_ALONE.get(found, found) if sets_goals else found
 

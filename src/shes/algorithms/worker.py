@@ -36,26 +36,18 @@ _SHARE_OF_MEMORY = 0.75  # of a GPU's memory; tasks and policies need some as we
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeSetup:
-    """The environment of a run, and how its episodes are computed."""
+    """The environment of a run, its options, and the settings by which its episodes are computed."""
 
     env: EnvironmentMaker
     """Makes the episodes. Sent instead of a name, because a worker's registry lacks the classes of a user's script."""
     training: TaskOptions
-    """Options of the environment in training."""
     evaluation: TaskOptions
-    """Options of the environment in evaluation."""
     horizon: int
-    """Maximum number of control steps in an episode of training."""
     evaluation_horizon: int
-    """Maximum number of control steps in an episode of evaluation."""
     chunk_size: int = 0
-    """Number of policies that a worker runs in lockstep; 0 chooses. On the CPU it does not affect the numbers."""
     device: str = "cpu"
-    """Device that computes the physics: `cpu`, `warp-cpu` or `cuda`."""
     nconmax: int | None = None
-    """Maximum number of contacts per simulation on a device; None chooses."""
     njmax: int | None = None
-    """Maximum number of constraint rows per simulation on a device; None chooses."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,9 +188,9 @@ class RolloutWorker:
         if rollout is None:
             if plan.device != "cpu":
                 WarpDevice(plan.device).release_memory()
-            make = partial(plan.env.make, options=self._options(generation), simulator=plan.simulator)
-            horizon = self._horizon(generation)
-            design = self._design(generation)
+            options = plan.evaluation if generation.is_evaluation else plan.training
+            make = partial(plan.env.make, options=options, simulator=plan.simulator)
+            horizon, design = self._horizon(generation), self._design(generation)
             rollout = Rollout(design, make, self._lanes, generation.rows_per_lane, horizon, generation.members_per_lane)
             self._rollouts[generation.kind] = rollout
         return rollout
@@ -255,9 +247,6 @@ class RolloutWorker:
         self._collector.lines.append(
             f"{before} policies at a time are too many for the memory of device {device}: {now} from here on"
         )
-
-    def _options(self, generation: Generation) -> TaskOptions:
-        return self.plan.evaluation if generation.is_evaluation else self.plan.training
 
     def _design(self, generation: Generation) -> AgentDesign:
         plan = self.plan

@@ -37,7 +37,7 @@ class Backend(ABC):
     """Settings of this backend. Mark each field with `Execution`: a backend never changes the numbers of a run."""
     num_workers: int = 1
     on_event: Callable[[str], None] | None = None
-    """Receives messages about silent, lost and replaced workers at once. If None, they wait for `take_events`."""
+    """Receives messages about silent, lost and replaced workers, if any function is set."""
 
     @abstractmethod
     def broadcast(self, state: Any) -> None:
@@ -55,10 +55,6 @@ class Backend(ABC):
     @abstractmethod
     def close(self) -> None:
         """Stop the workers immediately, even if they are busy."""
-
-    def take_events(self) -> list[str]:
-        """Return messages about silent, lost and replaced workers since the last call."""
-        return []
 
     def __enter__(self) -> Backend:
         return self

@@ -79,14 +79,13 @@ class ProcessesBackend(Backend):
         self._factory = _pickle_factory(factory)
         self._import_path = os.pathsep.join(_import_path())
         self._state: bytes | None = None
-        self._events: list[str] = []
         self._deaths_in_a_row = 0
         self._processes: list[WorkerProcess] = []
         self._start_missing()
 
     def broadcast(self, state: Any) -> None:
         """Send `state` to every worker, and later to the replacements of lost ones."""
-        self._state = _pickle(state)
+        self._state = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
         for process in self._processes:
             process.send("state", self._state)
         self._start_missing()
@@ -110,11 +109,6 @@ class ProcessesBackend(Backend):
         finally:
             if not is_finished:  # a worker raised, or the caller stopped iterating: nobody needs the remaining results
                 self.close()
-
-    def take_events(self) -> list[str]:
-        """Return messages about silent, lost and replaced workers since the last call."""
-        events, self._events = self._events, []
-        return events
 
     def close(self) -> None:
         """End every worker process."""
@@ -207,7 +201,7 @@ class ProcessesBackend(Backend):
             if run.queue:
                 number = run.queue.popleft()
                 process.tasks[number] = None
-                process.send("task", number, _pickle(run.tasks[number]))
+                process.send("task", number, pickle.dumps(run.tasks[number], pickle.HIGHEST_PROTOCOL))
             else:
                 process.send("end")
         elif kind == "result":
@@ -247,12 +241,8 @@ class ProcessesBackend(Backend):
         self._start_run(run)
 
     def _tell(self, event: str) -> None:
-        """Pass a message on at once, or keep it for `take_events`."""
-        (self._events.append if self.on_event is None else self.on_event)(event)
-
-
-def _pickle(value: Any) -> bytes:
-    return pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
+        if self.on_event is not None:
+            self.on_event(event)
 
 
 def _pickle_factory(factory: WorkerFactory) -> bytes:

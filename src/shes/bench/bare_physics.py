@@ -20,7 +20,7 @@ from shes.envs.registry import EnvironmentMaker
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.es.level import TrainState
-from shes.hierarchy.episodes import EpisodeResults, Snapshot
+from shes.hierarchy.episodes import EpisodeResults
 from shes.hierarchy.intervals import branch_work
 from shes.hierarchy.population import Work
 from shes.sim.cpu import CpuSimulator
@@ -78,7 +78,8 @@ def record_generation(plan: WorkerPlan, state: TrainState, settings: Hyperparame
         num_tasks = min(len(work.tasks), max(1, _REPLAYED // work.generation.rows_per_lane))
         results = _play(worker, work, num_tasks)
         if settings.intervals is not None and not work.generation.branch_steps:
-            branches = branch_work(state, settings.intervals, table_size, _snapshots(results))
+            snapshots = [left for each in results for left in each.snapshots if left is not None]
+            branches = branch_work(state, settings.intervals, table_size, snapshots)
             _play(worker, branches, max(1, len(branches.tasks) * num_tasks // len(work.tasks)))
     return BarePhysics(recorder.models[0], recorder.episodes)
 
@@ -86,10 +87,6 @@ def record_generation(plan: WorkerPlan, state: TrainState, settings: Hyperparame
 def _play(worker: Backend, work: Work, num_tasks: int) -> list[EpisodeResults]:
     worker.broadcast(work.generation)
     return list(worker.map(work.tasks[:num_tasks]))
-
-
-def _snapshots(results: Sequence[EpisodeResults]) -> list[Snapshot]:
-    return [left for each in results for left in each.snapshots if left is not None]
 
 
 class _Recorder:

@@ -1,10 +1,10 @@
-"""The contracts of drawing: a drawer makes pictures of poses, a window shows poses in real time."""
+"""The contract of drawing: a drawer makes pictures of poses."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,23 +29,5 @@ class Drawer(ABC):
     def between(self, start: Any, end: Any, fraction: float) -> Any:
         """Return the pose a `fraction` of the way from `start` to `end`."""
 
-    @abstractmethod
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - some hold none
         """Release its resources."""
-
-
-class Window(Protocol):
-    """Shows poses in real time."""
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the window is open."""
-        ...
-
-    def show(self, pose: Any, /, markers: Sequence[Marker] = (), *, is_new_episode: bool = False) -> None:
-        """Move from the last pose to `pose`, with `markers`, in the time of a control step."""
-        ...
-
-    def close(self) -> None:
-        """Close the window."""
-        ...

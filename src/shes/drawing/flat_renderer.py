@@ -48,9 +48,6 @@ class FlatRenderer(Renderer):
             self._draw_geom(sheet, geom)
         return sheet.picture(self.width, self.height)
 
-    def close(self) -> None:
-        """Do nothing: it holds no resources."""
-
     def _window(self, qpos: F64Array, camera: str) -> tuple[float, float, float]:
         """Return the centre (x, y) and half height of the visible area, in metres."""
         if camera == "follow":

@@ -29,9 +29,6 @@ class PassthroughDrawer(Drawer):
         """Return `end`: pictures are not interpolated."""
         return end
 
-    def close(self) -> None:
-        """Do nothing: the environment owns the renderer."""
-
 
 class PassthroughWindow:
     """The window of an environment that shows its own steps."""

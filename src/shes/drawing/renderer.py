@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Sequence
 from functools import cached_property
 
 import mujoco
 import numpy as np
 
-from shes.drawing.drawer import Drawer, Picture
-from shes.envs.markers import Marker
+from shes.drawing.drawer import Drawer
 from shes.errors import UnknownNameError
 from shes.types import F64Array
 
@@ -31,10 +28,6 @@ class Renderer(Drawer):
         self.model = model
         self.width, self.height = width, height
         self.data = mujoco.MjData(model)
-
-    @abstractmethod
-    def draw(self, qpos: F64Array, /, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
-        """Return a picture [H, W, 3] of the world at `qpos` with `markers`."""
 
     def between(self, start: F64Array, end: F64Array, fraction: float) -> F64Array:
         """Return the pose [nq] a `fraction` of the way from `start` to `end`."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from typing import TypeAlias
 
 import mujoco
 
-from shes.drawing.drawer import Drawer, Window
+from shes.drawing.drawer import Drawer
 from shes.drawing.flat_renderer import FlatRenderer
 from shes.drawing.mujoco_renderer import MujocoRenderer
 from shes.drawing.opengl import HOW_TO_GET_OPENGL, find_opengl, is_switched_off, offer_opengl
@@ -21,13 +22,12 @@ from shes.errors import ConfigError
 
 logger = logging.getLogger("shes.drawing")
 
+Window: TypeAlias = Viewer | PassthroughWindow
+"""Shows poses in real time: `show` moves to a pose, with markers, in the time of a control step."""
+
 
 def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
-    """Return a drawer of the poses of `batch`; call it before the first reset.
-
-    Raises:
-        ConfigError: The environment has no pictures, or the size is not allowed.
-    """
+    """Return a drawer of the poses of `batch`, if it has pictures of this size; call it before the first reset."""
     if batch.draws_itself:
         batch.draw_by("rgb_array")
         offer_opengl()
@@ -36,11 +36,7 @@ def make_drawer(batch: EpisodeBatch, width: int, height: int) -> Drawer:
 
 
 def open_window(batch: EpisodeBatch) -> Window:
-    """Return a window that shows the poses of `batch`; call it before the first reset.
-
-    Raises:
-        ConfigError: There is no screen, or the environment has no window.
-    """
+    """Return a window that shows the poses of `batch`, if there is a screen; call it before the first reset."""
     if batch.draws_itself:
         batch.draw_by("human")
         return PassthroughWindow()

@@ -26,11 +26,7 @@ class Viewer:
     """A window that shows one world in real time."""
 
     def __init__(self, spec: mujoco.MjSpec, step_s: float) -> None:
-        """Decorate the world of `spec` and open a window on it; a `show` takes `step_s` seconds.
-
-        Raises:
-            ConfigError: There is no screen, or the viewer cannot start.
-        """
+        """Decorate the world of `spec` and open a window on it, if there is a screen; a `show` takes `step_s`."""
         _check_screen()
         from mujoco import viewer
 

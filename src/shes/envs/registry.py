@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from shes.envs.bodies.body import Body
 from shes.envs.builtin import BUILTIN_ENVIRONMENTS
-from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.envs.gymnasium_ids import SPECS_OF, find_id, gymnasium_id, register_ids
@@ -35,40 +34,6 @@ _HOW_TO_REGISTER = (
 _SCORES = ("return", "success")
 
 
-class EnvironmentMaker(Protocol):
-    """Makes episodes of one environment. Worker processes receive this object, because they cannot look up its name."""
-
-    @property
-    def options(self) -> type[TaskOptions]:
-        """The class of its options."""
-        ...
-
-    @property
-    def sets_goals(self) -> bool:
-        """Whether the environment sets the goals, so that a primitive can be trained without a controller."""
-        ...
-
-    @property
-    def has_own_physics(self) -> bool:
-        """Whether the environment brings its own physics: it runs on the CPU only, and episodes cannot be branched."""
-        ...
-
-    @property
-    def max_episode_steps(self) -> int | None:
-        """Time limit of the environment in control steps, or None if the preset sets it."""
-        ...
-
-    def make(
-        self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
-    ) -> EpisodeBatch:
-        """Return `num_episodes` episodes, simulated by what `simulator` makes.
-
-        Raises:
-            ConfigError: The environment brings its own physics, and `simulator` is not that of the CPU.
-        """
-        ...
-
-
 class Environment(NamedTuple):
     """A body and a task."""
 
@@ -76,7 +41,9 @@ class Environment(NamedTuple):
     task: type[Task]
 
     has_own_physics = False
+    """Whether the environment brings its own physics: it runs on the CPU only, and episodes cannot be branched."""
     max_episode_steps = None
+    """Time limit of the environment in control steps, or None if the preset sets it."""
 
     @property
     def options(self) -> type[TaskOptions]:
@@ -97,6 +64,10 @@ class Environment(NamedTuple):
     ) -> Task:
         """Return `num_episodes` episodes of this environment."""
         return self.task(self.body(), num_episodes, self.options() if options is None else options, simulator)
+
+
+EnvironmentMaker: TypeAlias = Environment | ExternalEnvironment
+"""Makes episodes of one environment. Worker processes receive this object, because they cannot look up its name."""
 
 
 def _check_environment(_kind: str, environment: Environment) -> None:
@@ -226,9 +197,5 @@ def _refuse_id(name: str) -> None:
 def make_task(
     name: str, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
 ) -> Task:
-    """Return `num_episodes` episodes of environment `name`, a body and a task.
-
-    Raises:
-        UnknownNameError: `name` is not in `ENVIRONMENTS`.
-    """
+    """Return `num_episodes` episodes of environment `name` in `ENVIRONMENTS`, a body and a task."""
     return ENVIRONMENTS.find(name).make(num_episodes, options, simulator)

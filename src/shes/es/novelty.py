@@ -182,7 +182,6 @@ class AuthorsNSRA(WeightRule):
     extra: int = 20
     """Additional generations before a decrease, at weight 0."""
     min_weight: float = 0.0
-    """Minimum weight."""
 
     def next(self, state: NoveltyState, mean_return: float, population_return: float) -> tuple[float, float, int]:
         """Return the next `(weight, best_return, stalled)` by the population's mean return."""

@@ -25,13 +25,10 @@ def check_finite(fitness: F64Array) -> None:
 
 
 def centred_ranks(fitness: F64Array, ties: str = "average") -> F64Array:
-    """Return the ranks [n] of `fitness` [n] scaled to [-0.5, 0.5]. They sum to zero.
+    """Return the ranks [n] of finite `fitness` [n] scaled to [-0.5, 0.5]. They sum to zero.
 
-    Deviation: equal fitness values share their average rank by default, so that the order of storage causes no drift
-    when most fitness values are equal, as with sparse rewards. The authors' code breaks ties by index.
-
-    Raises:
-        PolicyError: A fitness is not finite.
+    Deviation: equal fitness values share their average rank by default, so that the order of storage causes no
+    drift when most fitness values are equal, as with sparse rewards. The authors' code breaks ties by index.
     """
     check_finite(fitness)
     count = len(fitness)

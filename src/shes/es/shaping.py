@@ -82,11 +82,7 @@ class PairRanks(FitnessShaping):
     """
 
     def __call__(self, fitness: F64Array) -> F64Array:
-        """Return plus and minus half of the pair's weight for the members of each pair [n].
-
-        Raises:
-            ConfigError: The number of members is odd.
-        """
+        """Return plus and minus half of the pair's weight for the members of each pair [n], an even number."""
         check_finite(fitness)
         if len(fitness) % 2:
             raise ConfigError(

@@ -14,15 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from shes.errors import ConfigError, ShapeError
-from shes.es.level import (
-    LevelState,
-    TrainState,
-    UpdateRule,
-    draw_noise_index,
-    perturb,
-    select_fitness,
-    update_level,
-)
+from shes.es.level import LevelState, TrainState, UpdateRule, draw_noise_index, perturb, select_fitness, update_level
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, Signs

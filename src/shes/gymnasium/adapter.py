@@ -10,9 +10,9 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
-from shes.drawing.drawer import Drawer, Picture, Window
+from shes.drawing.drawer import Drawer, Picture
 from shes.drawing.renderer import check_camera
-from shes.drawing.rendering import make_drawer, open_window
+from shes.drawing.rendering import Window, make_drawer, open_window
 from shes.envs.observation_spec import bounds
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.envs.tasks.options import TaskOptions
@@ -37,12 +37,7 @@ class TaskAdapter:
         options: Mapping[str, Any],
         num_threads: int = 1,
     ) -> None:
-        """Make `num_envs` episodes of environment `name`, simulated by `num_threads` threads.
-
-        Raises:
-            UnknownNameError: `name`, `render_mode` or another name is unknown.
-            ConfigError: An option is unknown or out of range.
-        """
+        """Make `num_envs` episodes of environment `name`, simulated by `num_threads` threads; check all arguments."""
         if not is_whole(num_envs) or num_envs < 1:
             raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs!r}.")
         if render_mode is not None and render_mode not in render_modes:
@@ -80,9 +75,8 @@ class TaskAdapter:
     def step(self, ids: IntArray, actions: ArrayLike) -> None:
         """Advance episodes `ids` by one control step with `actions` [N, A], clipped to [-1, 1].
 
-        Raises:
-            ShapeError: `actions` has another shape.
-            PolicyError: `actions` are not numbers, or those of `ids` contain NaN or infinity.
+        Raise ShapeError for another shape, PolicyError for what is no number, or for NaN and infinity in those
+        of `ids`.
         """
         asked = _as_numbers(actions)
         expected = (self.task.num_episodes, self.task.action_size)
@@ -120,11 +114,7 @@ class TaskAdapter:
         return {name: value if isinstance(value, np.ndarray) else value.item() for name, value in of_one.items()}
 
     def render(self, episode: int) -> Picture | None:
-        """Return a picture [H, W, 3] of episode `episode` in mode `rgb_array`; None in mode `human`.
-
-        Raises:
-            ConfigError: No render mode was chosen.
-        """
+        """Return a picture [H, W, 3] of episode `episode` in mode `rgb_array`; None in mode `human`."""
         if self._render_mode is None:
             raise ConfigError('render_mode is not set: make the environment with render_mode="rgb_array" or "human".')
         if self._render_mode == "human":

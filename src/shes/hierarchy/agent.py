@@ -30,9 +30,7 @@ class AgentDesign(ABC):
     """Design of an agent, without its parameters. It is sent to worker processes."""
 
     level_names: ClassVar[tuple[str, ...]]
-    """Names of the levels. The level that acts every step comes last."""
-    intrinsic_level: ClassVar[int | None]
-    """Index of the level with an intrinsic reward, or None. The other levels receive the environment's reward."""
+    """Names of the levels, each that of the field with its network. The level that acts every step comes last."""
     control_limit: float
     """Control for an output of 1 of the acting level."""
     clock: Clock | None = None
@@ -41,9 +39,14 @@ class AgentDesign(ABC):
     """Control steps for which a goal is held (c); 1 without goals."""
 
     @property
-    @abstractmethod
     def policies(self) -> tuple[MLP, ...]:
         """The network of each level."""
+        return tuple(getattr(self, name) for name in self.level_names)
+
+    @property
+    def intrinsic_level(self) -> int | None:
+        """Index of the primitive, which has an intrinsic reward; None without. Others get the environment's reward."""
+        return self.level_names.index("primitive") if "primitive" in self.level_names else None
 
     @property
     @abstractmethod

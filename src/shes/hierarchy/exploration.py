@@ -18,7 +18,6 @@ class Exploration:
     """Exploration noise of an agent's episodes. It is drawn when they start, and transferred to the device at once."""
 
     def __init__(self, agent: AgentBatch[Any], horizon: int, action_size: int) -> None:
-        """Allocate noise for episodes of `agent` of `horizon` steps with `action_size` controls."""
         self._agent, self._horizon = agent, horizon
         decisions = -(-horizon // agent.design.controller_interval)
         shapes = ((decisions, agent.design.decision_size), (horizon, action_size))

@@ -18,13 +18,7 @@ class FlatDesign(AgentDesign):
     """Design of a flat agent. The policy observes the clock, then the observation of the task."""
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
-    intrinsic_level: ClassVar[int | None] = None
     policy: MLP
-
-    @property
-    def policies(self) -> tuple[MLP, ...]:
-        """The network."""
-        return (self.policy,)
 
     @property
     def agent(self) -> type[FlatAgent]:

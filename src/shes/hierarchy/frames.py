@@ -20,7 +20,6 @@ class Frames:
     """The frames of N robots, in arrays of `xp`."""
 
     def __init__(self, group: SymmetryGroup, num_robots: int, xp: ModuleType = np) -> None:
-        """Start with every robot's own frame, element 0 of `group`."""
         self._group, self._xp = group, xp
         cosine, sine, mirror = (xp.asarray(table) for table in group.direction())
         self._direction = xp.stack([cosine, sine, mirror])  # [3, T]

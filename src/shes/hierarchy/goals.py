@@ -131,12 +131,7 @@ def register_goal_encoding(name: str, encoding: type[GoalEncoding]) -> None:
 
 
 def make_goal_encoding(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> GoalEncoding:
-    """Return the encoding called `name`, with its options from `values`.
-
-    Raises:
-        UnknownNameError: `name` is not in `GOAL_ENCODINGS`.
-        ConfigError: It does not write as many features as its size says.
-    """
+    """Return the encoding called `name`, with options from `values`; raise ConfigError if it leaves a feature out."""
     encoding = make(GOAL_ENCODINGS, name, values)
     features = np.full((2, encoding.size), np.nan)
     encoding.encode(np.ones((2, 2)), np.full(2, np.sqrt(2)), np.zeros(2), features)

@@ -15,7 +15,7 @@ from shes.hierarchy.goal_reaching import GoalReachingAgent, GoalReachingDesign, 
 from shes.hierarchy.outputs import ControllerOutput
 from shes.hierarchy.views import ColumnsView, View
 from shes.policies.mlp import MLP
-from shes.types import CONTROLLER, PRIMITIVE, F32Array, F64Array, IntArray
+from shes.types import CONTROLLER, F32Array, F64Array, IntArray
 
 MIN_COMPONENT_M: Final = np.sqrt(0.5)
 """Minimum size of each component of a goal vector, if goals have a minimum distance of 1 m."""
@@ -26,7 +26,6 @@ class HierarchicalDesign(GoalReachingDesign):
     """Design of a hierarchical agent."""
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    intrinsic_level: ClassVar[int | None] = PRIMITIVE
     controller: MLP
     controller_output: ControllerOutput
     goal_distance: float
@@ -35,11 +34,6 @@ class HierarchicalDesign(GoalReachingDesign):
     """Whether goals nearer than 1 m are moved outward."""
     controller_view: View = field(default_factory=ColumnsView)
     """The part of the observation that the controller sees."""
-
-    @property
-    def policies(self) -> tuple[MLP, ...]:
-        """The networks, controller first."""
-        return (self.controller, self.primitive)
 
     @property
     def decision_size(self) -> int:

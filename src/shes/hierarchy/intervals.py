@@ -34,7 +34,6 @@ class IntervalEstimate:
     intervals: int
     """Number of intervals in a branch. With two or more, the state at the end of an interval affects the fitness."""
     controller_interval: int
-    """Number of control steps in an interval (c)."""
     horizon: int
     """Number of control steps after which a running episode starts anew."""
     goal_distance: float

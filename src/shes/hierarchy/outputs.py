@@ -112,12 +112,7 @@ def register_controller_output(name: str, output: type[ControllerOutput]) -> Non
 
 
 def make_controller_output(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> ControllerOutput:
-    """Return the controller output called `name`, with its options from `values`.
-
-    Raises:
-        UnknownNameError: `name` is not in `CONTROLLER_OUTPUTS`.
-        ConfigError: It does not return one vector for each episode.
-    """
+    """Return the output called `name`, with options from `values`; raise ConfigError unless its result is [N, 2]."""
     output = make(CONTROLLER_OUTPUTS, name, values)
     # Three episodes instead of two, so that a transposed result [2, N] is detected.
     shape = np.shape(output.vector(np.ones((3, output.size)), np.zeros(3), 1.0))

@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from shes.hierarchy.goal_reaching import GoalReachingAgent, GoalReachingDesign, StepInput
-from shes.policies.mlp import MLP
 from shes.types import F32Array, F64Array, IntArray
 
 
@@ -20,12 +19,6 @@ class PrimitiveDesign(GoalReachingDesign):
     """Design of a primitive without a controller."""
 
     level_names: ClassVar[tuple[str, ...]] = ("primitive",)
-    intrinsic_level: ClassVar[int | None] = 0
-
-    @property
-    def policies(self) -> tuple[MLP, ...]:
-        """The primitive's network."""
-        return (self.primitive,)
 
     @property
     def agent(self) -> type[GoalReachingAgent[Any]]:

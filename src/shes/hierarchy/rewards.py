@@ -143,12 +143,7 @@ def register_primitive_reward(name: str, reward: type[PrimitiveReward]) -> None:
 
 
 def make_primitive_reward(name: str, values: Mapping[str, Any] = MappingProxyType({})) -> PrimitiveReward:
-    """Return the primitive reward called `name`, with its options from `values`.
-
-    Raises:
-        UnknownNameError: `name` is not in `PRIMITIVE_REWARDS`.
-        ConfigError: It does not return one number for each episode.
-    """
+    """Return the reward called `name`, with options from `values`; raise ConfigError unless its result is [N]."""
     reward = make(PRIMITIVE_REWARDS, name, values)
     shape = np.shape(reward(np.ones(2), np.ones(2), np.ones((2, 2)), np.ones((2, 2))))
     if shape != (2,):

@@ -24,15 +24,7 @@ from shes.errors import PolicyError
 from shes.es.level import perturb
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.episodes import (
-    PARTS,
-    EpisodeResults,
-    EpisodeTask,
-    Generation,
-    Outcomes,
-    Snapshot,
-    empty_outcomes,
-)
+from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generation, Outcomes, Snapshot, empty_outcomes
 from shes.hierarchy.exploration import Exploration
 from shes.hierarchy.moments import Moments
 from shes.hierarchy.snapshots import SnapshotRecorder
@@ -95,8 +87,7 @@ class Rollout:
     ) -> Iterator[tuple[int, EpisodeResults]]:
         """Run all of `work`, one task per lane at a time, and yield numbered results as tasks finish.
 
-        Raises:
-            PolicyError: A policy returned NaN or infinity.
+        A PolicyError is raised for a policy that returned NaN or infinity.
         """
         self._exploration.begin(generation)
         num_goals = generation.snapshot_goals

@@ -44,11 +44,7 @@ class MLP:
     """A network's layer sizes. Its parameters are a flat vector [D]: weights [in, out] and biases, layer by layer."""
 
     def __init__(self, num_inputs: int, hidden: tuple[int, ...], num_outputs: int) -> None:
-        """Create a network with layers of these sizes.
-
-        Raises:
-            ConfigError: A size is not positive.
-        """
+        """Create a network with layers of these sizes; raise ConfigError unless all are positive."""
         self.sizes = (num_inputs, *hidden, num_outputs)
         if min(self.sizes) < 1:
             raise ConfigError(

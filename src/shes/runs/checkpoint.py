@@ -118,10 +118,8 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool =
 def load_checkpoint(path: Path, check: HeaderCheck | None = None) -> Checkpoint:
     """Read the checkpoint at `path`, without executing code from it.
 
-    Args:
-        path: The file.
-        check: Raises CheckpointError if the algorithm's arrays have other names, shapes or types than it expects. It is
-            called before any of them is read.
+    Before any of the algorithm's arrays is read, `check` raises CheckpointError for unexpected names, shapes or
+    types.
 
     Raises:
         CheckpointError: The file is missing, truncated, too large, or not a checkpoint of this version.
@@ -239,7 +237,6 @@ class CheckpointWriter:
     """Writes checkpoints in a thread of its own, one at a time and in order."""
 
     def __init__(self) -> None:
-        """Start the writing thread."""
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="shes-checkpoint")
         self._last: Future[None] | None = None
 

@@ -20,7 +20,6 @@ from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import PERTURBATIONS
-from shes.es.schedules import make_schedule
 from shes.runs.rooms import (
     EpisodeSettings,
     EvaluationSettings,
@@ -214,10 +213,11 @@ class TrainConfig:
                 )
             if not is_constant and not has_end:
                 raise ConfigError(f"{kind} is {values[kind]!r}, but nothing says where to. Set {flag(end)}.")
-            if has_end:
-                quantity = kind.removesuffix("_schedule")
-                generations = self.schedules.schedule_generations
-                make_schedule(quantity, values[kind], values[name], values[end], generations)
+            if values[kind] == "exponential" and not values[end]:
+                raise ConfigError(
+                    f"the end of the exponential schedule of {name} must be positive, got {values[end]}. "
+                    f"Set {flag(kind)} to another one, or change {flag(end)}."
+                )
 
     def _check_population(self) -> None:
         """Check that the population consists of whole mirrored groups, and fits shaping and symmetry."""

@@ -11,12 +11,9 @@ from shes.sim.warp_device import WarpDevice
 
 
 def check_asked_device(config: TrainConfig, asked: Mapping[str, Any]) -> None:
-    """Check that the settings in `asked` have an effect on the device of `config`.
+    """Raise ConfigError if a setting in `asked` has no effect on the device of `config`.
 
     Other settings of `config` may be left from another device, for a run that returns to it.
-
-    Raises:
-        ConfigError: A setting has no effect.
     """
     device = config.workers.device
     if device == "cpu":

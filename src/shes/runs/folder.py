@@ -32,9 +32,6 @@ def new_folder(config: TrainConfig, kind: str = "") -> Path:
     """Create a new folder below `runs/` in the working directory and return it; safe for concurrent runs.
 
     Its name has environment, preset, `kind` and time; `kind` is the seed if empty.
-
-    Raises:
-        StorageError: The folder cannot be created.
     """
     env = config.run.env.removeprefix(GYMNASIUM).replace("/", "-")
     kind = kind or f"seed{config.run.seed}"
@@ -46,6 +43,14 @@ def new_folder(config: TrainConfig, kind: str = "") -> Path:
             path.mkdir(parents=True)
             return path
         number += 1
+
+
+def check_folder_of_runs(path: Path) -> None:
+    """Raise RunFolderError if `path`, for a folder of several runs, is a file or a run folder."""
+    if path.exists() and not path.is_dir():
+        raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
+    if (path / "config.json").exists():
+        raise RunFolderError(f"{path} is a run folder: several runs need a folder of their own. Set --out.")
 
 
 def _is_part(record: Any) -> bool:
@@ -116,7 +121,6 @@ class RunFolder:
 
         Raises:
             RunFolderError: `path` already holds a run or parts of one, or is a file.
-            StorageError: It cannot be written.
         """
         folder = cls(path)
         if folder.config.exists():
@@ -153,12 +157,7 @@ class RunFolder:
         return folder
 
     def read_config(self) -> TrainConfig:
-        """Return the settings of the run.
-
-        Raises:
-            RunFolderError: `config.json` is damaged.
-            ConfigError: A setting in it is unknown, or its value is not allowed.
-        """
+        """Return the settings of the run; raise RunFolderError or ConfigError if its record is not one."""
         record = self.read_record()
         try:
             return TrainConfig.from_dict(record["config"])
@@ -200,11 +199,7 @@ class RunFolder:
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
     def load(self, name: str | int, check: HeaderCheck | None = None) -> Checkpoint:
-        """Return checkpoint `name` of this run. `check` is that of `load_checkpoint`.
-
-        Raises:
-            CheckpointError: It is missing, damaged, or from another run.
-        """
+        """Return checkpoint `name` of this run, after `check`; raise CheckpointError if it is damaged or of another."""
         path, agent = self.checkpoint_path(name), shipped_name(self.path)
         if agent is not None and not path.is_file():
             raise CheckpointError(

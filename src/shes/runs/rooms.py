@@ -169,12 +169,7 @@ def execution_settings() -> dict[str, Setting]:
 
 
 def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run with these settings, by room.
-
-    Raises:
-        ConfigError: `env` is missing, or a name is unknown or not a setting of this run.
-        UnknownNameError: A value is an unknown name.
-    """
+    """Return the settings classes of a run by room; raise ConfigError unless the names in `values` are its settings."""
     if "env" not in values:
         raise ConfigError(_NO_ENVIRONMENT)
     classes = rooms_of(RunSettings.of(values))

@@ -41,10 +41,8 @@ class ShippedAgent:
     """The description of a shipped agent in `agent.json`."""
 
     description: str
-    """What it does, on one line."""
     env: str
     commands: tuple[str, ...]
-    """Commands that trained it."""
     cores: int
     hours: float
     """Wall-clock time of its run, in hours."""
@@ -83,12 +81,7 @@ def shipped_name(path: Path) -> str | None:
 
 
 def read_agent(name: str) -> ShippedAgent:
-    """Return the description of the shipped agent `name`.
-
-    Raises:
-        UnknownNameError: There is no such agent.
-        RunFolderError: Its `agent.json` is damaged.
-    """
+    """Return the description of the shipped agent `name`; raise RunFolderError if it is damaged."""
     file = shipped_path(name) / AGENT_FILE
     try:
         return ShippedAgent.from_dict(json.loads(file.read_text(encoding="utf-8")))

@@ -43,12 +43,7 @@ class RunState:
 
 
 def run_state(folder: RunFolder) -> RunState:
-    """Return the state of the run in `folder`.
-
-    Raises:
-        RunFolderError: Its record is damaged.
-        ConfigError: A setting in its record is unknown or not allowed.
-    """
+    """Return the state of the run in `folder`; for the errors see `RunFolder.read_config`."""
     config = folder.read_config()
     generation, steps, score, is_over = 0, 0, None, False
     name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has only the best

@@ -82,12 +82,7 @@ class CsvTable:
     """A CSV file to which whole rows are appended; numbers read back bit-identically."""
 
     def __init__(self, path: Path, keep_until: int) -> None:
-        """Open `path` and remove the rows after generation `keep_until`.
-
-        Raises:
-            StorageError: The file cannot be written.
-            RunFolderError: The file is damaged.
-        """
+        """Open `path` and remove the rows after generation `keep_until`; raise RunFolderError if it is damaged."""
         self._path = path
         self._columns: list[str] | None = None
         if path.exists():
@@ -122,19 +117,13 @@ class Records:
         hyperparameters: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         """Open the tables and remove the rows after `generation`, which ended at `env_steps`."""
-        self._progress = CsvTable(folder.progress, generation)
-        self._evaluation = CsvTable(folder.evaluation, generation)
+        self._tables = {path.stem: CsvTable(path, generation) for path in (folder.progress, folder.evaluation)}
         self._events = Events(folder.tensorboard, generation, env_steps, hyperparameters)
 
-    def add_progress(self, row: Row) -> None:
-        """Add the row of a generation."""
-        self._progress.add(row)
-        self._events.add("progress", row)
-
-    def add_evaluation(self, row: Row) -> None:
-        """Add the row of an evaluation."""
-        self._evaluation.add(row)
-        self._events.add("evaluation", row)
+    def add(self, table: str, row: Row) -> None:
+        """Add the row of a generation to `progress`, or that of an evaluation to `evaluation`."""
+        self._tables[table].add(row)
+        self._events.add(table, row)
 
     def close(self) -> None:
         """Close the event files."""

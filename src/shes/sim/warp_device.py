@@ -212,12 +212,7 @@ def _driver(warp: ModuleType) -> str:
 
 
 def _load_cupy(driver: str = "none") -> ModuleType:
-    """Return the module `cupy`.
-
-    Raises:
-        MissingExtraError: CuPy is not installed, or finds no CUDA libraries.
-        ConfigError: CuPy needs a newer driver.
-    """
+    """Return the module `cupy`; raise MissingExtraError if it does not work, ConfigError if it needs a newer driver."""
     try:
         import cupy
 

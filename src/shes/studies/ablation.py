@@ -117,7 +117,6 @@ class _Scale:
     horizons: tuple[int, ...]
     """Control steps of longer episodes of the maze."""
     episodes: int
-    """Number of fresh episodes at the end of every run."""
 
 
 SCALES: dict[str, _Scale] = {

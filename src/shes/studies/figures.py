@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -22,7 +22,7 @@ from shes.viewing.curves import interpolate, interval
 
 _WIDTH = 10.0
 """Width in inches."""
-_DPI = 150
+_STYLE: dict[Any, Any] = {"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150, "font.size": 10}
 _BASE_COLOR, _COLOR = "#1f77b4", "#c44e00"
 _Place = tuple[str, str, str]
 """Environment, group, variant."""
@@ -72,8 +72,8 @@ def draw_figures(
     drawn: list[Path] = []
     for asked in study.design.figures:
         if results.has(*(asked.groups if isinstance(asked, Curves) else (asked.group,))):
-            with _style():
-                figure = _draw(results, asked)
+            with plt.rc_context(_STYLE):
+                figure = _DRAW[type(asked)](results, asked)
             try:
                 write_atomically(out / asked.file, lambda file, figure=figure: figure.savefig(file, format="png"))
             finally:
@@ -82,22 +82,8 @@ def draw_figures(
     return drawn
 
 
-def _draw(results: _Results, asked: Forest | Sweep | Curves) -> Figure:
-    if isinstance(asked, Forest):
-        return _draw_forest(results, asked)
-    if isinstance(asked, Sweep):
-        return _draw_sweep(results, asked)
-    return _draw_curves(results, asked)
-
-
 def _title(env: str) -> str:
     return env.replace("-", " ").title()
-
-
-@contextmanager
-def _style() -> Iterator[None]:
-    with plt.rc_context({"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": _DPI, "font.size": 10}):
-        yield
 
 
 def _draw_forest(results: _Results, figure_of: Forest) -> Figure:
@@ -221,3 +207,6 @@ def _draw_curve(axis: Axes, runs: Sequence[Summary], column: str, name: str, col
     words = f"{name} ({len(runs)} seed{'s' * (len(runs) != 1)})"
     axis.plot(grid / 1000, values.mean(axis=0), color=color, label=words)
     axis.fill_between(grid / 1000, low, high, color=color, alpha=0.2, linewidth=0)
+
+
+_DRAW: dict[type, Callable[..., Figure]] = {Forest: _draw_forest, Sweep: _draw_sweep, Curves: _draw_curves}

@@ -73,13 +73,11 @@ class _Scale:
     settings: Mapping[str, Any]
     seeds: int
     env_steps: int
-    """Environment steps of training in every run."""
     evaluation_steps: int
     """Environment steps of training between evaluations."""
     episode_population: int
     """Population if the fitness is that of whole episodes."""
     episodes: int
-    """Number of fresh episodes at the end of every run."""
 
 
 SCALES: dict[str, _Scale] = {

@@ -10,7 +10,7 @@ import json
 import signal
 import traceback
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.errors import RunFolderError, ShesError
 from shes.runs.config import TrainConfig
-from shes.runs.folder import RunFolder
+from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.tables import Row, read_csv
 from shes.storage import storage_errors, write_atomically
 from shes.studies.significance import check_scipy
@@ -40,7 +40,6 @@ class Outcome:
     summary: Summary | None = None
     error: str = ""
     events: tuple[str, ...] = ()
-    """Events of the workers meanwhile."""
 
 
 # One cell, in a worker process.
@@ -50,8 +49,7 @@ def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
     """Train a cell to its end from its last checkpoint, if it has one; evaluate it and return its summary.
 
     Raises:
-        RunFolderError: Its folder holds a run with other settings.
-        ShesError: Raised by `start_run`, `resume` or `evaluate`.
+        ShesError: Raised by `start_run`, `resume` or `evaluate`; its folder may hold a run with other settings.
     """
     path = out / cell.name
     summary = _read_summary(path)
@@ -184,9 +182,11 @@ def _run_stage(stage: Sequence[Cell], failed: set[str], backend: Backend) -> Ite
     for cell in stage:
         if cell.primitive in failed:
             yield Outcome(cell=cell, error=f"not run: it begins with the primitive of {cell.primitive}, which failed.")
+    events: list[str] = []
+    backend.on_event = events.append
     for outcome in backend.map([cell for cell in stage if cell.primitive not in failed]):
-        events = tuple(backend.take_events())
-        yield Outcome(cell=outcome.cell, summary=outcome.summary, error=outcome.error, events=events)
+        yield replace(outcome, events=tuple(events))
+        events.clear()
 
 
 def check_study(study: Study, out: Path) -> None:
@@ -198,10 +198,7 @@ def check_study(study: Study, out: Path) -> None:
         MissingExtraError: SciPy, which compares the finished runs, is not installed.
     """
     check_scipy()
-    if out.exists() and not out.is_dir():
-        raise RunFolderError(f"{out} is a file, not a folder. Choose another path with --out.")
-    if RunFolder(out).config.exists():
-        raise RunFolderError(f"{out} is a run folder: the runs of a study need one of their own. Set --out.")
+    check_folder_of_runs(out)
     for cell in study.cells:
         if cell.primitive is not None and not RunFolder(out / cell.primitive).config.is_file():
             continue  # the settings of the primitive are not known yet; the worker checks them

@@ -24,11 +24,11 @@ def check_scipy() -> ModuleType:
     return stats
 
 
-def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_000, seed: int = 0) -> float:
+def permutation_test(first: F64Array, second: F64Array) -> float:
     """Return the two-sided p of the difference of means between two samples.
 
     p is the share of divisions of all values into two such samples whose difference is at least as large. If there
-    are more than `permutations` divisions, it is estimated from as many random ones and the given one, so that it is
+    are more than 10,000 divisions, it is estimated from as many random ones and the given one, so that it is
     never 0. It is 1 if a sample has a single value. Source: Phipson and Smyth (2010).
 
     Raises:
@@ -42,7 +42,7 @@ def permutation_test(first: F64Array, second: F64Array, permutations: int = 10_0
         return np.round(np.abs(one.mean(axis=axis) - other.mean(axis=axis)) / scale, _DIGITS)
 
     found = check_scipy().permutation_test(
-        (first, second), difference, vectorized=True, n_resamples=permutations, alternative="greater", rng=seed
+        (first, second), difference, vectorized=True, n_resamples=10_000, alternative="greater", rng=0
     )
     return float(found.pvalue)
 

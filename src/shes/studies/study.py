@@ -61,12 +61,7 @@ class Study:
 
 
 def choose(study: Study, groups: Sequence[str] | None) -> Study:
-    """Return `study` with the cells of `groups` and of the base alone; with all cells if `groups` is None.
-
-    Raises:
-        ConfigError: `groups` is empty.
-        UnknownNameError: There is no such group.
-    """
+    """Return `study` with the cells of `groups`, at least one, and of the base alone; with all cells if None."""
     if groups is None:
         return study
     if not groups:
@@ -82,13 +77,7 @@ def choose(study: Study, groups: Sequence[str] | None) -> Study:
 
 
 def cell_config(cell: Cell, out: Path) -> TrainConfig:
-    """Return the settings of the run of `cell` in the study at `out`.
-
-    Raises:
-        ConfigError: A setting is unknown or not allowed.
-        UnknownNameError: A name is unknown.
-        RunFolderError: The run of its primitive does not exist yet.
-    """
+    """Return the settings of the run of `cell` in the study at `out`, in which the run of its primitive exists."""
     transfer = {} if cell.primitive is None else {"primitive": out / cell.primitive}
     alone = {"seed": cell.seed, "backend": "serial", "num_workers": 1}
     return make_config(cell.env, cell.preset, {**cell.settings, **transfer, **alone})

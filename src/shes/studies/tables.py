@@ -66,10 +66,6 @@ def write_tables(cells: Sequence[Cell], summaries: Mapping[str, Summary], out: P
     """Write `runs.csv`, a row per finished cell, and `curves.csv`, a row per evaluation, in the order of `cells`.
 
     Existing rows of other cells are kept, after these.
-
-    Raises:
-        RunFolderError: A table is damaged.
-        StorageError: A table cannot be written.
     """
     found = [(cell, summaries[cell.name]) for cell in cells if cell.name in summaries]
     curves = [{**row, _SETTINGS: cell.digest} for cell, summary in found for row in summary.curve]

@@ -44,10 +44,10 @@ def build_task(config: TrainConfig, num_episodes: int, *, is_evaluation: bool) -
     return env.make(num_episodes, build_options(config, is_evaluation=is_evaluation))
 
 
-def build_problem(config: TrainConfig) -> Problem:
-    """Return the problem that the algorithm of `config` has to solve."""
+def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
+    """Return the algorithm of `config`; raise ShesError if it cannot learn in this environment with these settings."""
     workers = config.workers
-    return Problem(
+    problem = Problem(
         name=config.run.env,
         env=build_environment(config),
         training=build_options(config, is_evaluation=False),
@@ -62,12 +62,8 @@ def build_problem(config: TrainConfig) -> Problem:
         nconmax=workers.nconmax,
         njmax=workers.njmax,
     )
-
-
-def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
-    """Return the algorithm of `config`; raise ShesError if it cannot learn in this environment with these settings."""
     construct = cast("Callable[[Problem], Algorithm[Any]]", learner(config.run))  # as `register_algorithm` checks
-    return construct(build_problem(config))
+    return construct(problem)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +91,7 @@ def check_device(config: TrainConfig) -> None:
 
     Raises:
         MissingExtraError: It needs a package that is not installed.
-        ConfigError: There is no GPU, its driver is too old, versions do not match, the world needs the CPU, or the
-            memory is too small for one episode.
+        ConfigError: There is no such GPU or driver, the world needs the CPU, or there is no memory for one episode.
     """
     workers = config.workers
     if workers.device == "cpu":

@@ -108,8 +108,7 @@ def evaluate_state(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[
         return values.ravel()[:count].astype(np.float64)
 
     has_diverged = results.has_diverged.ravel()[:count]
-    names = algorithm.design.level_names
-    primitive = names.index("primitive") if "primitive" in names else None
+    primitive = algorithm.design.intrinsic_level
     return Evaluation(
         scores=lower_diverged(column(results.score), has_diverged),
         returns=lower_diverged(column(results.environment_returns), has_diverged),

@@ -36,12 +36,9 @@ class Workload:
     episodes_per_policy: int
     """Largest number of episodes of a policy."""
     horizon: int
-    """Control steps in an episode of training."""
     evaluation_episodes: int
     evaluation_horizon: int
-    """Control steps in an episode of evaluation."""
     chunk_size: int
-    """Policies in lockstep; 0 is automatic."""
     num_workers: int
     """Worker processes on this machine; 0 if the work is done in this one, or on a device."""
 

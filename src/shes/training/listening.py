@@ -49,12 +49,7 @@ class Audience:
     """The listeners of a run."""
 
     def __init__(self, listener: AnyListener) -> None:
-        """Check `listener`.
-
-        Raises:
-            ConfigError: It is neither a function of a row nor an object with a method of `Listener`.
-            UnknownNameError: It has a method `on_...` that no run calls.
-        """
+        """Raise ConfigError or UnknownNameError unless each is a function of a row or has methods of `Listener`."""
         each = listener if isinstance(listener, list | tuple) else () if listener is None else (listener,)
         self._methods = [_methods(one) for one in each]
 

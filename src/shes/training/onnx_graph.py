@@ -21,9 +21,6 @@ def onnx_model(name: str, policy: MLP, level: LevelParameters, notes: Mapping[st
 
     Input `observation` [N, O] float64, the level's inputs before normalisation; output `output` [N, A] float32 in
     [-1, 1].
-
-    Raises:
-        MissingExtraError: `onnx` is not installed.
     """
     onnx = _load_onnx()
     helper, kinds = onnx.helper, onnx.TensorProto

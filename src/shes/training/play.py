@@ -33,7 +33,6 @@ class Agent:
     """
 
     def __init__(self, run: OpenedRun, num_envs: int = 1) -> None:
-        """Build the agent of a run; see `load`."""
         if num_envs < 1:
             raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs}.")
         self._build(run.config, run.algorithm, run.algorithm.parameters(run.state), num_envs)

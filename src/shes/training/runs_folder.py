@@ -15,7 +15,7 @@ from typing import Any
 
 from shes.errors import PolicyError, RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig
-from shes.runs.folder import RunFolder
+from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.shipped import find_run
 from shes.runs.tables import read_wall_time
 from shes.storage import storage_errors, write_atomically
@@ -63,12 +63,8 @@ class RunsFolder:
 
         Raises:
             RunFolderError: `path` is a file or a run folder, or has a run of other settings.
-            StorageError: It cannot be written.
         """
-        if path.exists() and not path.is_dir():
-            raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
-        if RunFolder(path).config.exists():
-            raise RunFolderError(f"{path} already holds a run: several need a folder of their own. Set --out.")
+        check_folder_of_runs(path)
         there = cls.open(path) if cls.is_at(path) else cls(path, {}, set())
         for name, config in configs.items():
             before = there.configs.get(name)
@@ -164,11 +160,7 @@ def _is_as_long(before: TrainConfig, now: TrainConfig) -> bool:
 
 
 def find_runs(run: Path | str) -> list[RunFolder]:
-    """Return the run folder `run`, or those below it that have a generation, in natural order.
-
-    Raises:
-        RunFolderError: `run` is neither a run folder, nor a folder of runs, nor a shipped agent.
-    """
+    """Return the run folder `run`, or those below it that have a generation, in natural order."""
     path = find_run(run)
     if RunFolder(path).config.is_file() or not path.is_dir():
         return [RunFolder.open(run)]

@@ -77,27 +77,30 @@ class Session:
         self._generation_start = now
         row["evaluation_s"] = 0.0
         warning = self._divergence.add(row)
-        self._tell_events([*report.log, *([warning] if warning else [])])
+        for event in (*report.log, *([warning] if warning else [])):
+            self._tell_event(event)
         # `last` comes last: a run killed before that repeats this generation with its evaluation and checkpoints.
         best, paths = self.checkpoint.best, [self._folder.checkpoint_path("last")]
         if state.generation == 1 or state.generation % self._config.evaluation.evaluation_interval == 0:
             with interruption.at_once():
                 evaluation = self._evaluate(state)
-            self._records.add_evaluation(evaluation)
+            self._records.add("evaluation", evaluation)
             is_sound = evaluation["diverged_episodes"] < evaluation["episodes"]  # else its score means nothing
             if is_sound and best.is_beaten_by(evaluation["score_mean"], evaluation["return_mean"]):
                 best = Best(
                     generation=state.generation, score=evaluation["score_mean"], mean_return=evaluation["return_mean"]
                 )
                 paths.insert(0, self._folder.checkpoint_path("best"))
-            unsound = f"all {evaluation['episodes']} episodes of the evaluation diverged: its score does not count"
-            self._tell_events([] if is_sound else [unsound])
+            if not is_sound:
+                self._tell_event(
+                    f"all {evaluation['episodes']} episodes of the evaluation diverged: its score does not count"
+                )
             self._tell("on_evaluation", evaluation)
             self._generation_start = perf_counter()
             row["evaluation_s"] = round(self._generation_start - now, 4)
         if state.generation % self._config.evaluation.keep_checkpoints == 0:
             paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
-        self._records.add_progress(row)
+        self._records.add("progress", row)
         arrays = self._algorithm.to_arrays(state)
         self.checkpoint = Checkpoint(arrays=arrays, best=best, numbers=self.checkpoint.numbers)
         self._writer.write(paths, self.checkpoint)
@@ -114,11 +117,6 @@ class Session:
             "wall_time_s": round(self._earlier_s + perf_counter() - self._start, 3),
             **found.summary(),
         }
-
-    def _tell_events(self, lines: list[str]) -> None:
-        """Log `lines` and the events of the workers."""
-        for event in (*lines, *self._backend.take_events()):
-            self._tell_event(event)
 
     def _tell_event(self, event: str) -> None:
         logger.warning(event)

@@ -86,8 +86,8 @@ def ship(
         folder = RunFolder.create(Path(temporary.name) / name)
         _copy(source, checkpoint, folder, commands[-1])
         found = evaluate(folder.path, episodes=episodes, seed=seed, num_workers=num_workers)
-        agent = _describe(source, checkpoint, found, seed, description, commands)
-        agent = _with_cost_of(agent, [RunFolder.open(each) for each in earlier])
+        runs = [source, *(RunFolder.open(each) for each in earlier)]
+        agent = _describe(runs, checkpoint, found, seed, description, commands)
         text = json.dumps(agent.to_dict(), indent=2, ensure_ascii=False) + "\n"
         write_atomically(folder.path / AGENT_FILE, lambda file: file.write(text.encode()))
         with storage_errors(place / name):
@@ -110,34 +110,29 @@ def _check_words(name: str, description: str, commands: Sequence[str]) -> None:
 
 
 def _describe(
-    run: RunFolder,
+    runs: Sequence[RunFolder],
     checkpoint: Checkpoint,
     found: Evaluation,
     seed: int | None,
     description: str,
     commands: Sequence[str],
 ) -> ShippedAgent:
-    """Return the description of the agent of `checkpoint`, with its evaluation `found`."""
-    config, progress, summary = run.read_config(), read_csv(run.progress), found.summary()
+    """Return the description of the agent of `checkpoint`, of the first of `runs`, with its evaluation `found`.
+
+    Its time and steps are those of all runs.
+    """
+    config, summary, tables = runs[0].read_config(), found.summary(), [read_csv(run.progress) for run in runs]
     names = [field.name for field in fields(FreshEvaluation) if field.name != "seed"]
     return ShippedAgent(
         description=description,
         env=config.run.env,
         commands=tuple(commands),
-        cores=_cores(config, run),
-        hours=round(progress["wall_time_s"][-1] / 3600, 3),
-        env_steps=int(progress["env_steps"][-1]),
+        cores=_cores(config, runs[0]),
+        hours=round(sum(table["wall_time_s"][-1] for table in tables) / 3600, 3),
+        env_steps=sum(int(table["env_steps"][-1]) for table in tables),
         generation=checkpoint.generation,
         evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in names}),
     )
-
-
-def _with_cost_of(agent: ShippedAgent, earlier: Sequence[RunFolder]) -> ShippedAgent:
-    """Return `agent` with the time and the steps of earlier runs added."""
-    tables = [read_csv(run.progress) for run in earlier]
-    hours = agent.hours + sum(table["wall_time_s"][-1] for table in tables) / 3600
-    steps = agent.env_steps + sum(int(table["env_steps"][-1]) for table in tables)
-    return replace(agent, hours=round(hours, 3), env_steps=steps)
 
 
 def _copy(source: RunFolder, checkpoint: Checkpoint, target: RunFolder, command: str) -> None:

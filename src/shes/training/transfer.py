@@ -33,13 +33,7 @@ _SUGGESTED = {"primitive": (), "controller": ("controller_interval", "goal_dista
 
 
 def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState, dict[str, Any]]:
-    """Return the run at `path`, the state of its level of this name, and the level's origin for the record.
-
-    Raises:
-        RunFolderError: `path` is neither a run folder nor a shipped agent.
-        CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: The run has no such level.
-    """
+    """Return the run at `path`, the state of its level of this name, and the level's origin for the record."""
     folder = RunFolder.open(path)
     if not folder.checkpoint_path(checkpoint).is_file():
         there, checkpoint_flag = _checkpoint_names(folder), f"--{level}-checkpoint"
@@ -99,13 +93,7 @@ def brought_settings(
 
 
 def check_robot(config: TrainConfig) -> None:
-    """Check that the primitive that `config` names was trained with the same robot.
-
-    Raises:
-        RunFolderError: There is no such run folder.
-        CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: It was trained with another robot.
-    """
+    """Raise ConfigError if the primitive that `config` names was trained with another robot."""
     path = config.settings.get("primitive")
     if path is None:
         return
@@ -133,12 +121,7 @@ def _robot(config: TrainConfig) -> tuple[str | None, str]:
 def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict[str, Any]]]:
     """Return `state` with the levels from other runs that the settings name, and their origins.
 
-    A level comes with its parameters and observation statistics.
-
-    Raises:
-        RunFolderError: There is no such run folder.
-        CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: The level has other inputs or outputs.
+    A level comes with its parameters and observation statistics; raise ConfigError if its inputs or outputs differ.
     """
     origins: dict[str, dict[str, Any]] = {}
     config = algorithm.problem.settings

@@ -23,12 +23,12 @@ def interpolate(x: Sequence[F64Array], y: Sequence[F64Array]) -> tuple[F64Array,
     return grid, np.stack([np.interp(grid, *curve) for curve in zip(x, y, strict=True)])
 
 
-def interval(values: F64Array, seed: int = 0) -> tuple[F64Array, F64Array]:
+def interval(values: F64Array) -> tuple[F64Array, F64Array]:
     """Return the bounds, each [grid], of the 95 % bootstrap interval of the mean over runs of `values` [runs, grid].
 
     One matrix product serves the whole grid; `scipy.stats.bootstrap` would store every resample of every curve.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     runs = len(values)
     shares = rng.multinomial(runs, np.full(runs, 1 / runs), _RESAMPLES) / runs  # share of each run in each resample
     means = shares @ values

@@ -6,9 +6,11 @@ import itertools
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from shes.runs.folder import RunFolder
+
+_T = TypeVar("_T")
 
 _FIRST = ("env", "algorithm", "preset")
 """The kind of a run: settings that are named first in a label, because others follow from them."""
@@ -52,11 +54,11 @@ def group_runs(folders: Sequence[RunFolder], *, by_time: bool = False) -> list[G
     ]
 
 
-def _divided(folders: Sequence[RunFolder], key: Callable[[RunFolder], Any]) -> list[list[RunFolder]]:
-    """Return `folders` divided by `key`, a JSON value."""
-    found: dict[str, list[RunFolder]] = {}
-    for folder in folders:
-        found.setdefault(json.dumps(key(folder), sort_keys=True), []).append(folder)
+def _divided(items: Sequence[_T], key: Callable[[_T], Any]) -> list[list[_T]]:
+    """Return `items` divided by `key`, a JSON value."""
+    found: dict[str, list[_T]] = {}
+    for item in items:
+        found.setdefault(json.dumps(key(item), sort_keys=True), []).append(item)
     return list(found.values())
 
 
@@ -86,7 +88,7 @@ def _labels(groups: list[list[RunFolder]]) -> list[str]:
     facts = [{**_design(members[0]), **_execution(members[0])} for members in groups]
     kind = [name for name in _FIRST if _differ(facts, name)]
     # Other settings are named where they differ among groups of one kind, and workers and machine as the last resort.
-    alike = _of_one_kind(facts)
+    alike = _divided(facts, lambda each: [each.get(name) for name in _FIRST])
     names = [name for name in dict.fromkeys(itertools.chain(*facts)) if any(_differ(each, name) for each in alike)]
     own = [name for name in names if any(name in _design(members[0]) for members in groups)]
     others = [name for name in names if name not in own]
@@ -97,14 +99,6 @@ def _labels(groups: list[list[RunFolder]]) -> list[str]:
             return labels
     paths = [str(members[0].path) for members in groups]
     return [f"{label}, {path}" if label else path for label, path in zip(labels, paths, strict=True)]
-
-
-def _of_one_kind(facts: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
-    """Return `facts` divided by kind: environment, algorithm and preset, which bring values of other settings."""
-    found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
-    for each in facts:
-        found.setdefault(tuple(each.get(name) for name in _FIRST), []).append(each)
-    return list(found.values())
 
 
 def _differ(facts: list[dict[str, Any]], name: str) -> bool:

@@ -43,7 +43,6 @@ def write_video(path: Path, frames: Iterable[Picture]) -> None:
     """Write `frames` (pictures [H, W, 3] of one even size) to `path`, atomically.
 
     Raises:
-        ConfigError: `check_video_path` refuses `path`.
         StorageError: The video cannot be encoded or written; a file at `path` is unchanged.
     """
     check_video_path(path)

@@ -24,11 +24,7 @@ from shes.settings import flag
 
 
 def flat_design(problem: Problem) -> FlatDesign:
-    """Return the design of an agent with a single policy.
-
-    Raises:
-        ConfigError: Novelty search is on, and the environment does not give the robot's position.
-    """
+    """Return the design of an agent with a single policy; novelty search requires the robot's position."""
     task, settings = problem.sample(), problem.settings
     if settings.novelty.novelty != "none":
         task.check_position()
@@ -40,8 +36,7 @@ def primitive_design(problem: Problem) -> PrimitiveDesign:
     """Return the design of a primitive alone.
 
     Raises:
-        ConfigError: A view, the symmetry or `hide_position` does not suit the environment, or the environment does not
-            give the robot's position.
+        ConfigError: A view, the symmetry or `hide_position` does not suit the environment, or the position is unknown.
     """
     return PrimitiveDesign(**_reaching(problem.settings, problem.sample()))
 

@@ -11,7 +11,7 @@ from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.novelty import NOVELTY_RULES, WeightRule
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
-from shes.es.schedules import Schedule, make_schedule
+from shes.es.schedules import Schedule
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.agent import AgentDesign
@@ -24,10 +24,9 @@ def make_hyperparameters(settings: Any) -> Hyperparameters:
     evolution, schedules, values = settings.evolution, settings.schedules, settings.settings
 
     def schedule(name: str) -> Schedule:
-        kind, end = SCHEDULED[name]
-        start, stop = getattr(evolution, name), getattr(schedules, end)
-        stop, quantity = start if stop is None else stop, kind.removesuffix("_schedule")
-        return make_schedule(quantity, getattr(schedules, kind), start, stop, schedules.schedule_generations)
+        kind, end = (getattr(schedules, setting) for setting in SCHEDULED[name])
+        start, generations = getattr(evolution, name), schedules.schedule_generations
+        return Schedule(kind=kind, start=start, end=start if end is None else end, generations=generations)
 
     return Hyperparameters(
         population_size=evolution.population_size,
@@ -60,7 +59,7 @@ def _interval_estimate(settings: Any, sigma: Schedule, learning_rate: Schedule) 
 
     def own(quantity: str, shared: Schedule) -> Schedule:
         value = values.get(quantity)
-        return shared if value is None else make_schedule(quantity, "constant", value, value, 1)
+        return shared if value is None else Schedule(start=value)
 
     return IntervalEstimate(
         population_size=values.get("primitive_population_size") or settings.evolution.population_size,

@@ -44,11 +44,9 @@ class TaskDescription:
     """The task in words, for the documentation and `shes envs`."""
 
     reward: str
-    """Reward of a step."""
     ends: str
     """When an episode terminates."""
     score: str
-    """Test score of an episode."""
     success: str
     """When an episode counts as solved."""
 
