@@ -9,7 +9,7 @@ from shes.errors import WorkerError
 from shes.settings import Execution, setting_fields
 from tests.backends.workers import ERRORS, Worker
 
-CASES = [(name, num_workers) for name in BACKENDS for num_workers in (1, 3)]
+CASES = [(name, num_workers) for name in BACKENDS for num_workers in (1, 2)]
 
 
 @pytest.mark.parametrize("name", BACKENDS)
