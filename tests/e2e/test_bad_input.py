@@ -604,11 +604,11 @@ def test_a_log_that_cannot_be_written_stops_nothing(tmp_path, tiny_run, monkeypa
     assert "Traceback" not in capsys.readouterr().err
 
 
-def in_a_process(prepare, *words):
+def in_a_process(prepare, *words, command=runs.COMMAND):
     """Run the command in a process that runs the code `prepare` first."""
     code = f"import ctypes, os, resource, sys\n{prepare}\nos.execv(sys.argv[1], sys.argv[1:])"
     return subprocess.run(
-        [sys.executable, "-c", code, *runs.COMMAND, *(str(word) for word in words)],
+        [sys.executable, "-c", code, *command, *(str(word) for word in words)],
         capture_output=True,
         text=True,
         timeout=runs.PATIENCE_S,
@@ -628,29 +628,36 @@ def test_a_file_that_the_system_cuts_off_is_an_error_and_loses_nothing(tmp_path)
     assert intact(path) == 2
 
 
+IN_TURN = """
+import json, sys
+from shes.cli import main
+for words in json.loads(sys.argv[1]):
+    code = main(words)
+    print("exit code", code, file=sys.stderr)
+"""
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="capabilities are Linux's")
-def test_a_read_only_folder_is_an_error_that_names_the_fix(tmp_path, run_copy):
+def test_a_read_only_folder_is_an_error_that_names_the_fix_and_its_run_can_be_evaluated(tmp_path, run_copy, tiny_run):
     locked = tmp_path / "locked"
     locked.mkdir()
-    locked.chmod(0o555)
-    done = in_a_process(WITHOUT_ROOT, *TRAIN, "--out", locked / "run")
-    assert done.returncode == MENDABLE
-    assert re.search(r"Error: cannot write .*locked/run: permission denied: .*--out", done.stderr)
-    assert "Traceback" not in done.stderr
-    assert list(locked.iterdir()) == []
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="capabilities are Linux's")
-def test_a_run_folder_that_became_read_only_can_be_evaluated_but_not_resumed(run_copy, tiny_run):
-    for folder in (run_copy, run_copy / "checkpoints"):
+    for folder in (locked, run_copy, run_copy / "checkpoints"):
         folder.chmod(0o555)
-    done = in_a_process(WITHOUT_ROOT, "resume", run_copy, "--generations", "6")
-    assert done.returncode == MENDABLE
-    assert re.search(r"Error: cannot write .*(\.lock|config\.json): permission denied", done.stderr)
+    lines = [
+        [*TRAIN, "--out", str(locked / "run")],
+        ["resume", str(run_copy), "--generations", "6"],
+        ["evaluate", str(run_copy), "--episodes", "2", "--workers", "1", "--json"],
+    ]
+    done = in_a_process(WITHOUT_ROOT, json.dumps(lines), command=(sys.executable, "-c", IN_TURN))
+    assert re.search(
+        rf"Error: cannot write .*locked/run: permission denied: .*--out(?s:.*)exit code {MENDABLE}\n"
+        rf"Error: cannot write .*(\.lock|config\.json): permission denied(?s:.*)exit code {MENDABLE}\n"
+        r"exit code 0\n$",
+        done.stderr,
+    ), done.stderr
     assert "Traceback" not in done.stderr
-    done = in_a_process(WITHOUT_ROOT, "evaluate", run_copy, "--episodes", "2", "--workers", "1", "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["episodes"] == 2
+    assert json.loads(done.stdout.splitlines()[-1])["episodes"] == 2
+    assert list(locked.iterdir()) == []
     assert runs.differences(tiny_run, run_copy) == []
 
 
