@@ -1,5 +1,6 @@
 """What every test shares: one BLAS thread, no display, no touch of the user's cache."""
 
+import gc
 import os
 import shutil
 import signal
@@ -18,9 +19,18 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # No deadline: a busy machine is no failure. In CI the examples are the same each time. The fast tests have three
 # minutes: `make test-extras` and `make test-all` look at more examples.
-hypothesis.settings.register_profile("shes", deadline=None, derandomize="CI" in os.environ, max_examples=40)
+hypothesis.settings.register_profile("shes", deadline=None, derandomize="CI" in os.environ, max_examples=25)
 hypothesis.settings.register_profile("thorough", hypothesis.settings.get_profile("shes"), max_examples=100)
 hypothesis.settings.load_profile("shes")
+
+
+gc.disable()  # until the tests are collected
+
+
+def pytest_collection_finish(session):
+    """Keep the garbage collector from looking at thousands of tests and their modules again and again."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

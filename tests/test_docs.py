@@ -1,6 +1,8 @@
 """The documentation builds without warnings, agrees with the code, has no broken links, and needs no network."""
 
+import contextlib
 import importlib.util
+import io
 import os
 import pkgutil
 import re
@@ -13,11 +15,12 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import shes
-from shes.algorithms.registry import ALGORITHMS
+from shes.cli import main
 from shes.cli.program import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.options import TaskOptions
+from shes.runs.rooms import known_settings
 from shes.settings import flag, setting_fields
 from shes.training.presets import make_config
 from tests.page_layout import find_browser, layout_faults
@@ -266,13 +269,14 @@ def run(script):
 
 @pytest.fixture(scope="session")
 def flags():
-    """Return every flag in the help of `shes` and its commands, of `train` for every environment and algorithm."""
-    commands = [["--help"], *([name, "--help"] for name in COMMANDS)]
-    commands += [["train", name, "--help-all"] for name in ENVIRONMENTS]
-    commands += [["train", "ant-gather", "--algorithm", name, "--help-all"] for name in ALGORITHMS]
-    code = f"from shes.cli import main\nfor words in {commands}: assert main(words) == 0"
-    text = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    return set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
+    """Return every flag in the help of `shes` and its commands, and of every setting."""
+    commands = [["--help"], *([name, "--help"] for name in COMMANDS), ["train", "ant-gather", "--help-all"]]
+    with contextlib.redirect_stdout(io.StringIO()) as text:
+        assert [main(words) for words in commands] == [0] * len(commands)
+    # That the help of `train` shows every setting of a run is tested with the command line.
+    return {each.flag for each in known_settings().values()} | set(
+        re.findall(r"(?<![\w-])--[a-z][a-z-]+", text.getvalue())
+    )
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())

@@ -26,11 +26,31 @@ def noted(backend):
     return backend
 
 
-@pytest.fixture
-def backend():
+@pytest.fixture(scope="module")
+def shared():
+    """A backend that many tests use: starting one takes longer than most of them."""
     with noted(ProcessesBackend(Worker, 2)) as made:
-        made.broadcast(100)
         yield made
+
+
+@pytest.fixture
+def backend(shared):
+    shared.broadcast(100)
+    shared.told.clear()
+    return shared
+
+
+@pytest.fixture
+def others():
+    """Processes that were there before the test."""
+    return psutil.Process().children()
+
+
+@pytest.fixture
+def max_losses(monkeypatch):
+    """A limit of losses that is reached sooner."""
+    monkeypatch.setattr("shes.backends.processes.MAX_LOSSES", 2)
+    return 2
 
 
 def test_every_worker_is_a_process_of_its_own_and_has_the_state(backend, tmp_path):
@@ -40,11 +60,12 @@ def test_every_worker_is_a_process_of_its_own_and_has_the_state(backend, tmp_pat
     assert {state for _, state in done} == {100}
 
 
-@pytest.mark.parametrize("variable", ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"])
-def test_a_worker_has_one_thread_whatever_the_parent_has(monkeypatch, variable):
-    monkeypatch.setenv(variable, "8")
+def test_a_worker_has_one_thread_whatever_the_parent_has(monkeypatch):
+    variables = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    for variable in variables:
+        monkeypatch.setenv(variable, "8")
     with ProcessesBackend(Worker, 1) as backend:
-        assert list(backend.map([("environment", variable)])) == ["1"]
+        assert list(backend.map([("environment", variable) for variable in variables])) == ["1"] * 3
 
 
 def test_a_worker_that_dies_at_work_is_replaced_and_its_tasks_are_done_again(backend, tmp_path):
@@ -102,23 +123,26 @@ def test_losses_are_counted_for_each_map_and_task(backend, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("start", "cause"), [(start_dying, "exit code 3"), (start_sigterm, "killed by SIGTERM, exit code -15")]
+    ("start", "num_workers", "cause"),
+    [(start_dying, 2, "exit code 3"), (start_sigterm, 1, "killed by SIGTERM, exit code -15")],
 )
-def test_workers_that_die_at_once_are_an_error_that_names_the_cause_and_no_endless_loop(start, cause):
+def test_workers_that_die_at_once_are_an_error_that_names_the_cause_and_no_endless_loop(
+    others, max_losses, start, num_workers, cause
+):
     message = rf"workers keep dying \({cause}\) at once\. .*--backend serial does the same work in this process\. Every"
-    with noted(ProcessesBackend(start, 2)) as backend, pytest.raises(WorkerError, match=message) as caught:
+    with noted(ProcessesBackend(start, num_workers)) as backend, pytest.raises(WorkerError, match=message) as caught:
         list(backend.map([("add", 1)]))
     assert "memory" not in str(caught.value)
-    assert len(backend.told) == 2 * MAX_LOSSES
-    assert psutil.Process().children() == []
+    assert len(backend.told) == num_workers * max_losses
+    assert psutil.Process().children() == others
 
 
-def test_a_worker_that_cannot_be_made_is_an_error_with_its_traceback():
+def test_a_worker_that_cannot_be_made_is_an_error_with_its_traceback(others):
     with ProcessesBackend(start_failing, 2) as backend, pytest.raises(WorkerError, match="ValueError: no such model"):
         list(backend.map([("add", 1)]))
-    with ProcessesBackend(start_refusing, 2) as backend, pytest.raises(ConfigError, match="sigma must be positive"):
+    with ProcessesBackend(start_refusing, 1) as backend, pytest.raises(ConfigError, match="sigma must be positive"):
         list(backend.map([("add", 1)]))
-    assert psutil.Process().children() == []
+    assert psutil.Process().children() == others
 
 
 def test_a_worker_error_names_the_tasks_at_work(backend):
@@ -146,14 +170,14 @@ def test_a_factory_may_be_a_closure():
         assert list(backend.map([("add", 1)] * 3)) == [2, 2, 2]
 
 
-def test_a_factory_that_cannot_be_pickled_is_an_error_that_names_the_reason():
+def test_a_factory_that_cannot_be_pickled_is_an_error_that_names_the_reason(others):
     lock = threading.Lock()
     message = (
         r"cannot be sent to worker processes: cannot pickle '_thread\.lock' object\. Move .*or set --backend serial"
     )
     with pytest.raises(ConfigError, match=message):
         ProcessesBackend(lambda: Worker(at_once=lock), 1)
-    assert psutil.Process().children() == []
+    assert psutil.Process().children() == others
 
 
 @pytest.mark.parametrize("is_there", [False, True], ids=["no such module", "another module of that name"])
@@ -192,7 +216,7 @@ def test_workers_that_replace_others_search_where_the_first_did(monkeypatch, tmp
 
 
 def test_workers_ignore_ctrl_c_from_their_first_moment():
-    with noted(ProcessesBackend(Worker, 3)) as backend:
+    with noted(ProcessesBackend(Worker, 2)) as backend:
         before = backend.pids()
         for _ in range(20):
             for pid in before:
@@ -272,12 +296,12 @@ def test_a_task_that_takes_longer_than_the_limit_gets_more_time_when_it_is_done_
         assert backend.pids() == after
 
 
-def test_a_task_that_is_never_answered_is_an_error_that_names_the_flag(tmp_path):
+def test_a_task_that_is_never_answered_is_an_error_that_names_the_flag(tmp_path, others, max_losses):
     many = r"(on the same task, \d times|at once)"  # on a busy machine even the start takes longer than this limit
     message = rf"workers keep giving no answer for \d+ s {many}\. .* raise --worker-timeout-s\. Every"
     with ProcessesBackend(Worker, 1, worker_timeout_s=0.3) as backend, pytest.raises(WorkerError, match=message):
         list(backend.map([("oversleep", tmp_path)]))
-    assert psutil.Process().children() == []
+    assert psutil.Process().children() == others
 
 
 def test_replacing_workers_leaves_no_open_file(backend, tmp_path):

@@ -84,6 +84,8 @@ def test_the_help_of_train_fits_two_screens_and_shows_what_the_preset_sets(shes)
     [
         (["ant-gather"], "ant-gather", {}),
         (["point-flagrun", "--preset", "smoke"], "point-flagrun", {}),
+        (["ant-push"], "ant-push", {}),
+        (["point-fall"], "point-fall", {}),
         (["point-maze", "--algorithm", "es"], "point-maze", {"algorithm": "es"}),
     ],
 )
@@ -243,9 +245,17 @@ def test_a_shell_can_be_taught_the_words(shes, shell):
         ("plot ant-walker runs/fi", ["runs/first"]),
     ],
 )
-def test_bash_completes_what_may_stand_at_the_cursor(shes, tmp_path, line, expected):
+def test_what_may_stand_at_the_cursor_completes_the_line(shes, tmp_path, monkeypatch, line, expected):
     (tmp_path / "runs" / "first").mkdir(parents=True)
     (tmp_path / "runs" / "first" / "config.json").touch()
+    monkeypatch.chdir(tmp_path)
+    assert shes("--complete", *line.split()).split() == expected
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"), [("train point-f", ["point-fall", "point-flagrun"]), ("train --no-su", [])]
+)
+def test_bash_asks_for_what_completes_the_line(shes, tmp_path, line, expected):
     (tmp_path / "script").write_text(shes("completion", "bash"))
     (tmp_path / "shes").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m shes "$@"\n')
     (tmp_path / "shes").chmod(0o755)

@@ -121,9 +121,9 @@ def test_its_state_is_arrays_without_objects(learner):
 @pytest.mark.parametrize("name", LEARNERS)
 def test_a_run_of_it_goes_on_and_its_agent_acts(name, tmp_path):
     env, settings = tiny(name)
-    whole = shes.train(env, out=tmp_path / "whole", **settings).path
-    half = shes.train(env, out=tmp_path / "half", **{**settings, "generations": 2}).path
-    shes.resume(half, generations=4)
+    whole = shes.train(env, out=tmp_path / "whole", **{**settings, "generations": 2}).path
+    half = shes.train(env, out=tmp_path / "half", **{**settings, "generations": 1}).path
+    shes.resume(half, generations=2)
     assert runs.differences(whole, half) == []
     assert list(read_csv(whole / "progress.csv"))[:4] == ["generation", "env_steps", "wall_time_s", "env_steps_per_s"]
     evaluations = [shes.evaluate(whole, episodes=3, num_workers=workers).summary() for workers in (1, 2)]

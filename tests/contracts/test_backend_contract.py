@@ -9,7 +9,7 @@ from shes.errors import WorkerError
 from shes.settings import Execution, setting_fields
 from tests.backends.workers import ERRORS, Worker
 
-CASES = [(name, num_workers) for name in BACKENDS for num_workers in (1, 3)]
+CASES = [(name, num_workers) for name in BACKENDS for num_workers in (1, 2)]
 
 
 @pytest.mark.parametrize("name", BACKENDS)
@@ -69,13 +69,13 @@ def test_tasks_refer_to_the_last_state_broadcast(backend):
     assert list(backend.map([("add", 2)] * 5)) == [302] * 5
 
 
-@pytest.mark.parametrize("name", ERRORS)
-def test_an_error_of_shes_arrives_as_it_was_raised(backend, name):
-    with pytest.raises(type(ERRORS[name])) as raised:
-        list(backend.map([("add", 1), ("raises", name), ("add", 2)]))
-    assert type(raised.value) is type(ERRORS[name])
-    assert str(raised.value) == str(ERRORS[name])
-    assert raised.value.exit_code == ERRORS[name].exit_code
+def test_an_error_of_shes_arrives_as_it_was_raised(backend):
+    for name in ERRORS if backend.num_workers == 1 else ["name"]:  # after an error, workers start again
+        with pytest.raises(type(ERRORS[name])) as raised:
+            list(backend.map([("add", 1), ("raises", name), ("add", 2)]))
+        assert type(raised.value) is type(ERRORS[name])
+        assert str(raised.value) == str(ERRORS[name])
+        assert raised.value.exit_code == ERRORS[name].exit_code
 
 
 def test_any_other_error_is_a_worker_error_with_its_traceback(backend):

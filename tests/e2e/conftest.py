@@ -11,7 +11,7 @@ from tests.e2e import runs
 KILLED = {
     "preset": "smoke",
     "seed": 3,
-    "workers": 2,
+    "num_workers": 2,
     "population_size": 32,
     "hidden": (8,),
     "horizon": 200,
@@ -35,21 +35,13 @@ BRANCHED = {
 
 
 @pytest.fixture(scope="session")
-def tiny_run(tmp_path_factory):
-    """Folder of a finished tiny run. Not to be changed: copy it."""
-    return runs.train_tiny(tmp_path_factory.mktemp("tiny") / "run")
-
-
-@pytest.fixture(scope="session")
 def undisturbed_with(tmp_path_factory):
     """Return a function that returns the folder of a run of `started` that nothing happened to. Not to be changed."""
 
     @cache
     def run(**settings):
         path = tmp_path_factory.mktemp("undisturbed") / "run"
-        code, out, err = runs.run("train", "point-gather", *runs.flags(**{**KILLED, **settings}, out=path))
-        assert (code, err) == (0, ""), out
-        return path
+        return runs.train_tiny(path, **{**KILLED, "backend": "serial", **settings})
 
     return run
 

@@ -126,8 +126,8 @@ def run(*words):
     return finish(start(*words))
 
 
-def wait_until(condition, what, within_s=PATIENCE_S):
-    """Return the first true value of `condition()`."""
+def wait_until(condition, what, within_s=PATIENCE_S, every_s=0.002):
+    """Return the first true value of `condition()`, which is asked again after `every_s`."""
     start = time.monotonic()
     while True:
         value = condition()
@@ -135,7 +135,7 @@ def wait_until(condition, what, within_s=PATIENCE_S):
             return value
         if time.monotonic() > start + patient(within_s):
             raise AssertionError(f"not within {patient(within_s):.0f} s: {what}")
-        time.sleep(0.002)
+        time.sleep(every_s)
 
 
 def log_lines(path):
@@ -208,4 +208,5 @@ def assert_gone(main_pid, worker_pids):
         lambda: not any(is_alive(pid) for pid in worker_pids) and not workers_of(main_pid),
         f"workers {worker_pids} of {main_pid} are gone",
         GONE_WITHIN_S,
+        every_s=0.02,  # a look at all processes takes several milliseconds
     )

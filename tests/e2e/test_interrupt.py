@@ -67,8 +67,8 @@ def test_a_run_interrupted_in_a_terminal_goes_on_with_the_same_numbers(interrupt
 
 
 def test_ctrl_c_while_the_workers_start_is_quiet(started):
-    process, path = started(workers=3)
-    workers = runs.wait_until(lambda: runs.workers_of(process.pid), "the first worker")
+    process, path = started(num_workers=3)
+    workers = runs.wait_until(lambda: runs.workers_of(process.pid), "the first worker", every_s=0.02)
     os.killpg(process.pid, signal.SIGINT)
     assert assert_interrupted(process, path, workers) == 0
 

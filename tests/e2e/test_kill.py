@@ -98,17 +98,21 @@ def test_a_worker_killed_inside_a_generation_is_replaced_and_the_numbers_stay_th
     assert runs.differences(undisturbed, path) == []
 
 
-def test_a_stopped_worker_is_told_of_and_replaced_and_the_numbers_stay_the_same(started, undisturbed):
-    process, path = started(worker_warning_s=0.5, worker_timeout_s=3)
-    runs.stop_inside_generation(process, path, 2)
-    worker, _ = runs.workers_of(process.pid)
-    os.kill(worker, signal.SIGSTOP)
-    os.kill(process.pid, signal.SIGCONT)
-    code, out, err = runs.finish(process)
-    assert code == 0, out + err
+def test_a_stopped_worker_is_told_of_and_replaced_and_the_numbers_stay_the_same(tmp_path, tiny_run, capsys):
+    stopped = []
+
+    def stop_one(row):
+        if row["generation"] == 1:
+            stopped.append(runs.workers_of(os.getpid())[0])
+            os.kill(stopped[0], signal.SIGSTOP)
+
+    settings = {"backend": "processes", "num_workers": 2, "worker_warning_s": 0.5, "worker_timeout_s": 3}
+    path, settings = tmp_path / "run", {**runs.TINY, **settings}
+    shes.train("point-gather", out=path, listener=stop_one, progress=True, **settings)
+    out, (worker,) = " ".join(capsys.readouterr().out.split()), stopped
     assert re.search(rf"worker {worker} has given no answer for \d+ s; it is replaced after \d+ s", out)
     assert re.search(rf"worker {worker} was ended \(no answer for \d+ s\); \d+ tasks are done again", out)
-    assert runs.differences(undisturbed, path) == []
+    assert runs.differences(tiny_run, path) == []
 
 
 @pytest.mark.extras
@@ -205,7 +209,7 @@ def test_all_workers_killed_at_once_change_no_number(started, undisturbed):
 
 @pytest.mark.extras
 def test_a_killed_run_may_go_on_with_other_workers_chunks_and_backend(started, undisturbed):
-    process, path = started(workers=1, chunk_size=3)
+    process, path = started(num_workers=1, chunk_size=3)
     inside = runs.stop_inside_generation(process, path, 2)
     kill(process.pid)
     process.wait()

@@ -26,11 +26,9 @@ SETTINGS = {
 }
 
 
-def by_command(path, **settings):
-    """Train in a process of its own."""
-    code, out, err = runs.run("train", "point-gather", *runs.flags(**{**SETTINGS, **settings}, out=path))
-    assert (code, err) == (0, ""), out
-    return path
+def trained(path, **settings):
+    """Train with the settings of this file; return the run folder."""
+    return shes.train("point-gather", out=path, **{**SETTINGS, **settings}).path
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +39,7 @@ def reference(tmp_path_factory):
     def make(episodes):
         if episodes not in made:
             path = tmp_path_factory.mktemp("reference") / "run"
-            made[episodes] = by_command(path, episodes_per_policy=episodes, backend="serial")
+            made[episodes] = trained(path, episodes_per_policy=episodes, backend="serial")
         return made[episodes]
 
     return make
@@ -50,7 +48,7 @@ def reference(tmp_path_factory):
 # With 3 workers, 20 policies leave 2 over, which go out episode by episode.
 @pytest.mark.parametrize(("episodes", "workers", "chunk_size"), [(1, 2, 7), (3, 3, 7)])
 def test_workers_and_chunks_change_no_number(reference, tmp_path, episodes, workers, chunk_size):
-    path = by_command(tmp_path / "run", episodes_per_policy=episodes, workers=workers, chunk_size=chunk_size)
+    path = trained(tmp_path / "run", episodes_per_policy=episodes, num_workers=workers, chunk_size=chunk_size)
     assert runs.differences(reference(episodes), path) == []
 
 
@@ -60,8 +58,8 @@ def test_workers_and_chunks_change_no_number(reference, tmp_path, episodes, work
 @pytest.mark.parametrize("workers", [0, 1, 2, 3], ids=["serial", "1", "2", "3"])
 @pytest.mark.parametrize("episodes", [1, 3])
 def test_every_spread_gives_the_same_numbers(reference, tmp_path, episodes, workers, chunk_size):
-    spread = {"workers": workers} if workers else {"backend": "serial"}
-    path = by_command(tmp_path / "run", episodes_per_policy=episodes, chunk_size=chunk_size, **spread)
+    spread = {"num_workers": workers} if workers else {"backend": "serial"}
+    path = trained(tmp_path / "run", episodes_per_policy=episodes, chunk_size=chunk_size, **spread)
     assert runs.differences(reference(episodes), path) == []
 
 
@@ -89,7 +87,7 @@ def test_neither_workers_nor_a_resume_change_the_numbers_of_any_task(tmp_path, v
     one = runs.train_tiny(tmp_path / "one", variant.name, **settings, generations=2)
     two = tmp_path / "two"
     runs.train_tiny(two, variant.name, **settings, generations=1, backend="processes", num_workers=2, chunk_size=3)
-    shes.resume(two, generations=2)
+    shes.resume(two, generations=2, backend="serial")
     assert runs.differences(one, two) == []
     assert "progress.csv/env_steps" in runs.numbers(one)
 

@@ -157,7 +157,7 @@ def record_generations(env: str, settings: dict[str, Any], generations: tuple[in
     return _record(env, tuple(sorted(settings.items())), generations)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=24)
 def _record(env: str, settings: tuple[tuple[str, Any], ...], generations: tuple[int, ...]) -> Record:
     config = make_config(env, "smoke", {"backend": "serial", **dict(settings)})
     with recording() as record:

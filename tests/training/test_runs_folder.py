@@ -1,10 +1,12 @@
 """Folders of runs: seeds and sweeps, one after another, resumed as a whole."""
 
 import json
+import shutil
 
 import pytest
 
 from shes.cli import main
+from shes.cli.progress_display import ProgressDisplay
 from shes.errors import ConfigError, PolicyError, RunFolderError, UnknownNameError
 from shes.runs.folder import RunFolder
 from shes.training import runs_folder
@@ -64,30 +66,35 @@ def test_a_sweep_has_a_run_for_every_combination_and_seed(tmp_path):
     assert (config.evolution.sigma, config.networks.hidden, config.run.seed) == (0.5, (3, 2), 2)
 
 
-@pytest.mark.parametrize("again", ["the same command", "resume"])
-def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, tiny_run, monkeypatch, capsys, again):
-    whole, path, words = tmp_path / "whole", tmp_path / "all", ("--seed", "4", "5", "6")
-    assert train(whole, *words) == 0
-    from shes.cli.progress_display import ProgressDisplay
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Folder of three runs of three generations that nothing happened to. Not to be changed."""
+    path = tmp_path_factory.mktemp("whole") / "all"
+    assert train(path, "--seed", "4", "5", "6", generations=3) == 0
+    return path
 
+
+@pytest.mark.parametrize("again", ["the same command", "resume"])
+def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, whole, monkeypatch, capsys, again):
+    path, words = tmp_path / "all", ("--seed", "4", "5", "6")
     heard = []
 
     def interrupt(display, row):
         heard.append(row["generation"])
-        if len(heard) == 6:  # in the second run
+        if len(heard) == 5:  # in the second run
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr(ProgressDisplay, "on_generation", interrupt)
-        assert train(path, *words) == 130
-    assert generations(path) == {"seed-4": 4, "seed-5": 2}
+        assert train(path, *words, generations=3) == 130
+    assert generations(path) == {"seed-4": 3, "seed-5": 2}
     assert f"Go on: shes resume {path}" in capsys.readouterr().out
     first = (path / "seed-4" / "log.txt").read_bytes()
-    assert (train(path, *words) if again == "the same command" else main(["resume", str(path)])) == 0
+    assert (train(path, *words, generations=3) if again == "the same command" else main(["resume", str(path)])) == 0
     assert (path / "seed-4" / "log.txt").read_bytes() == first
     for name in ("seed-4", "seed-5", "seed-6"):
         assert runs.differences(whole / name, path / name) == []
-    assert train(path, *words) == 0  # nothing is left
+    assert train(path, *words, generations=3) == 0  # nothing is left
     assert "all 3 runs of" in refused(capsys, "resume", path)
 
 
@@ -102,10 +109,10 @@ def test_a_folder_goes_on_with_more_generations_and_more_seeds(tmp_path):
 
 def test_minutes_are_those_of_each_run_and_one_whose_time_is_up_has_ended(tmp_path, capsys):
     path = tmp_path / "all"
-    assert train(path, "--seed", "4", "5", minutes=1e-9) == 0
+    assert train(path, "--seed", "4", "5", minutes=1e-9, generations=1) == 0
     assert "have ended" in refused(capsys, "resume", path)
     assert main(["resume", str(path), "--minutes", "10"]) == 0
-    assert generations(path) == {"seed-4": 4, "seed-5": 4}
+    assert generations(path) == {"seed-4": 1, "seed-5": 1}
 
 
 def test_a_run_that_fails_does_not_stop_the_others_and_is_tried_again(tmp_path, monkeypatch, capsys):
@@ -143,6 +150,14 @@ def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(tmp_path,
     assert "is a file" in refused(capsys, *again, "--out", path / "runs.json")
 
 
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory):
+    """Folder of two runs that have begun. Not to be changed."""
+    path = tmp_path_factory.mktemp("begun") / "all"
+    assert train(path, "--seed", "4", "5", minutes=1e-9) == 0
+    return path
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -154,11 +169,11 @@ def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(tmp_path,
         (lambda record: record | {"ended": [[]]}, "cannot be read"),
     ],
 )
-def test_a_damaged_record_is_one_clear_line(tmp_path, capsys, change, message):
-    assert train(tmp_path, "--seed", "4", "5", minutes=1e-9) == 0
-    file = tmp_path / "runs.json"
+def test_a_damaged_record_is_one_clear_line(tmp_path, begun, capsys, change, message):
+    path = shutil.copytree(begun, tmp_path / "all")
+    file = path / "runs.json"
     file.write_text(json.dumps(change(json.loads(file.read_text()))))
-    error = refused(capsys, "resume", tmp_path)
+    error = refused(capsys, "resume", path)
     assert message in error
     assert "Restore it from a copy" in error
 

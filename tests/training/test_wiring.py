@@ -398,12 +398,18 @@ def setting_of(row):
     return row.partition(" ")[0]
 
 
+SHORT = {"horizon": 10, "evaluation_horizon": 10}
+"""Where neither an interval nor an episode has to end, a few steps tell as much."""
+
+
 @pytest.mark.parametrize("name", ROWS)
 def test_a_setting_arrives_where_it_is_used(name):
     row = ROWS[name]
-    settings = {**row.beside, **row.with_it, setting_of(name): row.value}
+    is_long = row.beside is INTERVALS or "horizon" in name
+    beside = row.beside if is_long else {**SHORT, **row.beside}
+    settings = {**beside, **row.with_it, setting_of(name): row.value}
     assert row.place(record_generations(row.env, settings, row.generations)) == row.expected
-    assert row.place(record_generations(row.env, row.beside, row.generations)) == row.usual
+    assert row.place(record_generations(row.env, beside, row.generations)) == row.usual
 
 
 # What shows in a run alone.

@@ -42,7 +42,7 @@ def test_a_picture_is_written(seeds, tmp_path):
     assert plt.get_fignums() == []
 
 
-@pytest.mark.parametrize(("suffix", "start"), [(".pdf", b"%PDF"), (".svg", b"<?xml"), (".PNG", b"\x89PNG")])
+@pytest.mark.parametrize(("suffix", "start"), [(".PDF", b"%PDF"), (".svg", b"<?xml")])
 def test_the_suffix_says_the_format(seeds, tmp_path, suffix, start):
     assert plot(seeds[:1], tmp_path / f"curves{suffix}").read_bytes().startswith(start)
 
