@@ -1,14 +1,15 @@
-"""Commands are plain functions: tyro makes their flags from signature and docstring, and parses the command line.
+"""Commands are plain functions: tyro makes their flags from signature and docstring, parses, and calls them.
 
-Two parameters have a special meaning. `settings` stands for the settings of a run, which become flags, one group per
-room. `**options` annotated with a function stands for those parameters of that function that the command does not name.
+Parameters without a default are positional, the others are flags. A parameter `settings` stands for the settings of a
+run, which become flags unless the command names them itself: in a command that takes an environment all of them, in
+another those with which a run can be resumed.
 """
 
 from __future__ import annotations
 
-import difflib
+import argparse
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import NoneType
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
 
@@ -17,128 +18,112 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
-from shes.errors import ConfigError
+from shes.errors import UnknownNameError
 from shes.runs.config import TrainConfig
-from shes.runs.rooms import known_settings
-from shes.settings import Setting, Unasked, flag, setting_fields
+from shes.runs.rooms import known_settings, settings_in
+from shes.settings import Setting, flag
 from shes.training.presets import PRESETS, make_config
-from shes.training.train import check_resumable, resumable_settings
+from shes.training.train import resumable_settings
 
-__all__ = ["DEFAULT_ENV", "Checkpoint", "Env", "ExecutionFlags", "Json", "Run", "VariedSettings"]
-__all__ += ["asked_config", "call", "program_of"]
+__all__ = ["DEFAULT_ENV", "HELP_ALL", "Checkpoint", "Env", "Json", "Run", "Workers", "call", "offered_settings"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
-_ALL = "--help-all"
-_CONFIG = (tyro.conf.OmitArgPrefixes,)
+HELP_ALL = "--help-all"
+"""Flag that shows every setting of a run."""
 
-Run = Annotated[
-    str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent.")
-]
+Run = Annotated[str, tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent.")]
 Env = Annotated[
-    str,
-    tyro.conf.Positional,
-    tyro.conf.arg(metavar="ENV", help="Environment, see shes envs; or gymnasium:ID for one of Gymnasium."),
+    str, tyro.conf.arg(metavar="ENV", help="Environment, see shes envs; or gymnasium:ID for one of Gymnasium.")
 ]
 Checkpoint = Annotated[str, tyro.conf.arg(help="Checkpoint: best, last or the number of a generation.")]
+Workers = Annotated[
+    int,
+    tyro.conf.arg(
+        name="workers",
+        aliases=("--num-workers",),
+        help="Worker processes; 0 is one for every core. Does not change results.",
+    ),
+]
 Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
-
-
-class ExecutionFlags(dict[str, Any]):
-    """Settings by name that `shes resume` takes: the annotation of a parameter `settings`."""
-
-
-class VariedSettings(dict[str, Any]):
-    """Settings by name of which `seed` has several values: the annotation of a parameter `settings`."""
 
 
 def call(function: Callable[..., int], words: Sequence[str]) -> int:
     """Call a command with the values in `words`; return its exit code.
 
     Raises:
-        ConfigError: A flag is a setting that the run does not have, or that `shes resume` does not take.
-        UnknownNameError: There is no such preset or algorithm.
+        UnknownNameError: A value is none of the names that it can be.
     """
-    program = program_of(function, words)
-    own = inspect.signature(function).parameters.keys()
-    if "settings" in own:
-        _check_flags(function, words)
-    args = ["--help" if word == _ALL else word for word in words]
-    name = function.__name__.rstrip("_")
+    program: Any = function
+    if "settings" in function.__annotations__:
+
+        def program(**values: Any) -> int:
+            return function(**values)
+
+        program.__annotations__ = get_type_hints(function, include_extras=True)
+        program.__annotations__["settings"] = Annotated[_settings_type(function, words), tyro.conf.arg(name="")]
+        program.__signature__, program.__doc__ = inspect.signature(function), function.__doc__
     try:
-        values = tyro.cli(program, prog=f"shes {name}", args=args, config=_CONFIG, registry=_VALUES)
+        return tyro.cli(
+            program,
+            prog=f"shes {function.__name__.rstrip('_')}",
+            args=["--help"] if _asks_for_help(words) else _with_environment_first(words),
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.PositionalRequiredArgs),
+            registry=_VALUES,
+        )
     except SystemExit as end:  # help was shown, or an error was printed
         return end.code if isinstance(end.code, int) else 2
-    if "settings" in own:
-        rooms = [name for name in values if name not in own or name == "settings"]
-        values["settings"] = {name: value for room in rooms for name, value in values.pop(room).items()}
-    return function(**values)
 
 
-def program_of(function: Callable[..., int], words: Sequence[str] = ()) -> Callable[..., Any]:
-    """Return the function that tyro parses for a command: it returns the values that it is called with.
+def _asks_for_help(words: Sequence[str]) -> bool:
+    return not {"-h", "--help", HELP_ALL}.isdisjoint(words)
 
-    The environment, preset and algorithm in the command line `words` decide which settings it has.
+
+def offered_settings(function: Callable[..., int], words: Sequence[str]) -> dict[str, Setting]:
+    """Return the settings by name that are flags of a command.
+
+    Raises:
+        UnknownNameError: There is no such preset or algorithm, or another name is unknown.
     """
-    parameters = dict(inspect.signature(function).parameters)
-    hints = get_type_hints(function, include_extras=True)
-    text = inspect.getdoc(function) or ""
-    if parameters.pop("options", None):
-        _, behind = get_args(hints.pop("options"))
-        parameters = {**inspect.signature(behind).parameters, **parameters}
-        hints = {**get_type_hints(behind, include_extras=True), **hints}
-        text += "\n\nArgs:\n" + (inspect.getdoc(behind) or "").partition("Args:\n")[2].partition("\n\n")[0]
-    if parameters.pop("settings", None):
-        rooms = _rooms(function, words, hints.pop("settings"))
-        hints |= rooms
-        parameters |= {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in rooms}
-
-    def program(**values: Any) -> dict[str, Any]:
-        return values
-
-    kind = inspect.Parameter.KEYWORD_ONLY
-    listed = [each.replace(annotation=hints[name], kind=kind) for name, each in parameters.items()]
-    program.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined] - inspect and tyro read it
-    program.__annotations__ = {name: hints[name] for name in parameters}
-    program.__doc__ = text
-    return program
+    named = function.__annotations__
+    if "settings" not in named:
+        return {}
+    found = settings_in(map(type, _asked_config(words).rooms.values())) if "env" in named else resumable_settings()
+    return {name: each for name, each in found.items() if name not in named}
 
 
-def _rooms(function: Callable[..., int], words: Sequence[str], kind: Any) -> dict[str, Any]:
-    """Return a `TypedDict` for each room of settings; for `--help` one for the everyday settings."""
-    if kind is ExecutionFlags:
-        return {"settings": _room("A setting that is not given keeps its value.", resumable_settings().values(), None)}
-    config = asked_config(function, words)
-    if not {"-h", "--help"}.isdisjoint(words):
-        everyday = [each for each in map(config.setting, config.settings) if each.is_everyday]
-        title = f"Values of preset {config.run.preset} for {config.run.env}. {_ALL} shows all {len(config.settings)}."
-        return {"everyday": _room(title, everyday, config, kind)}
+def _settings_type(function: Callable[..., int], words: Sequence[str]) -> Any:
+    """Return the type of the parameter `settings`; for the help it has a group for each room, or the everyday one."""
+    config = _asked_config(words)
+    offered = offered_settings(function, words)
+    if not _asks_for_help(words):  # the run says which of the others it does not have
+        others = {name: each for name, each in known_settings().items() if name not in function.__annotations__}
+        return _group("", {**others, **offered}, config.settings)
+    if "env" not in function.__annotations__:
+        group = _group("A setting that is not given keeps its value.", offered, {})
+        return TypedDict("Settings", {"settings": group})  # type: ignore[misc] - the keys are known at run time only
+    if HELP_ALL not in words:
+        title = f"Values of preset {config.run.preset} for {config.run.env}. {HELP_ALL} shows all {len(offered)}."
+        everyday = {name: each for name, each in offered.items() if each.is_everyday}
+        return TypedDict("Settings", {"everyday": _group(title, everyday, config.settings)})
     rooms: dict[str, Any] = {}
-    seen: set[str] = set()  # a task may share a setting with the hierarchy
     for name, room in config.rooms.items():
-        settings = setting_fields(type(room))
         title = (type(room).__doc__ or "").partition("\n")[0]
-        title = "" if title.rstrip(".").lower() == name else title  # the group's heading has the name
-        rooms[name] = _room(title, [each for each in settings.values() if each.name not in seen], config, kind)
-        seen |= settings.keys()
-    return rooms
+        own = {each: offered.pop(each) for each in settings_in([type(room)]) if each in offered}  # one may be shared
+        rooms[name] = _group("" if title.rstrip(".").lower() == name else title, own, config.settings)
+    return TypedDict("Settings", rooms)  # type: ignore[misc] - the keys are known at run time only
 
 
-def _room(title: str, settings: Iterable[Setting], config: TrainConfig | None, kind: Any = None) -> Any:
-    """Return a `TypedDict` whose keys tyro makes flags of: those that are not given are left out.
-
-    The help shows the values of `config` as defaults.
-    """
+def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any]) -> Any:
+    """Return a `TypedDict` whose keys tyro makes flags of. Keys that are not given are left out; help has `values`."""
     keys = {
-        each.name: _annotated(each, "as before" if config is None else _shown(config.settings[each.name]))
-        for each in settings
-        if each.name != "env" and not each.has(Unasked)
+        name: _annotated(each, _shown(values[name]) if name in values else "as before")
+        for name, each in settings.items()
+        if name != "env"
     }
-    if "seed" in keys and kind is VariedSettings:
-        keys["seed"] = _several(keys["seed"])
-    room = TypedDict("Settings", keys, total=False)  # type: ignore[misc] - the keys are known at run time only
-    room.__doc__ = title
-    return room
+    group = TypedDict("Settings", keys, total=False)  # type: ignore[misc] - as above
+    group.__doc__ = title
+    return group
 
 
 def _annotated(setting: Setting, default: str) -> Any:
@@ -152,17 +137,48 @@ def _annotated(setting: Setting, default: str) -> Any:
     return Annotated[kind | None if setting.is_optional else kind, shown]
 
 
-def _several(kind: Any) -> Any:
-    """Return the type of one or more values of a setting of type `kind`."""
-    item, *notes = get_args(kind)
-    return Annotated[(tuple[item, ...], *notes)]
-
-
 def _shown(value: Any) -> str:
     """Return a value as it is written after its flag."""
     if value == ():
         return "none (linear)"  # no hidden layers, the only tuple that may be empty
     return " ".join(map(str, value)) if isinstance(value, tuple) else "none" if value is None else str(value)
+
+
+def _asked_config(words: Sequence[str]) -> TrainConfig:
+    """Return the settings of the environment, preset and algorithm in `words`.
+
+    Raises:
+        UnknownNameError: There is no such preset or algorithm; or another setting has an unknown name, which may be why
+            one of its flags is unknown, too.
+    """
+    choosing = {name: each for name, each in known_settings().items() if each.choices or name == "preset"}
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for name, each in choosing.items():
+        parser.add_argument(each.flag, dest=name, nargs="?")
+    found = vars(parser.parse_known_args(words)[0]).items()
+    given = {name: choosing[name].checked(value) for name, value in found if value is not None}
+    place = _find_environment(words)
+    env = DEFAULT_ENV if place is None else words[place]
+    return make_config(env, given.get("preset", "laptop"), {"algorithm": given.get("algorithm", "shes")})
+
+
+def _find_environment(words: Sequence[str]) -> int | None:
+    """Return the index of the environment in `words`, or None. The value of a flag is no environment."""
+    for i, word in enumerate(words):
+        before = words[i - 1] if i else ""
+        is_value = before.startswith("--") and not before.startswith("--no-") and "=" not in before
+        if not is_value and (word in ENVIRONMENTS or word in EXTERNAL_ENVIRONMENTS or word.startswith(GYMNASIUM)):
+            return i
+    return None
+
+
+def _with_environment_first(words: Sequence[str]) -> list[str]:
+    """Return `words` with the environment before all flags: in `--hidden 4 3 ENV` it would be a value of the flag."""
+    moved, place = list(words), _find_environment(words)
+    if place is not None:
+        first = next((i for i, word in enumerate(words) if word.startswith("-")), place)
+        moved.insert(min(first, place), moved.pop(place))
+    return moved
 
 
 _VALUES = ConstructorRegistry()
@@ -177,11 +193,9 @@ def _name_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[str] | None:
     known: tuple[str, ...] = get_args(info.type)
 
     def read(words: list[str]) -> str:
-        if words[0] in known:
-            return words[0]
-        close = difflib.get_close_matches(words[0], known, n=1)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise ValueError(f"unknown name {words[0]!r}.{hint} Known: {', '.join(known)}.")
+        if words[0] not in known:
+            raise ValueError(str(UnknownNameError("name", words[0], known)))  # tyro adds the flag
+        return words[0]
 
     return PrimitiveConstructorSpec(1, f"{{{','.join(known)}}}", read, known.__contains__, lambda name: [name])
 
@@ -193,73 +207,3 @@ def _none_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[None] | None
         return None
     words = ("none", "None")
     return PrimitiveConstructorSpec(1, "none", lambda _: None, lambda it: it is None, lambda _: ["none"], words)
-
-
-def _check_flags(function: Callable[..., int], words: Sequence[str]) -> None:
-    """Check that all flags of settings are settings of the run.
-
-    Raises:
-        ConfigError: One is not.
-    """
-    names = {each.flag: name for name, each in known_settings().items() if name != "env"}
-    flags = [word.partition("=")[0].replace("_", "-").replace("--no-", "--") for word in words]
-    given = [names[each] for each in flags if each in names]
-    if get_type_hints(function)["settings"] is ExecutionFlags:
-        check_resumable(given)
-        return
-    config = asked_config(function, words)
-    for name in given:
-        if name not in config.settings:
-            raise ConfigError(
-                f"{name} is not a setting of a run of {config.run.env} with algorithm {config.run.algorithm!r}. "
-                f"Omit {known_settings()[name].flag}."
-            )
-
-
-def asked_config(function: Callable[..., int], words: Sequence[str]) -> TrainConfig:
-    """Return the settings of the environment, preset and algorithm in `words`.
-
-    Raises:
-        UnknownNameError: There is no such preset or algorithm.
-    """
-    given, others = _single_values(function, words)
-    known = {*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS}
-    env = next((word for word in others if word in known or word.startswith(GYMNASIUM)), DEFAULT_ENV)
-    return make_config(env, given.get("--preset", "laptop"), {"algorithm": given.get("--algorithm", "shes")})
-
-
-def _single_values(function: Callable[..., int], words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
-    """Return the values in `words` of flags that take one, and the words that are neither flags nor such values."""
-    flags = _flags_of_one_value(function)
-    given: dict[str, str] = {}
-    others: list[str] = []
-    last = ""
-    for word in words:
-        name, equals, value = word.partition("=")
-        name = name.replace("_", "-")
-        if last:
-            given[last], last = word, ""
-        elif name in flags and equals:
-            given[name] = value
-        elif name in flags:
-            last = name
-        elif not word.startswith("-"):
-            others.append(word)
-    return given, others
-
-
-def _flags_of_one_value(function: Callable[..., int]) -> set[str]:
-    """Return the flags of a command that take one value, those of the settings of every run included.
-
-    Flags of several values are not needed: their values are numbers or `NAME=VALUE`, never an environment's name, and
-    the environment may follow them.
-    """
-    settings = [
-        each
-        for each in known_settings().values()
-        if each.kind is not tuple and (each.is_optional or each.kind is not bool)
-    ]
-    found = {text for each in settings for text in (each.flag, flag(each.name))}
-    own = get_type_hints(function).items()
-    found |= {flag(name) for name, kind in own if get_origin(kind) is not tuple and kind is not bool}
-    return found - {flag("env")}

@@ -8,12 +8,10 @@ from typing import Annotated, Literal
 import tyro
 
 from shes.cli.output import print_facts, print_line, print_table
-from shes.cli.parsing import Checkpoint, Json
+from shes.cli.parsing import Checkpoint, Json, Workers
 from shes.studies.run_comparison import compare_runs
 
-_Side = Annotated[
-    str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help="A run, a folder of runs, or a shipped agent.")
-]
+_Side = Annotated[str, tyro.conf.arg(metavar="RUN", help="A run, a folder of runs, or a shipped agent.")]
 
 
 def compare(
@@ -23,7 +21,7 @@ def compare(
     measure: Literal["score", "return", "success"] = "score",
     episodes: int = 50,
     checkpoint: Checkpoint = "best",
-    num_workers: Annotated[int, tyro.conf.arg(name="workers", aliases=("--num-workers",))] = 0,
+    workers: Workers = 0,
     seed: int = 0,
     json: Json = False,
 ) -> int:
@@ -36,7 +34,6 @@ def compare(
     Args:
         measure: What is compared.
         episodes: Episodes of each run.
-        num_workers: Worker processes; 0 is one for every core.
         seed: Seed of the episodes.
     """
     found = compare_runs(
@@ -45,7 +42,7 @@ def compare(
         episodes=episodes,
         checkpoint=checkpoint,
         measure=measure,
-        num_workers=num_workers,
+        num_workers=workers,
         seed=seed,
     )
     if json:

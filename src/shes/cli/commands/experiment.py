@@ -23,7 +23,7 @@ from shes.studies.tables import write_csv, write_tables
 
 
 def experiment(
-    name: Annotated[Literal["ablation", "learning"], tyro.conf.Positional],
+    name: Literal["ablation", "learning"],
     *,
     out: Path | None = None,
     workers: int = 0,

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from shes.cli.output import make_console, print_error, print_facts, print_line, quote
-from shes.cli.parsing import DEFAULT_ENV, Checkpoint, Env, ExecutionFlags, Json, Run, VariedSettings
+from shes.cli.parsing import DEFAULT_ENV, Checkpoint, Env, Json, Run, Workers
 from shes.cli.progress_display import ProgressDisplay
 from shes.errors import ConfigError, ShesError
 from shes.runs.folder import RunFolder, new_folder
@@ -25,38 +25,38 @@ from shes.training.variations import read_sweep, vary
 
 def train(
     env: Env,
-    settings: VariedSettings,
+    settings: dict[str, Any],
     *,
+    seed: tuple[int, ...] = (1,),
     out: Path | None = None,
     sweep: Annotated[
         tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE,VALUE ...")
     ] = (),
 ) -> int:
-    """Train on an environment, with live progress. Ctrl-C stops and loses nothing: shes resume continues the run.
+    """Train on an environment. Ctrl-C stops and loses nothing, and shes resume continues.
 
-    Several seeds or a sweep make a folder of runs, trained one after another. The same command, or shes resume, goes on
-    with those that are missing.
+    Several seeds or a sweep make a folder of runs. The same command, or shes resume, goes on with those that are left.
 
     shes train point-gather --generations 60 --out runs/first
 
     Args:
-        out: The run folder, which must not hold a run; a new one below runs/ if none.
-        sweep: Values of a setting, each of which becomes a run: sigma=0.02,0.05. Several settings: all combinations.
+        seed: Seed; each of several becomes a run.
+        out: The run folder; a new one below runs/ if none.
+        sweep: Values of a setting, each of which becomes a run: sigma=0.02,0.05.
     """
-    preset, seeds = settings.pop("preset", "laptop"), settings.pop("seed", None)
+    preset = settings.pop("preset", "laptop")
     swept = read_sweep(text for texts in sweep for text in texts)
-    if seeds == ():
+    if not seed:
         raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
-    if not swept and (seeds is None or len(seeds) == 1):
-        given = {} if seeds is None else {"seed": seeds[0]}
-        config = make_config(env, preset, {**settings, **given})
+    if len(seed) == 1 and not swept:
+        config = make_config(env, preset, {**settings, "seed": seed[0]})
         return _show_progress(lambda display: start_run(config, out, display), out)
-    configs = vary(env, preset, settings, seeds or (1,), swept)
-    path = out or new_folder(next(iter(configs.values())), f"{len(configs)}-runs")
-    return _train_all(RunsFolder.create(path, configs), list(configs))
+    configs = vary(env, preset, settings, seed, swept)
+    folder = RunsFolder.create(out or new_folder(next(iter(configs.values())), f"{len(configs)}-runs"), configs)
+    return _train_all(folder, list(configs))
 
 
-def resume(run: Run, settings: ExecutionFlags) -> int:
+def resume(run: Run, settings: dict[str, Any]) -> int:
     """Continue a run, or a folder of runs, as if it had never stopped.
 
     shes resume runs/first --generations 200 --workers 4
@@ -129,24 +129,47 @@ def _show_progress(work: Callable[[ProgressDisplay], FinishedRun], path: Path | 
 def evaluate(
     run: Run,
     *,
-    num_workers: Annotated[int, tyro.conf.arg(name="workers", aliases=("--num-workers",))] = 0,
+    episodes: int = 50,
     checkpoint: Checkpoint = "best",
+    workers: Workers = 0,
+    device: Literal["cpu", "cuda", "warp-cpu"] = "cpu",
+    nconmax: int | None = None,
+    njmax: int | None = None,
+    seed: int | None = None,
+    targets: Literal["evaluation", "training"] = "evaluation",
     json: Json = False,
-    **options: Annotated[Any, run_episodes],
 ) -> int:
     """Evaluate a checkpoint of a run on fresh episodes, without noise.
 
     shes evaluate runs/first --episodes 100
+
+    Args:
+        episodes: Number of episodes.
+        device: Device of the physics, whichever the run was trained on.
+        nconmax: Contact buffer of a device, per simulation; that of the run if none.
+        njmax: Constraint buffer of a device, in rows per simulation; that of the run if none.
+        seed: Seed of the episodes; derived from that of the run if none.
+        targets: Targets and reset noise: those of evaluation, or of training, such as random targets in the maze.
     """
-    found = run_episodes(run, checkpoint=checkpoint, num_workers=num_workers, **options)
+    found = run_episodes(
+        run,
+        episodes=episodes,
+        checkpoint=checkpoint,
+        num_workers=workers,
+        device=device,
+        nconmax=nconmax,
+        njmax=njmax,
+        seed=seed,
+        targets=targets,
+    )
     print_facts({"run": run, "checkpoint": checkpoint, **found.summary()}, as_json=json)
     return 0
 
 
 def bench(
-    name: Annotated[Literal["rollout", "update"], tyro.conf.Positional],
+    name: Literal["rollout", "update"],
     settings: dict[str, Any],
-    env: Env = DEFAULT_ENV,
+    env: Annotated[Env, tyro.conf.Positional] = DEFAULT_ENV,
     *,
     seconds: float = 0.0,
     json: Json = False,

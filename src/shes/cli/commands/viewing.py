@@ -18,7 +18,7 @@ TERMINATED = 143
 
 
 def plot(
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")],
+    runs: Annotated[tuple[str, ...], tyro.conf.arg(metavar="RUN [RUN ...]")],
     *,
     out: Path = Path("curves.png"),
     x: Literal["env_steps", "generation", "wall_time_s"] = "env_steps",
