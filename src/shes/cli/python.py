@@ -39,11 +39,13 @@ def train(
 
     Raises:
         UnknownNameError: The environment, the preset or another name is unknown.
-        ConfigError: A setting is unknown or out of range, or `listener` cannot be called.
+        ConfigError: A setting is unknown or out of range, the run does not fit this machine, or `listener` cannot be
+            called.
         RunFolderError: `out` already holds a run.
         StorageError: A file cannot be written.
         WorkerError: A worker failed, or workers keep dying.
         PolicyError: A policy returned NaN.
+        DivergenceError: Every episode of `max_diverged_generations` generations in a row diverged.
     """
     with ExitStack() as stack:
         return training.train(env, preset=preset, out=out, listener=_shown(stack, listener, progress), **settings)

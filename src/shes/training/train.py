@@ -75,25 +75,7 @@ def train(
     listener: AnyListener = None,
     **settings: Any,
 ) -> Run:
-    """Train on `env` and return the run.
-
-    Args:
-        env: Environment, e.g. `ant-gather`.
-        preset: `paper`, `laptop` or `smoke`.
-        out: The run folder, which must not hold a run; a new one below `runs/` if none.
-        listener: Receives the progress: a function of a row of `progress.csv`, an object with any method of `Listener`,
-            or several of these. It ends the run by returning True or raising `StopTraining`.
-        settings: Any setting by name, e.g. `seed=0, num_workers=4`.
-
-    Raises:
-        UnknownNameError: The environment, the preset or another name is unknown.
-        ConfigError: A setting is unknown or out of range, or the run does not fit this machine.
-        RunFolderError: `out` already holds a run.
-        StorageError: A file cannot be written.
-        WorkerError: A worker failed, or workers keep dying.
-        PolicyError: A policy returned NaN.
-        DivergenceError: Every episode of `max_diverged_generations` generations in a row diverged.
-    """
+    """Train on `env` and return the run; see `shes.train`, which also shows the progress."""
     return start_run(make_config(env, preset, settings), out, listener)
 
 
@@ -128,19 +110,7 @@ def _path(out: Path | str) -> Path:
 
 
 def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -> Run:
-    """Continue the run at `path` from its last checkpoint, as if it had never stopped.
-
-    Args:
-        path: The run folder.
-        listener: Receives the progress, as in `train`.
-        settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
-
-    Raises:
-        RunFolderError: `path` is not a run folder, or belongs to a shipped agent.
-        CheckpointError: The last checkpoint is damaged or from another run.
-        ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
-        MissingExtraError: The device needs a package that is not installed.
-    """
+    """Continue the run at `path` from its last checkpoint; see `shes.resume`, which also shows the progress."""
     audience = Audience(listener)
     folder = RunFolder.open(path)
     stored = folder.read_config()
