@@ -9,10 +9,10 @@ from typing import get_args, get_type_hints
 import pytest
 
 from shes.cli import commands, main, parsing
-from shes.cli.commands.viewing import plot as plot_command
-from shes.cli.commands.viewing import render as render_command
 from shes.cli.program import COMMANDS, find_command
 from shes.runs.rooms import execution_settings
+from shes.studies import run_comparison
+from shes.training import evaluate, export
 from shes.training.presets import PRESETS, make_config
 from shes.viewing import plot, render
 
@@ -59,9 +59,23 @@ def test_the_help_loads_no_slow_package_and_neither_does_the_package():
     assert {"matplotlib", "mujoco", "rich", "tyro"} & set(done.stdout.splitlines()[-1].split()) == set()
 
 
-def test_the_choices_are_those_of_the_functions_behind():
-    assert set(get_args(get_type_hints(plot_command)["x"])) == set(plot.X_AXES)
-    assert set(get_args(get_type_hints(render_command)["camera"])) == set(render.VIEWS)
+def test_the_choices_are_those_there_are():
+    for function, name, known in (
+        (plot.plot, "x", plot.X_AXES),
+        (render.render, "camera", render.VIEWS),
+        (export.export, "format", export.FORMATS),
+        (run_comparison.compare_runs, "measure", run_comparison.MEASURES),
+        (evaluate.evaluate, "targets", evaluate.TARGETS),
+    ):
+        assert set(get_args(get_type_hints(function)[name])) == set(known)
+
+
+def test_a_command_has_the_flags_and_the_help_of_the_function_behind_it(shes):
+    text = " ".join(shes("render", "--help").replace("│", "").split())
+    assert "--camera {both,follow,top} Camera. (default: both)" in text
+    assert "Checkpoints: best, last or numbers of generations." in text
+    for word in ("on_step", "on-step", "`", "Raises"):
+        assert word not in text
 
 
 # The settings of a run.

@@ -1,8 +1,9 @@
 """Commands are plain functions: tyro makes their flags from signature and docstring, parses, and calls them.
 
-Parameters without a default are positional, the others are flags. A parameter `settings` stands for the settings of a
-run, which become flags unless the command names them itself: in a command that takes an environment all of them, in
-another those with which a run can be resumed.
+Parameters without a default are positional, the others are flags. `**options` annotated with the name of a function
+stands for those parameters of that function that the command does not name. A parameter `settings` stands for the
+settings of a run, which become flags unless the command names them itself: in a command that takes an environment all
+of them, in another those with which a run can be resumed.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ from __future__ import annotations
 import argparse
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from types import NoneType
-from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+import shes
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import UnknownNameError
@@ -25,25 +27,18 @@ from shes.settings import Setting, flag
 from shes.training.presets import PRESETS, make_config
 from shes.training.train import resumable_settings
 
-__all__ = ["DEFAULT_ENV", "HELP_ALL", "Checkpoint", "Env", "Json", "Run", "Workers", "call", "offered_settings"]
+__all__ = ["DEFAULT_ENV", "Env", "Json", "Run", "call", "offered_settings", "parameters_of"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
-HELP_ALL = "--help-all"
-"""Flag that shows every setting of a run."""
+_HELP_ALL = "--help-all"
+
+_OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
+"""Flags of parameters that have another name in Python, which is a flag, too."""
 
 Run = Annotated[str, tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent.")]
 Env = Annotated[
     str, tyro.conf.arg(metavar="ENV", help="Environment, see shes envs; or gymnasium:ID for one of Gymnasium.")
-]
-Checkpoint = Annotated[str, tyro.conf.arg(help="Checkpoint: best, last or the number of a generation.")]
-Workers = Annotated[
-    int,
-    tyro.conf.arg(
-        name="workers",
-        aliases=("--num-workers",),
-        help="Worker processes; 0 is one for every core. Does not change results.",
-    ),
 ]
 Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
 
@@ -54,15 +49,17 @@ def call(function: Callable[..., int], words: Sequence[str]) -> int:
     Raises:
         UnknownNameError: A value is none of the names that it can be.
     """
-    program: Any = function
-    if "settings" in function.__annotations__:
 
-        def program(**values: Any) -> int:
-            return function(**values)
+    def program(**values: Any) -> int:
+        return function(**values)
 
-        program.__annotations__ = get_type_hints(function, include_extras=True)
-        program.__annotations__["settings"] = Annotated[_settings_type(function, words), tyro.conf.arg(name="")]
-        program.__signature__, program.__doc__ = inspect.signature(function), function.__doc__
+    parameters = parameters_of(function)
+    if "settings" in parameters:
+        kind = Annotated[_settings_type(function, words), tyro.conf.arg(name="")]
+        parameters["settings"] = parameters["settings"].replace(annotation=kind)
+    program.__annotations__ = {name: each.annotation for name, each in parameters.items()}
+    program.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined] - tyro reads it
+    program.__doc__ = _text(function)
     try:
         return tyro.cli(
             program,
@@ -75,8 +72,49 @@ def call(function: Callable[..., int], words: Sequence[str]) -> int:
         return end.code if isinstance(end.code, int) else 2
 
 
+def parameters_of(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a command by name, as tyro reads them."""
+    found: dict[str, inspect.Parameter] = {}
+    for name, each in inspect.signature(function, eval_str=True).parameters.items():
+        if each.kind is inspect.Parameter.VAR_KEYWORD:
+            found = {**parameters_of(_behind(each)), **found}
+        elif not name.startswith("on_"):  # a callback
+            kind = _read_as(each.annotation)
+            if name in _OTHER_FLAGS:
+                kind = Annotated[kind, tyro.conf.arg(name=_OTHER_FLAGS[name], aliases=(flag(name),))]
+            elif kind is str and each.default is each.empty:
+                kind = Annotated[kind, tyro.conf.arg(metavar=name.upper())]
+            found[name] = each.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY)
+    return found
+
+
+def _read_as(kind: Any) -> Any:
+    """Return the type as which the command line reads a parameter of type `kind`: text where text will do."""
+    kinds = get_args(kind) if isinstance(kind, UnionType) else ()
+    if str not in kinds:
+        return kind
+    if any(get_origin(each) is Sequence for each in kinds):
+        return tuple[str, ...]
+    return str | None if NoneType in kinds else str
+
+
+def _behind(options: inspect.Parameter) -> Callable[..., Any]:
+    """Return the function for whose parameters `**options` stands."""
+    module, _, name = options.annotation.__metadata__[0].rpartition(".")
+    return getattr(shes.import_module(module), name)
+
+
+def _text(function: Callable[..., Any]) -> str:
+    """Return the docstring of a command, with the arguments of the function for which `**options` stands."""
+    text, options = inspect.getdoc(function) or "", inspect.signature(function, eval_str=True).parameters.get("options")
+    if options is not None:
+        behind = inspect.getdoc(_behind(options)) or ""
+        text += f"\n\nArgs:\n{behind.partition('Args:')[2].partition('Raises:')[0]}"
+    return text.replace("`", "")
+
+
 def _asks_for_help(words: Sequence[str]) -> bool:
-    return not {"-h", "--help", HELP_ALL}.isdisjoint(words)
+    return not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
 
 
 def offered_settings(function: Callable[..., int], words: Sequence[str]) -> dict[str, Setting]:
@@ -85,7 +123,7 @@ def offered_settings(function: Callable[..., int], words: Sequence[str]) -> dict
     Raises:
         UnknownNameError: There is no such preset or algorithm, or another name is unknown.
     """
-    named = function.__annotations__
+    named = parameters_of(function)
     if "settings" not in named:
         return {}
     found = settings_in(map(type, _asked_config(words).rooms.values())) if "env" in named else resumable_settings()
@@ -102,8 +140,8 @@ def _settings_type(function: Callable[..., int], words: Sequence[str]) -> Any:
     if "env" not in function.__annotations__:
         group = _group("A setting that is not given keeps its value.", offered, {})
         return TypedDict("Settings", {"settings": group})  # type: ignore[misc] - the keys are known at run time only
-    if HELP_ALL not in words:
-        title = f"Values of preset {config.run.preset} for {config.run.env}. {HELP_ALL} shows all {len(offered)}."
+    if _HELP_ALL not in words:
+        title = f"Values of preset {config.run.preset} for {config.run.env}. {_HELP_ALL} shows all {len(offered)}."
         everyday = {name: each for name, each in offered.items() if each.is_everyday}
         return TypedDict("Settings", {"everyday": _group(title, everyday, config.settings)})
     rooms: dict[str, Any] = {}

@@ -25,7 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compare": ("comparison", "compare two runs, or groups of runs, with an interval and a p value"),
     "render": ("viewing", "make a video of a run's policy"),
     "watch": ("viewing", "watch a run's policy in a window"),
-    "export": ("export", "write a run's policy to a file that needs no SHES"),
+    "export": ("viewing", "write a run's policy to a file that needs no SHES"),
     "experiment": ("experiment", "run a study of many runs, with tables and figures"),
     "bench": ("training", "measure the speed of this machine"),
     "completion": ("completion", "print a script that completes commands and flags with the Tab key"),

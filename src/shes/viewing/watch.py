@@ -15,8 +15,8 @@ def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None)
     """Show the episodes that `evaluate` runs, in real time, until the window is closed.
 
     Args:
-        run: Run folder, or the name of a shipped agent.
-        checkpoint: `best`, `last` or the number of a generation.
+        run: The run folder, or the name of a shipped agent.
+        checkpoint: Checkpoint: `best`, `last` or the number of a generation.
         seed: Seed of the episodes, as for `evaluate`.
 
     Raises:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import glob
-import inspect
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Annotated, Literal, get_args, get_origin
 
 import tyro
 
-from shes.cli.parsing import offered_settings
+from shes.cli.parsing import offered_settings, parameters_of
 from shes.cli.program import COMMANDS, find_command
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
@@ -70,7 +69,7 @@ def _possible(before: list[str], typed: str) -> Iterable[str]:
     function = find_command(before[0])
     places: list[str] = []
     flags: dict[str, list[str]] = {name: [] for name in _EVERYWHERE}
-    for name, each in inspect.signature(function, eval_str=True).parameters.items():
+    for name, each in parameters_of(function).items():
         kind, *notes = get_args(each.annotation) if get_origin(each.annotation) is Annotated else (each.annotation,)
         names = _names(name, get_args(kind) if get_origin(kind) is Literal else (), typed)
         if each.default is each.empty or tyro.conf.Positional in notes:

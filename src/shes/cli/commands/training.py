@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+import shes
 from shes.cli.output import make_console, print_error, print_facts, print_line, quote
-from shes.cli.parsing import DEFAULT_ENV, Checkpoint, Env, Json, Run, Workers
+from shes.cli.parsing import DEFAULT_ENV, Env, Json, Run
 from shes.cli.progress_display import ProgressDisplay
 from shes.errors import ConfigError, ShesError
 from shes.runs.folder import RunFolder, new_folder
-from shes.training.evaluate import evaluate as run_episodes
 from shes.training.presets import make_config
 from shes.training.runs_folder import RunsFolder
 from shes.training.train import Run as FinishedRun
@@ -126,43 +126,14 @@ def _show_progress(work: Callable[[ProgressDisplay], FinishedRun], path: Path | 
     return 0
 
 
-def evaluate(
-    run: Run,
-    *,
-    episodes: int = 50,
-    checkpoint: Checkpoint = "best",
-    workers: Workers = 0,
-    device: Literal["cpu", "cuda", "warp-cpu"] = "cpu",
-    nconmax: int | None = None,
-    njmax: int | None = None,
-    seed: int | None = None,
-    targets: Literal["evaluation", "training"] = "evaluation",
-    json: Json = False,
-) -> int:
+def evaluate(*, json: Json = False, **options: Annotated[Any, "shes.training.evaluate.evaluate"]) -> int:
     """Evaluate a checkpoint of a run on fresh episodes, without noise.
 
     shes evaluate runs/first --episodes 100
-
-    Args:
-        episodes: Number of episodes.
-        device: Device of the physics, whichever the run was trained on.
-        nconmax: Contact buffer of a device, per simulation; that of the run if none.
-        njmax: Constraint buffer of a device, in rows per simulation; that of the run if none.
-        seed: Seed of the episodes; derived from that of the run if none.
-        targets: Targets and reset noise: those of evaluation, or of training, such as random targets in the maze.
     """
-    found = run_episodes(
-        run,
-        episodes=episodes,
-        checkpoint=checkpoint,
-        num_workers=workers,
-        device=device,
-        nconmax=nconmax,
-        njmax=njmax,
-        seed=seed,
-        targets=targets,
-    )
-    print_facts({"run": run, "checkpoint": checkpoint, **found.summary()}, as_json=json)
+    found = shes.evaluate(**options)
+    facts = {"run": options["run"], "checkpoint": options["checkpoint"], **found.summary()}
+    print_facts(facts, as_json=json)
     return 0
 
 
