@@ -13,7 +13,7 @@ import shes
 from shes.cli.output import make_console, print_error, print_facts, print_line, quote
 from shes.cli.parsing import DEFAULT_ENV, Env, Json, Run
 from shes.cli.progress_display import ProgressDisplay
-from shes.errors import ConfigError, ShesError
+from shes.errors import ConfigError
 from shes.runs.folder import RunFolder, new_folder
 from shes.training.presets import make_config
 from shes.training.runs_folder import RunsFolder
@@ -74,8 +74,7 @@ def resume(run: Run, settings: dict[str, Any]) -> int:
 
 def _train_all(folder: RunsFolder, names: list[str]) -> int:
     """Train the runs `names` of a folder that have not ended; return the exit code."""
-    displays, left = ExitStack(), [name for name in names if name in folder.left]
-    failed: dict[str, ShesError] = {}
+    displays, left, failed = ExitStack(), [name for name in names if name in folder.left], 0
 
     def display_of(name: str) -> ProgressDisplay:
         print_line(f"[{names.index(name) + 1}/{len(names)}] {name}")
@@ -86,14 +85,14 @@ def _train_all(folder: RunsFolder, names: list[str]) -> int:
             for ended in outcomes:
                 displays.close()
                 if ended.error is not None:
-                    failed[ended.name] = ended.error
+                    failed += 1
                     print_error(f"{ended.name} failed: {ended.error}")
     except KeyboardInterrupt:
         print_line(f"Stopped; all finished generations are kept. Go on: shes resume {quote(folder.path)}")
         raise
     found = quote(folder.path)
     if failed:
-        print_error(f"{len(failed)} of {len(names)} runs failed. To go on with them: shes resume {found}")
+        print_error(f"{failed} of {len(names)} runs failed. To go on with them: shes resume {found}")
         return 1
     print_line(f"Done: {len(names)} runs, one in each folder below {found}.")
     print_line(f"Next: shes plot {found} · shes list {found} · shes evaluate {quote(folder.path / names[0])}")
