@@ -27,7 +27,7 @@ from shes.settings import Setting, flag
 from shes.training.presets import PRESETS, make_config
 from shes.training.train import resumable_settings
 
-__all__ = ["DEFAULT_ENV", "Env", "Json", "Run", "call", "offered_settings", "parameters_of"]
+__all__ = ["DEFAULT_ENV", "Env", "Json", "Run", "asked_config", "call", "offered_settings", "parameters_of"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
@@ -117,39 +117,35 @@ def _asks_for_help(words: Sequence[str]) -> bool:
     return not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
 
 
-def offered_settings(function: Callable[..., int], words: Sequence[str]) -> dict[str, Setting]:
-    """Return the settings by name that are flags of a command.
-
-    Raises:
-        UnknownNameError: There is no such preset or algorithm, or another name is unknown.
-    """
+def offered_settings(function: Callable[..., int], config: TrainConfig) -> dict[str, Setting]:
+    """Return the settings by name that are flags of a command on a run like `config`."""
     named = parameters_of(function)
     if "settings" not in named:
         return {}
-    found = settings_in(map(type, _asked_config(words).rooms.values())) if "env" in named else resumable_settings()
+    found = settings_in(map(type, config.rooms.values())) if "env" in named else resumable_settings()
     return {name: each for name, each in found.items() if name not in named}
 
 
 def _settings_type(function: Callable[..., int], words: Sequence[str]) -> Any:
     """Return the type of the parameter `settings`; for the help it has a group for each room, or the everyday one."""
-    config = _asked_config(words)
-    offered = offered_settings(function, words)
+    config = asked_config(words)
+    offered, named = offered_settings(function, config), function.__annotations__
     if not _asks_for_help(words):  # the run says which of the others it does not have
-        others = {name: each for name, each in known_settings().items() if name not in function.__annotations__}
+        others = {name: each for name, each in known_settings().items() if name not in named}
         return _group("", {**others, **offered}, config.settings)
-    if "env" not in function.__annotations__:
-        group = _group("A setting that is not given keeps its value.", offered, {})
-        return TypedDict("Settings", {"settings": group})  # type: ignore[misc] - the keys are known at run time only
-    if _HELP_ALL not in words:
+    groups: dict[str, Any] = {}
+    if "env" not in named:
+        groups["settings"] = _group("A setting that is not given keeps its value.", offered, {})
+    elif _HELP_ALL not in words:
         title = f"Values of preset {config.run.preset} for {config.run.env}. {_HELP_ALL} shows all {len(offered)}."
         everyday = {name: each for name, each in offered.items() if each.is_everyday}
-        return TypedDict("Settings", {"everyday": _group(title, everyday, config.settings)})
-    rooms: dict[str, Any] = {}
-    for name, room in config.rooms.items():
-        title = (type(room).__doc__ or "").partition("\n")[0]
-        own = {each: offered.pop(each) for each in settings_in([type(room)]) if each in offered}  # one may be shared
-        rooms[name] = _group("" if title.rstrip(".").lower() == name else title, own, config.settings)
-    return TypedDict("Settings", rooms)  # type: ignore[misc] - the keys are known at run time only
+        groups["everyday"] = _group(title, everyday, config.settings)
+    else:
+        for name, room in config.rooms.items():
+            title = (type(room).__doc__ or "").partition("\n")[0]
+            own = {each: offered.pop(each) for each in settings_in([type(room)]) if each in offered}  # may be shared
+            groups[name] = _group("" if title.rstrip(".").lower() == name else title, own, config.settings)
+    return TypedDict("Settings", groups)  # type: ignore[misc] - the keys are known at run time only
 
 
 def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any]) -> Any:
@@ -182,7 +178,7 @@ def _shown(value: Any) -> str:
     return " ".join(map(str, value)) if isinstance(value, tuple) else "none" if value is None else str(value)
 
 
-def _asked_config(words: Sequence[str]) -> TrainConfig:
+def asked_config(words: Sequence[str]) -> TrainConfig:
     """Return the settings of the environment, preset and algorithm in `words`.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, get_args, get_origin
 
 import tyro
 
-from shes.cli.parsing import offered_settings, parameters_of
+from shes.cli.parsing import asked_config, offered_settings, parameters_of
 from shes.cli.program import COMMANDS, find_command
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
@@ -86,7 +86,7 @@ def _possible(before: list[str], typed: str) -> Iterable[str]:
 def _settings(function: Callable[..., int], words: list[str]) -> Iterable[Setting]:
     """Return the settings that are flags of a command."""
     try:
-        return offered_settings(function, words).values()
+        return offered_settings(function, asked_config(words)).values()
     except ShesError:  # an unknown preset, for example
         return ()
 
