@@ -8,9 +8,9 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from functools import wraps
 from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +23,7 @@ from shes.runs import shipped
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent
 from shes.training.ship import ship
+from shes.viewing import render, watch
 from tests.e2e import runs
 
 TINY = runs.flags(**runs.TINY)
@@ -316,27 +317,29 @@ def test_ctrl_c_before_there_is_a_run_promises_nothing(capsys, tmp_path, monkeyp
 def test_render_hands_on_its_flags_and_says_where_the_video_is(shes, monkeypatch):
     given = []
 
-    def render(*places, **keywords):
-        keywords.pop("on_step")(1, 2)
-        given.append((*places, keywords))
-        return places[1]
+    @wraps(render.render)
+    def fake(*, run, out, on_step, **keywords):
+        on_step(1, 2)
+        given.append((run, out, keywords))
+        return out
 
-    monkeypatch.setitem(sys.modules, "shes.viewing.render", SimpleNamespace(render=render))
+    monkeypatch.setattr(render, "render", fake)
     assert shes("render", "a run") == "Video: walk.mp4\n"
     rest = ["--camera", "top", "--episode", 3, "--seed", 7, "--size", 240, "--steps", 50, "--out", "b.mp4"]
     assert shes("render", "--checkpoint", "0", "last", "--out=x.mp4", "a run", *rest) == "Video: b.mp4\n"
     plain = {"checkpoints": ("best",), "camera": "both", "episode": 0, "seed": None, "size": 480, "steps": None}
     asked = {"checkpoints": ("0", "last"), "camera": "top", "episode": 3, "seed": 7, "size": 240, "steps": 50}
-    assert given == [("a run", Path("walk.mp4"), plain), ("a run", Path("b.mp4"), asked)]
+    assert given == [("a run", "walk.mp4", plain), ("a run", "b.mp4", asked)]
 
 
 def test_watch_hands_on_its_flags(shes, monkeypatch):
     given = []
 
-    def watch(run, **keywords):
+    @wraps(watch.watch)
+    def fake(*, run, **keywords):
         given.append((run, keywords))
 
-    monkeypatch.setitem(sys.modules, "shes.viewing.watch", SimpleNamespace(watch=watch))
+    monkeypatch.setattr(watch, "watch", fake)
     shes("watch", "a run")
     shes("watch", "a run", "--checkpoint", "12", "--seed", 3)
     assert given == [

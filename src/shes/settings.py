@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import ast
 import inspect
+import linecache
 import math
 import operator
 import re
-import textwrap
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
+from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
 
@@ -332,16 +333,35 @@ def field_texts(cls: type) -> dict[str, str]:
     texts: dict[str, str] = {}
     for ancestor in (*getattr(cls, "_option_classes", ()), *reversed(cls.__mro__[:-1])):
         try:
-            (tree,) = ast.parse(textwrap.dedent(inspect.getsource(ancestor))).body
+            definition = _class_definitions(inspect.getsourcefile(ancestor) or "").get(ancestor.__qualname__)
         except (OSError, TypeError, SyntaxError):
             continue  # a class defined in a console has no source
-        assert isinstance(tree, ast.ClassDef)
-        for statement, follower in zip(tree.body, tree.body[1:], strict=False):
+        body = [] if definition is None else definition.body
+        for statement, follower in pairwise(body):
             if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
                 text = follower.value if isinstance(follower, ast.Expr) else None
                 if isinstance(text, ast.Constant):
                     texts[statement.target.id] = " ".join(str(text.value).split())
     return texts
+
+
+@cache
+def _class_definitions(file: str) -> dict[str, ast.ClassDef]:
+    """Return the class definitions in a file by qualified name. `inspect.getsource` parses the file for each class."""
+    found: dict[str, ast.ClassDef] = {}
+
+    def visit(node: ast.AST, prefix: str) -> None:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.ClassDef):
+                found[prefix + child.name] = child
+                visit(child, f"{prefix}{child.name}.")
+            elif isinstance(child, ast.FunctionDef):
+                visit(child, f"{prefix}{child.name}.<locals>.")
+            elif isinstance(child, ast.stmt):
+                visit(child, prefix)
+
+    visit(ast.parse("".join(linecache.getlines(file))), "")
+    return found
 
 
 def _plain(value: Any) -> Any:

@@ -1,6 +1,5 @@
 """The help and the parsing of the command line: readable, quick; every setting of a run is a flag in a group."""
 
-import os
 import re
 import subprocess
 import sys
@@ -10,11 +9,10 @@ from typing import get_args, get_type_hints
 import pytest
 
 from shes.cli import commands, main, parsing
-from shes.cli.commands.training import train as train_command
-from shes.cli.commands.viewing import plot as plot_command
-from shes.cli.commands.viewing import render as render_command
 from shes.cli.program import COMMANDS, find_command
 from shes.runs.rooms import execution_settings
+from shes.studies import run_comparison
+from shes.training import evaluate, export
 from shes.training.presets import PRESETS, make_config
 from shes.viewing import plot, render
 
@@ -61,9 +59,23 @@ def test_the_help_loads_no_slow_package_and_neither_does_the_package():
     assert {"matplotlib", "mujoco", "rich", "tyro"} & set(done.stdout.splitlines()[-1].split()) == set()
 
 
-def test_the_choices_are_those_of_the_functions_behind():
-    assert set(get_args(get_type_hints(plot_command)["x"])) == set(plot.X_AXES)
-    assert set(get_args(get_type_hints(render_command)["camera"])) == set(render.VIEWS)
+def test_the_choices_are_those_there_are():
+    for function, name, known in (
+        (plot.plot, "x", plot.X_AXES),
+        (render.render, "camera", render.VIEWS),
+        (export.export, "format", export.FORMATS),
+        (run_comparison.compare_runs, "measure", run_comparison.MEASURES),
+        (evaluate.evaluate, "targets", evaluate.TARGETS),
+    ):
+        assert set(get_args(get_type_hints(function)[name])) == set(known)
+
+
+def test_a_command_has_the_flags_and_the_help_of_the_function_behind_it(shes):
+    text = " ".join(shes("render", "--help").replace("│", "").split())
+    assert "--camera {both,follow,top} Camera. (default: both)" in text
+    assert "Checkpoints: best, last or numbers of generations." in text
+    for word in ("on_step", "on-step", "`", "Raises"):
+        assert word not in text
 
 
 # The settings of a run.
@@ -135,7 +147,7 @@ def given(monkeypatch):
         return 0
 
     def run(*words):
-        assert parsing.call(train, ["--env", *words]) == 0
+        assert parsing.call(train, words) == 0
         return found[-1]
 
     return run
@@ -160,25 +172,21 @@ def test_only_what_is_written_is_given_even_if_it_is_the_presets_value(given):
         ["--target", "1", "2", "--out", "point-gather", "point-maze"],
         ["--out", "point-gather", "--target", "1", "2", "point-maze"],
         ["--no-hold-tied", "point-maze", "--target", "1", "2"],
+        ["--seed", "1", "2", "point-maze", "--target", "1", "2"],
+        ["--target", "1", "2", "point-maze", "--seed", "1", "2", "--primitive", "ant-maze"],
     ],
 )
 def test_the_value_of_a_flag_is_not_taken_for_the_environment(monkeypatch, words):
     found = []
 
-    def train(
-        env: parsing.Env,
-        settings: parsing.VariedSettings,
-        *,
-        out: Path = Path(),
-        sweep: tuple[tuple[str, ...], ...] = (),
-    ) -> int:
+    def train(env: parsing.Env, settings: dict, *, seed: tuple[int, ...] = (), out: Path = Path()) -> int:
         """Take."""
-        found.append((env, settings.keys() & {"target", "observe_block"}))
+        found.append((env, settings.keys() & {"target", "observe_block"}, seed))
         return 0
 
-    train.__annotations__ = {**get_type_hints(train_command, include_extras=True), "return": int}
     assert parsing.call(train, words) == 0
-    assert found in ([("ant-push", {"observe_block"})], [("point-maze", {"target"})])
+    seed = (1, 2) if "--seed" in words else ()
+    assert found in ([("ant-push", {"observe_block"}, seed)], [("point-maze", {"target"}, seed)])
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -198,7 +206,7 @@ def test_the_value_of_every_setting_can_be_written_on_the_command_line(given, pr
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["train", "ant-gather", "--backend", "proces"], "--backend: unknown name 'proces'. Did you mean 'processes'?"),
+        (["train", "ant-gather", "--backend", "proces"], "unknown backend 'proces'. Did you mean 'processes'?"),
         (["train", "ant-gater"], "unknown environment 'ant-gater'. Did you mean 'ant-gather'?"),
         (["train", "ant-gather", "--preset", "lap"], "unknown preset 'lap'. Did you mean 'laptop'?"),
         (["evaluate", "x", "--targets", "traning"], "--targets: unknown name 'traning'. Did you mean 'training'?"),
@@ -218,17 +226,16 @@ def test_resume_takes_the_settings_that_change_no_number(shes):
     assert "--sigma" not in text
 
 
-@pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_a_shell_can_be_taught_the_words(shes, shell):
-    script = shes("completion", shell)
-    for word in ("train", "evaluate", "population-size", "checkpoint", "laptop"):
-        assert word in script
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "tcsh"])
+def test_every_shell_asks_for_the_words_that_may_follow(shes, shell):
+    assert "shes --complete" in shes("completion", shell)
 
 
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
         ("tra", ["train"]),
+        ("completion z", ["zsh"]),
         ("train ant-fl", ["ant-flagrun"]),
         ("bench rollout point-m", ["point-maze"]),
         ("train ant-maze --target-", ["--target-sampling"]),
@@ -236,7 +243,9 @@ def test_a_shell_can_be_taught_the_words(shes, shell):
         ("train --help-", ["--help-all"]),
         ("evaluate x --imp", ["--import"]),
         ("train ant-maze --preset sm", ["smoke"]),
-        ("train ant-maze --preset = sm", ["smoke"]),
+        ("train ant-maze --preset=sm", ["smoke"]),
+        ("train --preset smoke --primitive ant-wa", ["ant-walker"]),
+        ("train --preset unknown --outp", []),
         ("resume runs/fi", ["runs/first"]),
         ("evaluate ant-wa", ["ant-walker"]),
         ("evaluate x --epis", ["--episodes"]),
@@ -249,28 +258,17 @@ def test_what_may_stand_at_the_cursor_completes_the_line(shes, tmp_path, monkeyp
     (tmp_path / "runs" / "first").mkdir(parents=True)
     (tmp_path / "runs" / "first" / "config.json").touch()
     monkeypatch.chdir(tmp_path)
-    assert shes("--complete", *line.split()).split() == expected
+    monkeypatch.setenv("COMP_LINE", f"shes {line} and more")
+    monkeypatch.setenv("COMP_POINT", str(len(f"shes {line}")))
+    assert shes("--complete", "shes", "a", "b").split() == expected
+    for name in ("COMP_LINE", "COMP_POINT"):
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("COMMAND_LINE", f"shes {line}")  # tcsh
+    assert shes("--complete").split() == expected
 
 
-@pytest.mark.parametrize(
-    ("line", "expected"), [("train point-f", ["point-fall", "point-flagrun"]), ("train --no-su", [])]
-)
-def test_bash_asks_for_what_completes_the_line(shes, tmp_path, line, expected):
-    (tmp_path / "script").write_text(shes("completion", "bash"))
-    (tmp_path / "shes").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m shes "$@"\n')
-    (tmp_path / "shes").chmod(0o755)
-    words = " ".join(["shes", *line.split()])
-    code = (
-        f". ./script; COMP_WORDS=({words}); COMP_CWORD={len(line.split())}; _shes; printf '%s\\n' \"${{COMPREPLY[@]}}\""
-    )
-    path = f"{tmp_path}:{os.environ['PATH']}"
+def test_bash_takes_the_script(shes):
     done = subprocess.run(
-        ["bash", "-c", code], cwd=tmp_path, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=True
+        ["bash", "-c", f"{shes('completion', 'bash')}\ncomplete -p shes"], capture_output=True, text=True, check=True
     )
-    assert (done.stdout.split(), done.stderr) == (expected, "")
-
-
-def test_completion_for_tcsh_names_the_package_that_it_needs(capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "shtab", None)
-    assert main(["completion", "tcsh"]) == 2
-    assert "completion for tcsh needs shtab" in capsys.readouterr().err
+    assert (done.stdout, done.stderr) == ("complete -o default -C 'shes --complete' shes\n", "")

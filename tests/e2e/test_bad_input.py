@@ -85,7 +85,7 @@ WORDS = {
     "optional_number": ([*TRAIN, "--minutes", "soon"], r"Error parsing --minutes: .*'soon'"),
     "unknown_choice": (
         [*TRAIN, "--mirrored", "trio"],
-        r"Error parsing --mirrored: unknown name 'trio'\. Known: quad, pair, none",
+        r"unknown mirrored 'trio'\. Known: none, pair, quad\. Set --mirrored",
     ),
     "import_without_a_module": (["train", "--import"], r"--import needs a value: --import MODULE"),
     "import_of_nothing": (
@@ -103,9 +103,13 @@ WORDS = {
         [*TRAIN, "--population-size", "18"],
         r"population_size must be a positive multiple of 4 .*got 18\. Set --population-size 16 or 20",
     ),
+    "option_of_a_reward_that_is_not_imported": (
+        [*TRAIN, "--exponent", "2", "--primitive-reward", "pow"],
+        r"Error: unknown primitive reward 'pow'\. Known: cosine, .* Set --primitive-reward\. .* or --import MODULE\.",
+    ),
     "unknown_backend": (
         [*TRAIN, "--backend", "sereal"],
-        r"Error parsing --backend: unknown name 'sereal'\. Did you mean 'serial'",
+        r"unknown backend 'sereal'\. Did you mean 'serial'",
     ),
     "noise_table_too_small": (
         [*TRAIN, "--noise-table-size", "100"],
@@ -117,11 +121,11 @@ WORDS = {
     ),
     "unknown_perturbation": (
         [*TRAIN, "--perturbation", "one-to-many"],
-        r"Error parsing --perturbation: unknown name 'one-to-many'.*'one_to_many'",
+        r"unknown perturbation 'one-to-many'.*'one_to_many'",
     ),
     "unknown_schedule": (
         [*TRAIN, "--sigma-schedule", "line", "--sigma-end", "1"],
-        r"Error parsing --sigma-schedule: unknown name 'line'.*'linear'",
+        r"unknown sigma schedule 'line'.*'linear'",
     ),
     "schedule_without_an_end": (
         [*TRAIN, "--learning-rate-schedule", "cosine"],
@@ -161,7 +165,7 @@ WORDS = {
     ),
     "novelty_of_a_primitive": (
         ["train", "point-flagrun", *TRAIN[2:], "--novelty", "ns"],
-        r"novelty is not a setting of a run of point-flagrun with algorithm 'shes'\. Omit --novelty",
+        r"novelty is not a setting of a run of point-flagrun with algorithm 'shes', got 'ns'\. Omit --novelty",
     ),
     "halves_that_are_none": (
         [*TRAIN, "--perturbation", "one_to_many_halves", "--population-size", "10"],
@@ -169,7 +173,7 @@ WORDS = {
     ),
     "goals_of_a_flat_run": (
         [*TRAIN, "--algorithm", "es", "--goal-encoding", "angle"],
-        r"goal_encoding is not a setting of a run of point-gather with algorithm 'es'\. Omit --goal",
+        r"goal_encoding is not a setting of a run of point-gather with algorithm 'es', got 'angle'\. Omit --goal",
     ),
     "controller_of_a_primitive_alone": (
         ["train", "point-flagrun", *TRAIN[2:], "--controller-output", "one_hot"],

@@ -56,6 +56,19 @@ def test_a_checkpoint_reads_back_to_the_bit(tmp_path, is_compressed):
     assert (read.generation, read.env_steps) == (7, 10**13)
 
 
+def test_the_counts_are_read_without_the_state(tmp_path):
+    theta = np.random.default_rng(1).standard_normal(100_000)
+    save_checkpoint(tmp_path / "a.npz", replace(make(), arrays={**make().arrays, "controller/theta": theta}))
+    content, end = (tmp_path / "a.npz").read_bytes(), theta[-8:].tobytes()
+    assert content.count(end) == 1
+    (tmp_path / "a.npz").write_bytes(content.replace(end, end[::-1]))  # which is not read
+    read = load_checkpoint(tmp_path / "a.npz", with_state=False)
+    assert read.arrays.keys() == {"seed", "generation", "env_steps"}
+    assert (read.best, read.numbers, read.generation) == (make().best, NUMBERS, 7)
+    with pytest.raises(CheckpointError):
+        load_checkpoint(tmp_path / "a.npz")
+
+
 @pytest.mark.parametrize("name", ["format", "settings", "best_score"])
 def test_a_learner_has_no_array_of_the_runs_own_names(tmp_path, name):
     taken = replace(make(), arrays={**make().arrays, name: np.zeros(3)})

@@ -293,9 +293,10 @@ def test_a_row_does_not_stand_for_a_primitive_that_is_not_finished(tmp_path, in_
     training.start_run(cell_config(trained, second).having(minutes=1e-9), second / trained.name)  # stopped at once
     left = cells_left(study, second)
     assert [some.name for some in left] == [trained.name, followers[1].name]
-    progress = experiment._Progress(study, {some.name for some in left}, 1, is_silent=True)
-    for outcome in run_study(study, second, num_workers=1):
-        progress.show(outcome)
+    said, outcomes = [], run_study(study, second, num_workers=1)
+    for _ in experiment._with_progress(study, outcomes, [some.name for some in left], 1, said.append):
+        pass
+    assert len(said) == 1 + len(left)
     again = read_summaries(study, second)
     assert {name: without_seconds(found) for name, found in again.items()} == {
         name: without_seconds(found) for name, found in whole.items()

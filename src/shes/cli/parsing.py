@@ -1,144 +1,163 @@
-"""Commands are plain functions: tyro makes their flags from signature and docstring, and parses the command line.
+"""Commands are plain functions: tyro makes their flags from signature and docstring, parses, and calls them.
 
-Two parameters have a special meaning. `settings` stands for the settings of a run, which become flags, one group per
-room. `**options` annotated with a function stands for those parameters of that function that the command does not name.
+Parameters without a default are positional, the others are flags. `**options` annotated with the name of a function
+stands for those parameters of that function that the command does not name. A parameter `settings` stands for the
+settings of a run, which become flags unless the command names them itself: in a command that takes an environment all
+of them, in another those with which a run can be resumed.
 """
 
 from __future__ import annotations
 
-import difflib
+import argparse
 import inspect
-from collections.abc import Callable, Iterable, Sequence
-from types import NoneType
-from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Mapping, Sequence
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+import shes
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
-from shes.errors import ConfigError
+from shes.errors import UnknownNameError
 from shes.runs.config import TrainConfig
-from shes.runs.rooms import known_settings
-from shes.settings import Setting, Unasked, flag, setting_fields
+from shes.runs.rooms import known_settings, settings_in
+from shes.settings import Setting, flag
 from shes.training.presets import PRESETS, make_config
-from shes.training.train import check_resumable, resumable_settings
+from shes.training.train import resumable_settings
 
-__all__ = ["DEFAULT_ENV", "Checkpoint", "Env", "ExecutionFlags", "Json", "Run", "VariedSettings"]
-__all__ += ["asked_config", "call", "program_of"]
+__all__ = ["DEFAULT_ENV", "Env", "Json", "Run", "asked_config", "call", "offered_settings", "parameters_of"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
-_ALL = "--help-all"
-_CONFIG = (tyro.conf.OmitArgPrefixes,)
+_HELP_ALL = "--help-all"
 
-Run = Annotated[
-    str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent.")
-]
+_OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
+"""Flags of parameters that have another name in Python, which is a flag, too."""
+
+Run = Annotated[str, tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent.")]
 Env = Annotated[
-    str,
-    tyro.conf.Positional,
-    tyro.conf.arg(metavar="ENV", help="Environment, see shes envs; or gymnasium:ID for one of Gymnasium."),
+    str, tyro.conf.arg(metavar="ENV", help="Environment, see shes envs; or gymnasium:ID for one of Gymnasium.")
 ]
-Checkpoint = Annotated[str, tyro.conf.arg(help="Checkpoint: best, last or the number of a generation.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
-
-
-class ExecutionFlags(dict[str, Any]):
-    """Settings by name that `shes resume` takes: the annotation of a parameter `settings`."""
-
-
-class VariedSettings(dict[str, Any]):
-    """Settings by name of which `seed` has several values: the annotation of a parameter `settings`."""
 
 
 def call(function: Callable[..., int], words: Sequence[str]) -> int:
     """Call a command with the values in `words`; return its exit code.
 
     Raises:
-        ConfigError: A flag is a setting that the run does not have, or that `shes resume` does not take.
-        UnknownNameError: There is no such preset or algorithm.
+        UnknownNameError: A value is none of the names that it can be.
     """
-    program = program_of(function, words)
-    own = inspect.signature(function).parameters.keys()
-    if "settings" in own:
-        _check_flags(function, words)
-    args = ["--help" if word == _ALL else word for word in words]
-    name = function.__name__.rstrip("_")
+
+    def program(**values: Any) -> int:
+        return function(**values)
+
+    parameters = parameters_of(function)
+    if "settings" in parameters:
+        kind = Annotated[_settings_type(function, words), tyro.conf.arg(name="")]
+        parameters["settings"] = parameters["settings"].replace(annotation=kind)
+    program.__annotations__ = {name: each.annotation for name, each in parameters.items()}
+    program.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined] - tyro reads it
+    program.__doc__ = _text(function)
     try:
-        values = tyro.cli(program, prog=f"shes {name}", args=args, config=_CONFIG, registry=_VALUES)
+        return tyro.cli(
+            program,
+            prog=f"shes {function.__name__.rstrip('_')}",
+            args=["--help"] if _asks_for_help(words) else _with_environment_first(words),
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.PositionalRequiredArgs),
+            registry=_VALUES,
+        )
     except SystemExit as end:  # help was shown, or an error was printed
         return end.code if isinstance(end.code, int) else 2
-    if "settings" in own:
-        rooms = [name for name in values if name not in own or name == "settings"]
-        values["settings"] = {name: value for room in rooms for name, value in values.pop(room).items()}
-    return function(**values)
 
 
-def program_of(function: Callable[..., int], words: Sequence[str] = ()) -> Callable[..., Any]:
-    """Return the function that tyro parses for a command: it returns the values that it is called with.
-
-    The environment, preset and algorithm in the command line `words` decide which settings it has.
-    """
-    parameters = dict(inspect.signature(function).parameters)
-    hints = get_type_hints(function, include_extras=True)
-    text = inspect.getdoc(function) or ""
-    if parameters.pop("options", None):
-        _, behind = get_args(hints.pop("options"))
-        parameters = {**inspect.signature(behind).parameters, **parameters}
-        hints = {**get_type_hints(behind, include_extras=True), **hints}
-        text += "\n\nArgs:\n" + (inspect.getdoc(behind) or "").partition("Args:\n")[2].partition("\n\n")[0]
-    if parameters.pop("settings", None):
-        rooms = _rooms(function, words, hints.pop("settings"))
-        hints |= rooms
-        parameters |= {name: inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in rooms}
-
-    def program(**values: Any) -> dict[str, Any]:
-        return values
-
-    kind = inspect.Parameter.KEYWORD_ONLY
-    listed = [each.replace(annotation=hints[name], kind=kind) for name, each in parameters.items()]
-    program.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined] - inspect and tyro read it
-    program.__annotations__ = {name: hints[name] for name in parameters}
-    program.__doc__ = text
-    return program
+def parameters_of(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a command by name, as tyro reads them."""
+    found: dict[str, inspect.Parameter] = {}
+    for name, each in inspect.signature(function, eval_str=True).parameters.items():
+        if each.kind is inspect.Parameter.VAR_KEYWORD:
+            found = {**parameters_of(_behind(each)), **found}
+        elif not name.startswith("on_"):  # a callback
+            kind = _read_as(each.annotation)
+            if name in _OTHER_FLAGS:
+                kind = Annotated[kind, tyro.conf.arg(name=_OTHER_FLAGS[name], aliases=(flag(name),))]
+            elif kind is str and each.default is each.empty:
+                kind = Annotated[kind, tyro.conf.arg(metavar=name.upper())]
+            found[name] = each.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY)
+    return found
 
 
-def _rooms(function: Callable[..., int], words: Sequence[str], kind: Any) -> dict[str, Any]:
-    """Return a `TypedDict` for each room of settings; for `--help` one for the everyday settings."""
-    if kind is ExecutionFlags:
-        return {"settings": _room("A setting that is not given keeps its value.", resumable_settings().values(), None)}
-    config = asked_config(function, words)
-    if not {"-h", "--help"}.isdisjoint(words):
-        everyday = [each for each in map(config.setting, config.settings) if each.is_everyday]
-        title = f"Values of preset {config.run.preset} for {config.run.env}. {_ALL} shows all {len(config.settings)}."
-        return {"everyday": _room(title, everyday, config, kind)}
-    rooms: dict[str, Any] = {}
-    seen: set[str] = set()  # a task may share a setting with the hierarchy
-    for name, room in config.rooms.items():
-        settings = setting_fields(type(room))
-        title = (type(room).__doc__ or "").partition("\n")[0]
-        title = "" if title.rstrip(".").lower() == name else title  # the group's heading has the name
-        rooms[name] = _room(title, [each for each in settings.values() if each.name not in seen], config, kind)
-        seen |= settings.keys()
-    return rooms
+def _read_as(kind: Any) -> Any:
+    """Return the type as which the command line reads a parameter of type `kind`: text where text will do."""
+    kinds = get_args(kind) if isinstance(kind, UnionType) else ()
+    if str not in kinds:
+        return kind
+    if any(get_origin(each) is Sequence for each in kinds):
+        return tuple[str, ...]
+    return str | None if NoneType in kinds else str
 
 
-def _room(title: str, settings: Iterable[Setting], config: TrainConfig | None, kind: Any = None) -> Any:
-    """Return a `TypedDict` whose keys tyro makes flags of: those that are not given are left out.
+def _behind(options: inspect.Parameter) -> Callable[..., Any]:
+    """Return the function for whose parameters `**options` stands."""
+    module, _, name = options.annotation.__metadata__[0].rpartition(".")
+    return getattr(shes.import_module(module), name)
 
-    The help shows the values of `config` as defaults.
-    """
+
+def _text(function: Callable[..., Any]) -> str:
+    """Return the docstring of a command, with the arguments of the function for which `**options` stands."""
+    text, options = inspect.getdoc(function) or "", inspect.signature(function, eval_str=True).parameters.get("options")
+    if options is not None:
+        behind = inspect.getdoc(_behind(options)) or ""
+        text += f"\n\nArgs:\n{behind.partition('Args:')[2].partition('Raises:')[0]}"
+    return text.replace("`", "")
+
+
+def _asks_for_help(words: Sequence[str]) -> bool:
+    return not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
+
+
+def offered_settings(function: Callable[..., int], config: TrainConfig) -> dict[str, Setting]:
+    """Return the settings by name that are flags of a command on a run like `config`."""
+    named = parameters_of(function)
+    if "settings" not in named:
+        return {}
+    found = settings_in(map(type, config.rooms.values())) if "env" in named else resumable_settings()
+    return {name: each for name, each in found.items() if name not in named}
+
+
+def _settings_type(function: Callable[..., int], words: Sequence[str]) -> Any:
+    """Return the type of the parameter `settings`; for the help it has a group for each room, or the everyday one."""
+    config = asked_config(words)
+    offered, named = offered_settings(function, config), function.__annotations__
+    if not _asks_for_help(words):  # the run says which of the others it does not have
+        others = {name: each for name, each in known_settings().items() if name not in named}
+        return _group("", {**others, **offered}, config.settings)
+    groups: dict[str, Any] = {}
+    if "env" not in named:
+        groups["settings"] = _group("A setting that is not given keeps its value.", offered, {})
+    elif _HELP_ALL not in words:
+        title = f"Values of preset {config.run.preset} for {config.run.env}. {_HELP_ALL} shows all {len(offered)}."
+        everyday = {name: each for name, each in offered.items() if each.is_everyday}
+        groups["everyday"] = _group(title, everyday, config.settings)
+    else:
+        for name, room in config.rooms.items():
+            title = (type(room).__doc__ or "").partition("\n")[0]
+            own = {each: offered.pop(each) for each in settings_in([type(room)]) if each in offered}  # may be shared
+            groups[name] = _group("" if title.rstrip(".").lower() == name else title, own, config.settings)
+    return TypedDict("Settings", groups)  # type: ignore[misc] - the keys are known at run time only
+
+
+def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any]) -> Any:
+    """Return a `TypedDict` whose keys tyro makes flags of. Keys that are not given are left out; help has `values`."""
     keys = {
-        each.name: _annotated(each, "as before" if config is None else _shown(config.settings[each.name]))
-        for each in settings
-        if each.name != "env" and not each.has(Unasked)
+        name: _annotated(each, _shown(values[name]) if name in values else "as before")
+        for name, each in settings.items()
+        if name != "env"
     }
-    if "seed" in keys and kind is VariedSettings:
-        keys["seed"] = _several(keys["seed"])
-    room = TypedDict("Settings", keys, total=False)  # type: ignore[misc] - the keys are known at run time only
-    room.__doc__ = title
-    return room
+    group = TypedDict("Settings", keys, total=False)  # type: ignore[misc] - as above
+    group.__doc__ = title
+    return group
 
 
 def _annotated(setting: Setting, default: str) -> Any:
@@ -152,17 +171,48 @@ def _annotated(setting: Setting, default: str) -> Any:
     return Annotated[kind | None if setting.is_optional else kind, shown]
 
 
-def _several(kind: Any) -> Any:
-    """Return the type of one or more values of a setting of type `kind`."""
-    item, *notes = get_args(kind)
-    return Annotated[(tuple[item, ...], *notes)]
-
-
 def _shown(value: Any) -> str:
     """Return a value as it is written after its flag."""
     if value == ():
         return "none (linear)"  # no hidden layers, the only tuple that may be empty
     return " ".join(map(str, value)) if isinstance(value, tuple) else "none" if value is None else str(value)
+
+
+def asked_config(words: Sequence[str]) -> TrainConfig:
+    """Return the settings of the environment, preset and algorithm in `words`.
+
+    Raises:
+        UnknownNameError: There is no such preset or algorithm; or another setting has an unknown name, which may be why
+            one of its flags is unknown, too.
+    """
+    choosing = {name: each for name, each in known_settings().items() if each.choices or name == "preset"}
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for name, each in choosing.items():
+        parser.add_argument(each.flag, dest=name, nargs="?")
+    found = vars(parser.parse_known_args(words)[0]).items()
+    given = {name: choosing[name].checked(value) for name, value in found if value is not None}
+    place = _find_environment(words)
+    env = DEFAULT_ENV if place is None else words[place]
+    return make_config(env, given.get("preset", "laptop"), {"algorithm": given.get("algorithm", "shes")})
+
+
+def _find_environment(words: Sequence[str]) -> int | None:
+    """Return the index of the environment in `words`, or None. The value of a flag is no environment."""
+    for i, word in enumerate(words):
+        before = words[i - 1] if i else ""
+        is_value = before.startswith("--") and not before.startswith("--no-") and "=" not in before
+        if not is_value and (word in ENVIRONMENTS or word in EXTERNAL_ENVIRONMENTS or word.startswith(GYMNASIUM)):
+            return i
+    return None
+
+
+def _with_environment_first(words: Sequence[str]) -> list[str]:
+    """Return `words` with the environment before all flags: in `--hidden 4 3 ENV` it would be a value of the flag."""
+    moved, place = list(words), _find_environment(words)
+    if place is not None:
+        first = next((i for i, word in enumerate(words) if word.startswith("-")), place)
+        moved.insert(min(first, place), moved.pop(place))
+    return moved
 
 
 _VALUES = ConstructorRegistry()
@@ -177,11 +227,9 @@ def _name_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[str] | None:
     known: tuple[str, ...] = get_args(info.type)
 
     def read(words: list[str]) -> str:
-        if words[0] in known:
-            return words[0]
-        close = difflib.get_close_matches(words[0], known, n=1)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise ValueError(f"unknown name {words[0]!r}.{hint} Known: {', '.join(known)}.")
+        if words[0] not in known:
+            raise ValueError(str(UnknownNameError("name", words[0], known)))  # tyro adds the flag
+        return words[0]
 
     return PrimitiveConstructorSpec(1, f"{{{','.join(known)}}}", read, known.__contains__, lambda name: [name])
 
@@ -193,73 +241,3 @@ def _none_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[None] | None
         return None
     words = ("none", "None")
     return PrimitiveConstructorSpec(1, "none", lambda _: None, lambda it: it is None, lambda _: ["none"], words)
-
-
-def _check_flags(function: Callable[..., int], words: Sequence[str]) -> None:
-    """Check that all flags of settings are settings of the run.
-
-    Raises:
-        ConfigError: One is not.
-    """
-    names = {each.flag: name for name, each in known_settings().items() if name != "env"}
-    flags = [word.partition("=")[0].replace("_", "-").replace("--no-", "--") for word in words]
-    given = [names[each] for each in flags if each in names]
-    if get_type_hints(function)["settings"] is ExecutionFlags:
-        check_resumable(given)
-        return
-    config = asked_config(function, words)
-    for name in given:
-        if name not in config.settings:
-            raise ConfigError(
-                f"{name} is not a setting of a run of {config.run.env} with algorithm {config.run.algorithm!r}. "
-                f"Omit {known_settings()[name].flag}."
-            )
-
-
-def asked_config(function: Callable[..., int], words: Sequence[str]) -> TrainConfig:
-    """Return the settings of the environment, preset and algorithm in `words`.
-
-    Raises:
-        UnknownNameError: There is no such preset or algorithm.
-    """
-    given, others = _single_values(function, words)
-    known = {*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS}
-    env = next((word for word in others if word in known or word.startswith(GYMNASIUM)), DEFAULT_ENV)
-    return make_config(env, given.get("--preset", "laptop"), {"algorithm": given.get("--algorithm", "shes")})
-
-
-def _single_values(function: Callable[..., int], words: Sequence[str]) -> tuple[dict[str, str], list[str]]:
-    """Return the values in `words` of flags that take one, and the words that are neither flags nor such values."""
-    flags = _flags_of_one_value(function)
-    given: dict[str, str] = {}
-    others: list[str] = []
-    last = ""
-    for word in words:
-        name, equals, value = word.partition("=")
-        name = name.replace("_", "-")
-        if last:
-            given[last], last = word, ""
-        elif name in flags and equals:
-            given[name] = value
-        elif name in flags:
-            last = name
-        elif not word.startswith("-"):
-            others.append(word)
-    return given, others
-
-
-def _flags_of_one_value(function: Callable[..., int]) -> set[str]:
-    """Return the flags of a command that take one value, those of the settings of every run included.
-
-    Flags of several values are not needed: their values are numbers or `NAME=VALUE`, never an environment's name, and
-    the environment may follow them.
-    """
-    settings = [
-        each
-        for each in known_settings().values()
-        if each.kind is not tuple and (each.is_optional or each.kind is not bool)
-    ]
-    found = {text for each in settings for text in (each.flag, flag(each.name))}
-    own = get_type_hints(function).items()
-    found |= {flag(name) for name, kind in own if get_origin(kind) is not tuple and kind is not bool}
-    return found - {flag("env")}

@@ -25,7 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "compare": ("comparison", "compare two runs, or groups of runs, with an interval and a p value"),
     "render": ("viewing", "make a video of a run's policy"),
     "watch": ("viewing", "watch a run's policy in a window"),
-    "export": ("export", "write a run's policy to a file that needs no SHES"),
+    "export": ("viewing", "write a run's policy to a file that needs no SHES"),
     "experiment": ("experiment", "run a study of many runs, with tables and figures"),
     "bench": ("training", "measure the speed of this machine"),
     "completion": ("completion", "print a script that completes commands and flags with the Tab key"),
@@ -55,15 +55,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0: success; 1: the run failed; 2: the command line, a file or a package has to be corrected; 130: Ctrl-C; 141: the
     reader of the output has gone, as head does.
     """
-    return with_streams(lambda: _run(arguments))
+    return with_streams(lambda: _run(list(sys.argv[1:] if arguments is None else arguments)))
 
 
-def _run(arguments: Sequence[str] | None) -> int:
+def _run(given: list[str]) -> int:
     """Run a command and print its error, if any; return the exit code."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if given[:1] == ["--complete"]:  # asked by the script of `shes completion bash`
-        completing = shes.import_module("shes.cli.completing")
-        print("\n".join(completing.completions(given[1:] or [""])))
+    if given[:1] == ["--complete"]:  # asked by a shell
+        shes.import_module("shes.cli.commands.completion").print_completions()
         return 0
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--debug", action="store_true")
@@ -72,7 +70,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     try:
         for name in asked.modules:
             _import(name)
-        status = _dispatch(words)
+        code = _dispatch(words)
         sys.stdout.flush()  # a full disk shows here, not when Python exits
     except KeyboardInterrupt:
         print("Interrupted.", file=sys.stderr)
@@ -84,33 +82,34 @@ def _run(arguments: Sequence[str] | None) -> int:
             raise
         print_error(str(error))
         return error.exit_code if isinstance(error, ShesError) else ConfigError.exit_code
-    return status
+    return code
 
 
 def _dispatch(words: Sequence[str]) -> int:
     """Run the command that `words` begin with."""
-    if not words or words[0] in ("-h", "--help", "help"):
+    name, *rest = words or ["--help"]
+    if name in ("-h", "--help", "--help-all", "help"):
         width = max(map(len, COMMANDS))
-        print(
-            _OVERVIEW.format(commands="\n".join(f"  {name:<{width}}  {text}" for name, (_, text) in COMMANDS.items()))
-        )
+        lines = (f"  {command:<{width}}  {text}" for command, (_, text) in COMMANDS.items())
+        print(_OVERVIEW.format(commands="\n".join(lines)))
         return 0
-    name, *rest = words
     if name == "--version":
         print(f"shes {shes.__version__}")
         return 0
     if name.startswith("-"):
         raise ConfigError(f"unknown flag {name} before the command. See `shes --help`.")
-    if name not in COMMANDS:
-        raise UnknownNameError("command", name, COMMANDS, "See `shes --help`.")
     command = find_command(name)
-    from shes.cli.parsing import call  # tyro is slow to import
-
-    return call(command, rest)
+    return shes.import_module("shes.cli.parsing").call(command, rest)  # tyro is slow to import
 
 
 def find_command(name: str) -> Callable[..., int]:
-    """Return the function of command `name`."""
+    """Return the function of command `name`.
+
+    Raises:
+        UnknownNameError: There is no such command.
+    """
+    if name not in COMMANDS:
+        raise UnknownNameError("command", name, COMMANDS, "See `shes --help`.")
     module = shes.import_module(f"shes.cli.commands.{COMMANDS[name][0]}")
     return getattr(module, "list_" if name == "list" else name)
 

@@ -39,7 +39,8 @@ def train(
 
     Raises:
         UnknownNameError: The environment, the preset or another name is unknown.
-        ConfigError: A setting is unknown or out of range, or `listener` cannot be called.
+        ConfigError: A setting is unknown or out of range, the run does not fit this machine, or `listener` cannot be
+            called.
         RunFolderError: `out` already holds a run.
         StorageError: A file cannot be written.
         WorkerError: A worker failed, or workers keep dying.

@@ -21,7 +21,7 @@ BROKEN_PIPE = 141
 
 _TO_ASCII = "shes.to_ascii"
 _REPLACEMENTS = {"±": "+/-", "×": "x", "·": ",", "…": "...", "—": "-", "≥": ">=", "≤": "<=", "→": "->", "°": " deg"}
-_REPLACEMENTS |= dict(zip("▁▂▃▄▅▆▇█", "_.-:=+*#", strict=True)) | dict.fromkeys("─━═╌", "-") | dict.fromkeys("│┃║", "|")
+_REPLACEMENTS |= dict.fromkeys("┌┐└┘├┤┬┴┼", "+") | dict(zip("▁▂▃▄▅▆▇█─━═╌│┃║", "_.-:=+*#----|||", strict=True))
 
 
 def _to_ascii(error: UnicodeError) -> tuple[str, int]:
@@ -29,15 +29,8 @@ def _to_ascii(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = error.object[error.start : error.end]
-    return "".join(map(_ascii_of, found)), error.end
-
-
-def _ascii_of(character: str) -> str:
-    if character in _REPLACEMENTS:
-        return _REPLACEMENTS[character]
-    if "\u2500" <= character < "\u2580":  # corners of tables
-        return "+"
-    return unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode() or "?"
+    plain = (unicodedata.normalize("NFKD", each).encode("ascii", "ignore").decode() or "?" for each in found)
+    return "".join(_REPLACEMENTS.get(each, other) for each, other in zip(found, plain, strict=True)), error.end
 
 
 codecs.register_error(_TO_ASCII, _to_ascii)
@@ -78,13 +71,10 @@ def with_streams(work: Callable[[], int]) -> int:
 
 def _code_before(error: BaseException) -> int:
     """Return the exit code of the error that was being printed when `error` was raised."""
-    earlier = error.__context__
-    while earlier is not None:
-        if isinstance(earlier, KeyboardInterrupt):
-            return INTERRUPTED
-        if isinstance(earlier, ShesError):
-            return earlier.exit_code
-        earlier = earlier.__context__
+    while error.__context__ is not None:
+        error = error.__context__
+        if isinstance(error, KeyboardInterrupt | ShesError):
+            return error.exit_code if isinstance(error, ShesError) else INTERRUPTED
     return BROKEN_PIPE
 
 

@@ -115,11 +115,14 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool =
     write_atomically(path, write)
 
 
-def load_checkpoint(path: Path, check: HeaderCheck | None = None) -> Checkpoint:
+def load_checkpoint(path: Path, check: HeaderCheck | None = None, *, with_state: bool = True) -> Checkpoint:
     """Read the checkpoint at `path`, without executing code from it.
 
-    Before any of the algorithm's arrays is read, `check` raises CheckpointError for unexpected names, shapes or
-    types.
+    Args:
+        path: The file.
+        check: Raises CheckpointError if the algorithm's arrays have other names, shapes or types than it expects. It is
+            called before any of them is read.
+        with_state: Whether to read all arrays; otherwise those alone that every checkpoint has, which is quick.
 
     Raises:
         CheckpointError: The file is missing, truncated, too large, or not a checkpoint of this version.
@@ -140,8 +143,9 @@ def load_checkpoint(path: Path, check: HeaderCheck | None = None) -> Checkpoint:
             _check_format(int(own["format"]))
             if check is not None:
                 check({name: header for name, header in headers.items() if name not in _OWN})
-            _check_memory(headers)
-            arrays = {name: _read(archive, name) for name in headers if name not in _OWN}
+            wanted = headers if with_state else _SCALARS
+            _check_memory({name: headers[name] for name in wanted})
+            arrays = {name: _read(archive, name) for name in wanted if name not in _OWN}
         return _from_arrays(own, arrays)
     except CheckpointError as error:
         raise CheckpointError(f"{path} {error}") from error

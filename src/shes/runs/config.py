@@ -128,8 +128,9 @@ class TrainConfig:
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
+        settings = settings_in(map(type, self.rooms.values()))
         values = {name: value for room in self.to_dict().values() for name, value in room.items()}
-        return {name: value for name, value in values.items() if not self.setting(name).has(Execution)}
+        return {name: value for name, value in values.items() if not settings[name].has(Execution)}
 
     # Derived properties.
 

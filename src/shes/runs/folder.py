@@ -198,14 +198,18 @@ class RunFolder:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
-    def load(self, name: str | int, check: HeaderCheck | None = None) -> Checkpoint:
-        """Return checkpoint `name` of this run, after `check`; raise CheckpointError if it is damaged or of another."""
+    def load(self, name: str | int, check: HeaderCheck | None = None, *, with_state: bool = True) -> Checkpoint:
+        """Return checkpoint `name` of this run; `check` and `with_state` are those of `load_checkpoint`.
+
+        Raises:
+            CheckpointError: It is missing, damaged, or from another run.
+        """
         path, agent = self.checkpoint_path(name), shipped_name(self.path)
         if agent is not None and not path.is_file():
             raise CheckpointError(
                 f"the shipped agent {agent} has the checkpoint best alone, got {name!r}. Omit --checkpoint."
             )
-        checkpoint, config = load_checkpoint(path, check), self.read_config()
+        checkpoint, config = load_checkpoint(path, check, with_state=with_state), self.read_config()
         mine = config.numbers()
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
         missing = {name: config.setting(name).default for name in mine if name not in checkpoint.numbers}

@@ -79,7 +79,7 @@ class WorkerSettings(Settings):
 class EpisodeSettings(Settings):
     """Episodes."""
 
-    horizon: Annotated[int, Ge(1), Shown(everyday=True)] = 200
+    horizon: Annotated[int, Ge(1)] = 200
     """Control steps in an episode of training (Table I: 500)."""
     evaluation_horizon: Annotated[int, Ge(1)] | None = None
     """Control steps in an episode of evaluation; as in training if none."""

@@ -48,7 +48,7 @@ def run_state(folder: RunFolder) -> RunState:
     generation, steps, score, is_over = 0, 0, None, False
     name = "last" if folder.checkpoint_path("last").is_file() else "best"  # a shipped agent has only the best
     try:
-        checkpoint = folder.load(name)
+        checkpoint = folder.load(name, with_state=False)
         generation, steps = checkpoint.generation, checkpoint.env_steps
         score = checkpoint.best.score if checkpoint.best.generation >= 0 else None
         is_over = config.run.is_over(generation, steps) or name == "best"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -46,7 +47,7 @@ def compare_runs(
     *,
     episodes: int = 50,
     checkpoint: str = "best",
-    measure: str = "score",
+    measure: Literal["score", "return", "success"] = "score",
     num_workers: int = 0,
     seed: int = 0,
 ) -> RunComparison:
@@ -59,8 +60,8 @@ def compare_runs(
         first: A run folder, a folder of runs that differ in the seed only, or a shipped agent.
         second: The same.
         episodes: Number of episodes of each run.
-        checkpoint: `best`, `last` or the number of a generation.
-        measure: `score`, `return` or `success`.
+        checkpoint: Checkpoint: `best`, `last` or the number of a generation.
+        measure: What is compared.
         num_workers: Worker processes; 0 is one for every core.
         seed: Seed of the episodes.
 

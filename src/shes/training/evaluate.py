@@ -137,7 +137,7 @@ def evaluate(
     Args:
         run: The run folder, or the name of a shipped agent.
         episodes: Number of episodes.
-        checkpoint: `best`, `last` or the number of a generation.
+        checkpoint: Checkpoint: `best`, `last` or the number of a generation.
         num_workers: Worker processes; 0 is one for every core. Does not change results.
         device: Device of the physics, whichever the run was trained on.
         nconmax: Contact buffer of a device, per simulation; that of the run if none.

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -38,7 +38,7 @@ def export(
     run: Path | str,
     out: Path | str | None = None,
     *,
-    format: str = "npz",  # noqa: A002 - as the flag
+    format: Literal["npz", "onnx"] = "npz",  # noqa: A002 - as the flag
     checkpoint: str = "best",
 ) -> tuple[Path, ...]:
     """Write the mean policies of a run, with their normalisation, and return the files.
@@ -48,7 +48,7 @@ def export(
         out: The file; an existing one is replaced. `policy.npz` or `policy.onnx` if None.
         format: `npz`, or `onnx` (extra `onnx`). The latter writes `policy-controller.onnx` and `policy-primitive.onnx`
             for an agent with two levels.
-        checkpoint: `best`, `last` or the number of a generation.
+        checkpoint: Checkpoint: `best`, `last` or the number of a generation.
 
     Raises:
         UnknownNameError: There is no such format.

@@ -72,7 +72,7 @@ def train(
     listener: AnyListener = None,
     **settings: Any,
 ) -> Run:
-    """Train on `env` and return the run; for arguments and errors see `shes.train`, which also shows the progress."""
+    """Train on `env` and return the run; see `shes.train`, which also shows the progress."""
     return start_run(make_config(env, preset, settings), out, listener)
 
 
@@ -103,7 +103,7 @@ def _path(out: Path | str) -> Path:
 
 
 def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -> Run:
-    """Continue the run at `path` from its last checkpoint; for arguments and errors see `shes.resume`."""
+    """Continue the run at `path` from its last checkpoint; see `shes.resume`, which also shows the progress."""
     audience = Audience(listener)
     folder = RunFolder.open(path)
     stored = folder.read_config()

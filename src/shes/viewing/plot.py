@@ -6,6 +6,7 @@ import os
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -43,7 +44,12 @@ Panel = tuple[str, str, str]
 """Table, column, title."""
 
 
-def plot(runs: Path | str | Sequence[Path | str], out: Path | str = "curves.png", *, x: str = "env_steps") -> Path:
+def plot(
+    runs: Path | str | Sequence[Path | str],
+    out: Path | str = "curves.png",
+    *,
+    x: Literal["env_steps", "generation", "wall_time_s"] = "env_steps",
+) -> Path:
     """Draw the learning curves of `runs` and return the picture's path.
 
     Runs that differ in the seed only form a group: the figure shows its mean and a 95 % bootstrap interval over its
@@ -53,7 +59,7 @@ def plot(runs: Path | str | Sequence[Path | str], out: Path | str = "curves.png"
     Args:
         runs: Run folders, folders of runs, or names of shipped agents.
         out: Path of the picture; the suffix (.png, .pdf, .svg) selects the format.
-        x: `env_steps`, `generation` or `wall_time_s`.
+        x: Horizontal axis.
 
     Raises:
         RunFolderError: A run is neither a folder of runs nor a shipped agent, or has no generation yet.

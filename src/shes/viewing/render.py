@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -29,7 +30,7 @@ def render(
     out: Path | str = "walk.mp4",
     *,
     checkpoints: str | Sequence[str] = ("best",),
-    camera: str = "both",
+    camera: Literal["both", "follow", "top"] = "both",
     episode: int = 0,
     seed: int | None = None,
     size: int = 480,
@@ -42,14 +43,14 @@ def render(
     environment draws itself, with its own camera and without goals.
 
     Args:
-        run: Run folder, or the name of a shipped agent.
+        run: The run folder, or the name of a shipped agent.
         out: Path of the video, .mp4 or .gif.
-        checkpoints: `best`, `last` or numbers of generations; several are shown side by side, in the same episode.
-        camera: `both`, `follow` or `top`.
+        checkpoints: Checkpoints: `best`, `last` or numbers of generations. Several are shown side by side.
+        camera: Camera.
         episode: Index of the episode among those of `evaluate`.
         seed: Seed of the episodes, as for `evaluate`.
         size: Height and width of a view in pixels; even.
-        steps: Maximum number of control steps; None is evaluation's horizon.
+        steps: Maximum number of control steps; those of an evaluation if None.
         on_step: Called with the number of control steps drawn and their maximum.
 
     Raises:

@@ -12,7 +12,15 @@ from shes.viewing.playback import Playback
 def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None) -> None:
     """Show the episodes that `evaluate` runs, in real time, until the window is closed.
 
-    For arguments and errors see `render`; here a ConfigError also says that there is no screen, or no window.
+    Args:
+        run: The run folder, or the name of a shipped agent.
+        checkpoint: Checkpoint: `best`, `last` or the number of a generation.
+        seed: Seed of the episodes, as for `evaluate`.
+
+    Raises:
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
+        CheckpointError: The checkpoint is missing or damaged.
+        ConfigError: There is no screen, the environment has no window, or `seed` is negative.
     """
     playback = Playback(run, checkpoint, seed)
     window = open_window(playback.task)

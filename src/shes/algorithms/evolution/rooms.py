@@ -128,7 +128,7 @@ class NetworkSettings(Settings):
 class PrimitiveSettings(Settings):
     """Goals, and the primitive that reaches them."""
 
-    controller_interval: Annotated[int, Ge(1), Shown(everyday=True)] = 25
+    controller_interval: Annotated[int, Ge(1)] = 25
     """Control steps for which a goal is held (c in Table I: 25)."""
     goal_distance: Annotated[float, Gt(0)] = 4.0
     """Goal distance in metres for a controller output of 1 (Table I: 4)."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import closing
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from time import monotonic
 from typing import Annotated, Literal
@@ -23,7 +26,7 @@ from shes.studies.tables import write_csv, write_tables
 
 
 def experiment(
-    name: Annotated[Literal["ablation", "learning"], tyro.conf.Positional],
+    name: Literal["ablation", "learning"],
     *,
     out: Path | None = None,
     workers: int = 0,
@@ -49,88 +52,80 @@ def experiment(
     study, out = STUDIES[name](scale, seeds), out or Path("runs") / name
     chosen, workers = choose(study, only), WorkerSettings(num_workers=workers).count
     check_study(study, out)
-    progress = _Progress(chosen, {cell.name for cell in cells_left(chosen, out)}, workers, is_silent=json)
-    failed: list[Outcome] = []
+    say = _say_nothing if json else print_line
+    left = {cell.name for cell in cells_left(chosen, out)}
+    failed: dict[str, str] = {}
     try:
         with closing(run_study(chosen, out, num_workers=workers)) as outcomes:
-            for outcome in outcomes:
-                progress.show(outcome)
+            for outcome in _with_progress(chosen, outcomes, left, workers, say):
                 if outcome.summary is None:
-                    failed.append(outcome)
+                    failed[outcome.cell.name] = outcome.error
                 else:
                     write_tables(study.ordered(), read_summaries(study, out), out)
     except KeyboardInterrupt:
-        progress.say("Stopped; finished runs are kept. Continue with the same command.")
+        say("Stopped; finished runs are kept. Continue with the same command.")
         raise
-    _print_results(study, out, len(chosen.cells), {each.cell.name: each.error for each in failed}, as_json=json)
-    if failed:
-        print_error(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
-    return 1 if failed else 0
-
-
-def _print_results(study: Study, out: Path, num_cells: int, failed: dict[str, str], *, as_json: bool) -> None:
-    """Write tables and figures of the finished cells into `out`, and print the comparisons and failed cells."""
     summaries = read_summaries(study, out)
     comparisons = compare(study, summaries)
     rows = [each.row() for each in comparisons]
     write_tables(study.ordered(), summaries, out)
     write_csv(out / "comparison.csv", rows)
     figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
-    if as_json:
-        facts = {"out": str(out), "cells": num_cells, "failed": failed, "figures": figures}
+    if json:
+        facts = {"out": str(out), "cells": len(chosen.cells), "failed": failed, "figures": figures}
         print_facts({**facts, "comparisons": rows}, as_json=True)
     else:
         _print_comparisons(study.design, comparisons)
         print_line(f"Tables: runs.csv, curves.csv, comparison.csv in {quote(out)}")
         print_line(f"Figures: {' '.join(map(quote, figures)) or 'none'}")
-    for name, error in failed.items():
-        print_error(f"{name} failed: {error}")
+    for cell, error in failed.items():
+        print_error(f"{cell} failed: {error}")
+    if failed:
+        print_error(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
+    return 1 if failed else 0
 
 
-class _Progress:
-    """Prints a forecast, then the result of every run and the time left."""
+def _say_nothing(_text: str) -> None: ...
 
-    def __init__(self, study: Study, left: set[str], workers: int, *, is_silent: bool) -> None:
-        self._design, self._is_silent = study.design, is_silent
-        steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
-        self._left = {name: count for name, count in steps.items() if name in left}
-        self._total, self._start, self._made = len(steps), monotonic(), 0
-        at_once = max(1, min(workers, len(left)))
-        expected = format_duration(sum(self._left.values()) / self._design.steps_per_s / at_once)
-        pace = f"at {self._design.steps_per_s:,} steps a second on each of {at_once} core{'s' * (at_once != 1)}"
-        done = f"; {len(steps) - len(left)} are done" if len(left) < len(steps) else ""
-        self.say(
-            f"{len(steps)} runs, {sum(steps.values()) / 1e6:,.1f} M environment steps{done}. "
-            f"About {expected} {pace}; Ctrl-C stops, the same command continues."
-        )
 
-    def show(self, outcome: Outcome) -> None:
-        """Print the outcome of a cell."""
+def _with_progress(
+    study: Study, outcomes: Iterable[Outcome], left: Collection[str], workers: int, say: Callable[[str], None]
+) -> Iterator[Outcome]:
+    """Yield the outcomes of the cells that are `left`; say a forecast, and after each its result and the time left."""
+    steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
+    to_make, made, start = {name: steps[name] for name in left}, 0, monotonic()
+    at_once = max(1, min(workers, len(left)))
+    expected = format_duration(sum(to_make.values()) / study.design.steps_per_s / at_once)
+    done = f"; {len(steps) - len(left)} are done" if len(left) < len(steps) else ""
+    say(
+        f"{len(steps)} runs, {sum(steps.values()) / 1e6:,.1f} M environment steps{done}. About {expected} at "
+        f"{study.design.steps_per_s:,} steps a second on each of {at_once} core{'s' * (at_once != 1)}; "
+        "Ctrl-C stops, the same command continues."
+    )
+    for outcome in outcomes:
         for event in outcome.events:
-            self.say(event)
-        self._made += self._left.pop(outcome.cell.name)
-        left = format_duration(sum(self._left.values()) * (monotonic() - self._start) / self._made)
+            say(event)
+        made += to_make.pop(outcome.cell.name)
         result = "FAILED"
         if outcome.summary is not None:
-            row, measure = outcome.summary.row, self._design.metric(outcome.cell.env)
+            row, measure = outcome.summary.row, study.design.metric(outcome.cell.env)
             result = f"{measure.words} {row[measure.column]:.2f} in {row['seconds']:.0f} s"
-        self.say(f"[{self._total - len(self._left)}/{self._total}] {outcome.cell.name}: {result}; {left} left")
-
-    def say(self, text: str) -> None:
-        """Print `text`, unless silent."""
-        if not self._is_silent:
-            print_line(text)
+        time_left = format_duration(sum(to_make.values()) * (monotonic() - start) / made)
+        say(f"[{len(steps) - len(to_make)}/{len(steps)}] {outcome.cell.name}: {result}; {time_left} left")
+        yield outcome
 
 
-def _print_comparisons(design: StudyDesign, comparisons: list[Comparison]) -> None:
+def _print_comparisons(design: StudyDesign, comparisons: Iterable[Comparison]) -> None:
     """Print a table for each environment, with a row for each variant."""
-    for env in dict.fromkeys(found.env for found in comparisons):
-        rows: list[tuple[str, ...]] = []
-        for found in (found for found in comparisons if found.env == env):
-            other = "" if found.against in (None, design.base[1]) else f" (to {design.label(found.against)})"
-            score = f"{found.score_mean:.2f} [{found.score_low:.2f}, {found.score_high:.2f}]"
-            p = "-" if found.p_holm is None else f"{found.p_holm:.4f}"
-            rows.append((found.group, design.label(found.variant) + other, str(found.seeds), score, p))
+    for env, found in groupby(comparisons, attrgetter("env")):
         print_line(env)
-        print_table(("group", "variant", "seeds", "mean [95 %]", "p"), rows)
+        print_table(("group", "variant", "seeds", "mean [95 %]", "p"), [_row(design, each) for each in found])
         print_line(f"mean: {design.metrics[env].words}, over seeds; p: against the base, permutation test with Holm.")
+
+
+def _row(design: StudyDesign, found: Comparison) -> tuple[str, ...]:
+    """Return the cells of a variant's row."""
+    other = "" if found.against in (None, design.base[1]) else f" (to {design.label(found.against)})"
+    score = f"{found.score_mean:.2f} [{found.score_low:.2f}, {found.score_high:.2f}]"
+    p = "-" if found.p_holm is None else f"{found.p_holm:.4f}"
+    return found.group, design.label(found.variant) + other, str(found.seeds), score, p

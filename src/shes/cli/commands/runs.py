@@ -28,32 +28,26 @@ def list_(folder: Annotated[Path, tyro.conf.Positional] = Path("runs"), *, json:
         print(json_text.dumps({"runs": [run.to_dict() for run in runs], "agents": shown}))
         return 0
     if runs:
-        print_table(
-            ("run", "environment", "generation", "best score", "state"),
-            [
-                (
-                    run.run,
-                    run.env or "-",
-                    f"{_shown(run.generation)} / {_shown(run.generations)}",
-                    run.shown_score,
-                    run.state,
-                )
-                for run in runs
-            ],
-        )
-        for run in runs:
-            if run.problem is not None:
-                print_line(f"{run.run} is unreadable: {run.problem}")
+        print_table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))
     else:
         print_line(f"There is no run below {folder}.")
-    if agents:
-        rows: list[tuple[str, ...]] = []
-        for name, agent in agents.items():
-            score = f"{agent.evaluation.score_mean:.2f} ± {agent.evaluation.score_std:.2f}"
-            rows.append((name, agent.env, score, f"{agent.env_steps:,}", agent.description))
+    for run in runs:
+        if run.problem is not None:
+            print_line(f"{run.run} is unreadable: {run.problem}")
+    rows: list[tuple[str, ...]] = []
+    for name, agent in agents.items():
+        score = f"{agent.evaluation.score_mean:.2f} ± {agent.evaluation.score_std:.2f}"
+        rows.append((name, agent.env, score, f"{agent.env_steps:,}", agent.description))
+    if rows:
         print_table(("agent", "environment", "score", "steps", "description"), rows)
         print_line("Score: mean and standard deviation over fresh episodes. Steps: environment steps of training.")
     return 0
+
+
+def _row(run: RunState) -> tuple[str, ...]:
+    """Return the cells of a run's row."""
+    generation, generations = ("-" if each is None else each for each in (run.generation, run.generations))
+    return run.run, run.env or "-", f"{generation} / {generations}", run.shown_score, run.state
 
 
 def _runs_below(folder: Path) -> list[RunState]:
@@ -68,10 +62,6 @@ def _runs_below(folder: Path) -> list[RunState]:
         except Exception as error:  # noqa: BLE001 - one bad folder, whatever is in it, must not hide the other runs
             found.append(unreadable_state(run, error))
     return found
-
-
-def _shown(number: int | None) -> str:
-    return "-" if number is None else str(number)
 
 
 def info(run: Run, *, full: bool = False, json: Json = False) -> int:

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+import shes
 from shes.cli.output import make_console, print_error, print_facts, print_line, quote
-from shes.cli.parsing import DEFAULT_ENV, Checkpoint, Env, ExecutionFlags, Json, Run, VariedSettings
+from shes.cli.parsing import DEFAULT_ENV, Env, Json, Run
 from shes.cli.progress_display import ProgressDisplay
-from shes.errors import ConfigError, ShesError
+from shes.errors import ConfigError
 from shes.runs.folder import RunFolder, new_folder
-from shes.training.evaluate import evaluate as run_episodes
 from shes.training.presets import make_config
 from shes.training.runs_folder import RunsFolder
 from shes.training.train import Run as FinishedRun
@@ -25,38 +25,38 @@ from shes.training.variations import read_sweep, vary
 
 def train(
     env: Env,
-    settings: VariedSettings,
+    settings: dict[str, Any],
     *,
+    seed: tuple[int, ...] = (1,),
     out: Path | None = None,
     sweep: Annotated[
         tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE,VALUE ...")
     ] = (),
 ) -> int:
-    """Train on an environment, with live progress. Ctrl-C stops and loses nothing: shes resume continues the run.
+    """Train on an environment. Ctrl-C stops and loses nothing, and shes resume continues.
 
-    Several seeds or a sweep make a folder of runs, trained one after another. The same command, or shes resume, goes on
-    with those that are missing.
+    Several seeds or a sweep make a folder of runs. The same command, or shes resume, goes on with those that are left.
 
     shes train point-gather --generations 60 --out runs/first
 
     Args:
-        out: The run folder, which must not hold a run; a new one below runs/ if none.
-        sweep: Values of a setting, each of which becomes a run: sigma=0.02,0.05. Several settings: all combinations.
+        seed: Seed; each of several becomes a run.
+        out: The run folder; a new one below runs/ if none.
+        sweep: Values of a setting, each of which becomes a run: sigma=0.02,0.05.
     """
-    preset, seeds = settings.pop("preset", "laptop"), settings.pop("seed", None)
+    preset = settings.pop("preset", "laptop")
     swept = read_sweep(text for texts in sweep for text in texts)
-    if seeds == ():
+    if not seed:
         raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
-    if not swept and (seeds is None or len(seeds) == 1):
-        given = {} if seeds is None else {"seed": seeds[0]}
-        config = make_config(env, preset, {**settings, **given})
+    if len(seed) == 1 and not swept:
+        config = make_config(env, preset, {**settings, "seed": seed[0]})
         return _show_progress(lambda display: start_run(config, out, display), out)
-    configs = vary(env, preset, settings, seeds or (1,), swept)
-    path = out or new_folder(next(iter(configs.values())), f"{len(configs)}-runs")
-    return _train_all(RunsFolder.create(path, configs), list(configs))
+    configs = vary(env, preset, settings, seed, swept)
+    folder = RunsFolder.create(out or new_folder(next(iter(configs.values())), f"{len(configs)}-runs"), configs)
+    return _train_all(folder, list(configs))
 
 
-def resume(run: Run, settings: ExecutionFlags) -> int:
+def resume(run: Run, settings: dict[str, Any]) -> int:
     """Continue a run, or a folder of runs, as if it had never stopped.
 
     shes resume runs/first --generations 200 --workers 4
@@ -74,8 +74,7 @@ def resume(run: Run, settings: ExecutionFlags) -> int:
 
 def _train_all(folder: RunsFolder, names: list[str]) -> int:
     """Train the runs `names` of a folder that have not ended; return the exit code."""
-    displays, left = ExitStack(), [name for name in names if name in folder.left]
-    failed: dict[str, ShesError] = {}
+    displays, left, failed = ExitStack(), [name for name in names if name in folder.left], 0
 
     def display_of(name: str) -> ProgressDisplay:
         print_line(f"[{names.index(name) + 1}/{len(names)}] {name}")
@@ -86,14 +85,14 @@ def _train_all(folder: RunsFolder, names: list[str]) -> int:
             for ended in outcomes:
                 displays.close()
                 if ended.error is not None:
-                    failed[ended.name] = ended.error
+                    failed += 1
                     print_error(f"{ended.name} failed: {ended.error}")
     except KeyboardInterrupt:
         print_line(f"Stopped; all finished generations are kept. Go on: shes resume {quote(folder.path)}")
         raise
     found = quote(folder.path)
     if failed:
-        print_error(f"{len(failed)} of {len(names)} runs failed. To go on with them: shes resume {found}")
+        print_error(f"{failed} of {len(names)} runs failed. To go on with them: shes resume {found}")
         return 1
     print_line(f"Done: {len(names)} runs, one in each folder below {found}.")
     print_line(f"Next: shes plot {found} · shes list {found} · shes evaluate {quote(folder.path / names[0])}")
@@ -126,27 +125,21 @@ def _show_progress(work: Callable[[ProgressDisplay], FinishedRun], path: Path | 
     return 0
 
 
-def evaluate(
-    run: Run,
-    *,
-    num_workers: Annotated[int, tyro.conf.arg(name="workers", aliases=("--num-workers",))] = 0,
-    checkpoint: Checkpoint = "best",
-    json: Json = False,
-    **options: Annotated[Any, run_episodes],
-) -> int:
+def evaluate(*, json: Json = False, **options: Annotated[Any, "shes.training.evaluate.evaluate"]) -> int:
     """Evaluate a checkpoint of a run on fresh episodes, without noise.
 
     shes evaluate runs/first --episodes 100
     """
-    found = run_episodes(run, checkpoint=checkpoint, num_workers=num_workers, **options)
-    print_facts({"run": run, "checkpoint": checkpoint, **found.summary()}, as_json=json)
+    found = shes.evaluate(**options)
+    facts = {"run": options["run"], "checkpoint": options["checkpoint"], **found.summary()}
+    print_facts(facts, as_json=json)
     return 0
 
 
 def bench(
-    name: Annotated[Literal["rollout", "update"], tyro.conf.Positional],
+    name: Literal["rollout", "update"],
     settings: dict[str, Any],
-    env: Env = DEFAULT_ENV,
+    env: Annotated[Env, tyro.conf.Positional] = DEFAULT_ENV,
     *,
     seconds: float = 0.0,
     json: Json = False,

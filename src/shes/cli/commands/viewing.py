@@ -1,95 +1,66 @@
-"""`shes plot`, `render` and `watch`: learning curves, videos, and a window."""
+"""`shes plot`, `render`, `watch` and `export`: learning curves, videos, a window, and files that need no SHES."""
 
 from __future__ import annotations
 
 import signal
 import sys
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 import tyro
 from rich.progress import Progress
 
+import shes
 from shes.cli.output import make_console, print_line
-from shes.cli.parsing import Checkpoint, Run
 
 TERMINATED = 143
 """Exit code after SIGTERM."""
+_Runs = Annotated[tuple[str, ...], tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(required)")]
 
 
-def plot(
-    runs: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")],
-    *,
-    out: Path = Path("curves.png"),
-    x: Literal["env_steps", "generation", "wall_time_s"] = "env_steps",
-) -> int:
+def plot(runs: _Runs, **options: Annotated[Any, "shes.viewing.plot.plot"]) -> int:
     """Plot learning curves. Runs that differ only in the seed become a mean with a 95 % interval.
 
     shes plot runs/seeds runs/other --out mean.pdf --x generation
-
-    Args:
-        runs: Run folders, folders of runs, or names of shipped agents.
-        out: The figure: .png, .pdf or .svg.
-        x: Horizontal axis.
     """
-    from shes.viewing.plot import plot as draw
-
-    print_line(f"Learning curves: {draw(runs, out, x=x)}")
+    print_line(f"Learning curves: {shes.plot(runs, **options)}")
     return 0
 
 
-def render(
-    run: Run,
-    *,
-    out: Path = Path("walk.mp4"),
-    checkpoint: tuple[str, ...] = ("best",),
-    camera: Literal["both", "follow", "top"] = "both",
-    episode: int = 0,
-    seed: int | None = None,
-    size: int = 480,
-    steps: int | None = None,
-) -> int:
+def render(**options: Annotated[Any, "shes.viewing.render.render"]) -> int:
     """Make a video of a run's policy.
 
     Needs no screen: EGL or OSMesa draws, whichever works (MUJOCO_GL decides if it is set); without either the pictures
     are flat. Without a graphics card 500 control steps take a minute or two.
 
     shes render runs/first --checkpoint 0 best --camera follow
-
-    Args:
-        out: The video: .mp4 or .gif.
-        checkpoint: Checkpoints: best, last or numbers of generations. Several are drawn side by side.
-        camera: Camera.
-        episode: Index of the episode, among those of shes evaluate.
-        seed: Seed of the episodes; that of shes evaluate if none.
-        size: Width and height of one view in pixels.
-        steps: Maximum number of control steps; the whole episode if none.
     """
-    from shes.viewing.render import render as draw
-
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # so that ffmpeg and its files are removed
-    view = {"camera": camera, "episode": episode, "seed": seed, "size": size, "steps": steps}
     console = make_console(stderr=True)
-    with Progress(
-        console=console, transient=True, disable=not console.is_terminal or console.is_dumb_terminal
-    ) as progress:
+    is_silent = not console.is_terminal or console.is_dumb_terminal
+    with Progress(console=console, transient=True, disable=is_silent) as progress:
         task = progress.add_task("drawing", total=None)
 
         def show(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total)
 
-        video = draw(run, out, checkpoints=checkpoint, on_step=show, **view)
+        video = shes.render(**options, on_step=show)
     print_line(f"Video: {video}")
     return 0
 
 
-def watch(run: Run, *, checkpoint: Checkpoint = "best", seed: int | None = None) -> int:
-    """Watch a run's policy in a window, episode after episode. It needs a display.
+def watch(**options: Annotated[Any, "shes.viewing.watch.watch"]) -> int:
+    """Watch a run's policy in a window, episode after episode. It needs a display."""
+    shes.import_module("shes.viewing.watch").watch(**options)
+    return 0
 
-    Args:
-        seed: Seed of the episodes; that of shes evaluate if none.
+
+def export(**options: Annotated[Any, "shes.training.export.export"]) -> int:
+    """Write a run's policy, with its normalisation, to a file that needs no SHES.
+
+    The program examples/run_exported.py acts from an npz file with NumPy alone.
+
+    shes export ant-gather --format onnx --out gather.onnx
     """
-    from shes.viewing.watch import watch as show
-
-    show(run, checkpoint=checkpoint, seed=seed)
+    for path in shes.export(**options):
+        print_line(f"Policy: {path}")
     return 0

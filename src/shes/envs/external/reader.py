@@ -26,12 +26,7 @@ class ExternalReader(Reader):
     """The spaces of an environment and the pose of its robot. Rows are observations flattened by Gymnasium."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], locate: Locate | None, view: Sequence[int] | None) -> None:
-        """Inspect `env`.
-
-        Args:
-            env: The environment.
-            locate: Returns the robot's pose; None reads it from the MuJoCo joints, if they determine it.
-            view: Indices in the flat observation that the primitive sees; None is all but `desired_goal`.
+        """Inspect `env`; for `locate` and `view` see `shes.register_external`.
 
         Raises:
             ConfigError: A space is not supported, or `view` has a repeated or invalid index.
@@ -44,7 +39,9 @@ class ExternalReader(Reader):
             raise ConfigError(f"its action space must be Discrete or a bounded Box of floats, got {actions}.")
         self._actions: Any = actions
         self.observation_size, self.action_size = flatdim(self._space), flatdim(actions)
-        self.primitive_view = _without_desired_goal(self._space) if view is None else np.array(view, np.int64)
+        parts = self._space.spaces if isinstance(self._space, Dict) else {"": self._space}
+        is_seen = np.repeat([key != "desired_goal" for key in parts], [flatdim(part) for part in parts.values()])
+        self.primitive_view = np.flatnonzero(is_seen) if view is None else np.array(view, np.int64)
         if len({*self.primitive_view} & {*range(self.observation_size)}) < len(self.primitive_view):
             raise ConfigError(
                 f"primitive_view must be distinct indices from 0 to {self.observation_size - 1}, got {view}."
@@ -53,11 +50,7 @@ class ExternalReader(Reader):
         self.can_locate = locate is not None or self._root is not None
 
     def flat(self, observation: Any) -> F64Array:
-        """Return one observation of the environment as a row [O].
-
-        Raises:
-            ValueError: It has another size.
-        """
+        """Return one observation of the environment as a row [O]; raise ValueError if it has another size."""
         return np.asarray(flatten(self._space, observation), np.float64).reshape(self.observation_size)
 
     def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
@@ -70,11 +63,7 @@ class ExternalReader(Reader):
             raise ShapeError(f"not an observation of {num_envs} times {self._space}: {error!r}.") from error
 
     def planar_pose(self, row: F64Array, info: Mapping[str, Any], env: gymnasium.Env[Any, Any] | None) -> PlanarPose:
-        """Return the robot's planar pose for observation `row` [O]: by `locate`, else from the joints of `env`.
-
-        Raises:
-            ConfigError: `env` is needed and was not given, or `locate` returned something else than a pose.
-        """
+        """Return the robot's planar pose for observation `row` [O]: by `locate`, else from the joints of `env`."""
         if self._locate is not None:
             found: Any = self._locate(unflatten(self._space, row), info)
         else:
@@ -118,10 +107,3 @@ def find_physics(env: gymnasium.Env[Any, Any]) -> mujoco.MjData | None:
         if isinstance(data, mujoco.MjData):
             return data
     return None
-
-
-def _without_desired_goal(space: gymnasium.Space[Any]) -> Any:
-    """Return the indices in the flat observation of all entries but `desired_goal`."""
-    parts = space.spaces if isinstance(space, Dict) else {"": space}
-    sizes = [flatdim(part) for part in parts.values()]
-    return np.flatnonzero(np.repeat([key != "desired_goal" for key in parts], sizes))

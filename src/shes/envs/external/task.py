@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.external.description import ExternalDescription
+from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.reader import ExternalReader, find_physics
 from shes.errors import ConfigError
 from shes.sim.cpu import count_divergences, forget_divergences
@@ -41,12 +41,8 @@ class ExternalTask(EpisodeBatch):
     diverged, physics_s = property(attrgetter("_diverged")), property(attrgetter("_physics_s"))
     score, success = property(attrgetter("_score")), property(attrgetter("_success"))
 
-    def __init__(self, environment: ExternalDescription, num_episodes: int) -> None:
-        """Make the first of `num_episodes` environments and inspect it; the others are made at their first reset.
-
-        Raises:
-            ConfigError: The environment cannot be made, or has a space that is not supported.
-        """
+    def __init__(self, environment: ExternalEnvironment, num_episodes: int) -> None:
+        """Make the first of `num_episodes` environments and inspect it; the others are made at their first reset."""
         self.environment, self.num_episodes = environment, num_episodes
         self._render_mode: str | None = None
         self._envs: list[gymnasium.Env[Any, Any] | None] = [None] * num_episodes
