@@ -30,6 +30,7 @@ from shes.es.perturbation import ManyToMany
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.training.build import build_algorithm, build_backend, build_task
+from shes.training.limits import Workload, check_limits
 
 __all__ = ["bench_rollout", "bench_update"]
 
@@ -112,13 +113,14 @@ def _evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
     """Return the algorithm of `config`.
 
     Raises:
-        ConfigError: It is not an evolution strategy.
+        ConfigError: It is not an evolution strategy, or does not fit this machine.
     """
     algorithm = build_algorithm(config)
     if not isinstance(algorithm, EvolutionAlgorithm):
         raise ConfigError(
             f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm shes or es."
         )
+    check_limits(Workload.of(config), algorithm.design)
     return algorithm
 
 

@@ -79,6 +79,13 @@ def _run(arguments: Sequence[str] | None) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         raise
+    except MemoryError as error:
+        if asked.debug:
+            raise
+        print_error(
+            f"not enough memory ({str(error) or 'no more is free'}). Lower what the command asks for; see its --help."
+        )
+        return ConfigError.exit_code
     except (ShesError, OSError) as error:  # OSError: standard output is on a full disk, a path cannot be read, ...
         if asked.debug:
             raise

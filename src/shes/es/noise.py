@@ -44,6 +44,11 @@ def _block(seed: int, number: int, length: int) -> F32Array:
     return rng.standard_normal(length, dtype=np.float32)
 
 
+def _path(size: int, seed: int = NOISE_SEED, directory: Path | None = None) -> Path:
+    """Return the file of the table of `size` normals from `seed`."""
+    return (default_cache_dir() if directory is None else directory) / f"noise-v{_FORMAT}-{size}-{seed}.f32"
+
+
 def _checksums(path: Path) -> Path:
     """Return the file with the checksum (CRC-32) of every block of the table at `path`."""
     return path.with_suffix(".crc32")
@@ -104,9 +109,8 @@ class NoiseTable:
         """
         if size <= 0:
             raise ConfigError(f"noise_table_size must be positive, got {size}. Set --noise-table-size.")
-        directory = default_cache_dir() if directory is None else directory
-        path = directory / f"noise-v{_FORMAT}-{size}-{seed}.f32"
-        remove_abandoned(directory, "noise-*")  # of tables of any size, whose builders were killed
+        path = _path(size, seed, directory)
+        remove_abandoned(path.parent, "noise-*")  # of tables of any size, whose builders were killed
         if not cls._is_intact(path, size, seed):
             cls._check_room(path, size)
             cls._build(path, size, seed)
@@ -139,6 +143,17 @@ class NoiseTable:
         except OSError:
             return False
         return head == _block(seed, 0, min(_CHECKED, size)).tobytes() and np.array_equal(sums, found)
+
+    @classmethod
+    def check_room(cls, size: int) -> None:
+        """Check that there is a table of `size` normals, or room for it.
+
+        Raises:
+            ConfigError: It fits neither the memory nor the disk.
+        """
+        path = _path(size)
+        if not path.exists():
+            cls._check_room(path, size)
 
     @staticmethod
     def _check_room(path: Path, size: int) -> None:

@@ -78,7 +78,7 @@ class RunFolder:
 
         Raises:
             RunFolderError: Another process holds it, the folder belongs to a shipped agent, or a symbolic link in it
-                leads out of it.
+                leads out of it, or one of its files is not a regular one.
             StorageError: The folder cannot be written.
         """
         name = shipped_name(self.path)
@@ -101,14 +101,17 @@ class RunFolder:
             yield
 
     def _check_links(self) -> None:
-        """Check that no file is written through a symbolic link out of the folder.
+        """Check that no file is written through a symbolic link out of the folder, or into a pipe.
 
         Raises:
-            RunFolderError: A file or folder of the run is such a link.
+            RunFolderError: A file or folder of the run is such a link, or of another kind.
         """
         home = os.path.realpath(self.path)
         files = (self.config, self.progress, self.evaluation, self.log, self._lock)
-        for place in (*files, self.checkpoints, self.tensorboard):
+        for place in (*files, self.checkpoints, self.tensorboard, self.tensorboard / "env_steps"):
+            if place.exists() and not (place.is_file() if place in files else place.is_dir()):
+                kind = "regular file" if place in files else "folder"
+                raise RunFolderError(f"{place} is not a {kind}: nothing is written there. Remove it.")
             target = os.path.realpath(place)
             if not Path(target).is_relative_to(home):
                 raise RunFolderError(
@@ -225,7 +228,7 @@ class RunFolder:
                 f"the shipped agent {agent} has the checkpoint best alone, got {name!r}. Omit --checkpoint."
             )
         checkpoint, config = load_checkpoint(path, check), self.read_config()
-        mine = config.numbers()
+        mine, seed = config.numbers(), int(checkpoint.arrays["seed"])
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
         missing = {name: config.setting(name).default for name in mine if name not in checkpoint.numbers}
         checkpoint = replace(checkpoint, numbers={**missing, **checkpoint.numbers})
@@ -234,6 +237,8 @@ class RunFolder:
             other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]
             shown = ", ".join(f"{key} is {checkpoint.numbers.get(key)!r}, not {mine.get(key)!r}" for key in other[:3])
             raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
+        if seed != config.run.seed:
+            raise CheckpointError(f"{path} is damaged: its seed is {seed}, not {config.run.seed}. Take another one.")
         return checkpoint
 
     def read_record(self) -> dict[str, Any]:
@@ -243,6 +248,8 @@ class RunFolder:
             RunFolderError: The file is damaged, or has another format.
         """
         try:
+            if not self.config.is_file():  # a pipe would be waited for
+                raise FileNotFoundError("there is no such file")
             record = json.loads(self.config.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
             raise RunFolderError(f"{self.config} cannot be read: {error}. Restore it from a copy.") from error

@@ -103,7 +103,6 @@ class EvaluationSettings(Settings):
 
 
 _NO_ENVIRONMENT = "the configuration names no environment (key 'env')."
-_RESTORE = "The record is damaged or of another version: restore it from a copy, or use the version that wrote it."
 _OF_EVERY_RUN: dict[str, type[Settings]] = {
     "run": RunSettings,
     "workers": WorkerSettings,
@@ -198,10 +197,13 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
 
 
 def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run with this record, which holds exactly the settings of the run, by room.
+    """Return the settings classes of a run with this record, by room.
+
+    A setting that the record lacks is newer than the run and has its default, with which it changes no number. If it was
+    lost instead, the checkpoints, which hold the settings as well, tell.
 
     Raises:
-        ConfigError: A room or a setting is unknown or missing.
+        ConfigError: A room or a setting is unknown.
         UnknownNameError: A value is an unknown name.
     """
     for room, values in rooms.items():
@@ -216,15 +218,9 @@ def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Setti
         if room not in classes:
             raise ConfigError(f"a run of {run['env']} has no room of settings {room!r}.")
         _check_choices(settings[room], values)
-    for room, here in settings.items():
-        if room not in rooms:
-            raise ConfigError(f"the settings lack room {room!r}. {_RESTORE}")
-        for name in rooms[room]:
-            if name not in here:
-                raise _unknown(name, here, f" in room {room!r}")
-        missing = [name for name in here if name not in rooms[room]]
-        if missing:
-            raise ConfigError(f"the settings lack {', '.join(missing)} in room {room!r}. {_RESTORE}")
+        for name in values:
+            if name not in settings[room]:
+                raise _unknown(name, settings[room], f" in room {room!r}")
     return classes
 
 

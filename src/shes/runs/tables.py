@@ -40,6 +40,8 @@ def _read_rows(path: Path) -> list[list[str]]:
     Raises:
         RunFolderError: The file is missing or damaged.
     """
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise _damaged(path, OSError("it is not a regular file"))
     try:
         with path.open(newline="", encoding="utf-8") as file:
             return [row for row in csv.reader(file) if row]
