@@ -86,9 +86,7 @@ def test_the_horizon_of_an_evaluation_that_follows_it_is_lowered_with_it(config,
 @pytest.mark.usefixtures("small_machine")
 def test_several_sizes_that_do_not_fit_are_named_together(config, design):
     workload = replace(Workload.of(config), population_size=HUGE, evaluation_episodes=HUGE)
-    with pytest.raises(
-        ConfigError, match=r"the run takes .*Lower --population-size, .*--evaluation-horizon, --hidden, or use"
-    ):
+    with pytest.raises(ConfigError, match=r"the run takes .*Lower --population-size, .*--horizon, .*--hidden, or use"):
         check_limits(workload, design)
 
 

@@ -82,9 +82,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except MemoryError as error:
         if asked.debug:
             raise
-        print_error(
-            f"not enough memory ({str(error) or 'no more is free'}). Lower what the command asks for; see its --help."
-        )
+        found = str(error) or "no more is free"
+        print_error(f"not enough memory ({found}). Lower what the command asks for; see its --help.")
         return ConfigError.exit_code
     except (ShesError, OSError) as error:  # OSError: standard output is on a full disk, a path cannot be read, ...
         if asked.debug:

@@ -199,8 +199,8 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
 def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
     """Return the settings classes of a run with this record, by room.
 
-    A setting that the record lacks is newer than the run and has its default, with which it changes no number. If it was
-    lost instead, the checkpoints, which hold the settings as well, tell.
+    A setting that the record lacks is newer than the run. It has its default, which does what was done before there was
+    the setting. If it was lost instead, the checkpoints tell, which hold the settings as well.
 
     Raises:
         ConfigError: A room or a setting is unknown.
