@@ -49,6 +49,11 @@ def _path(size: int, seed: int = NOISE_SEED, directory: Path | None = None) -> P
     return (default_cache_dir() if directory is None else directory) / f"noise-v{_FORMAT}-{size}-{seed}.f32"
 
 
+def _in_words(size: int) -> str:
+    """Return a number of bytes in GB, or in MB if it is small."""
+    return f"{size / 1e9:,.1f} GB" if size >= 1e8 else f"{size / 1e6:,.1f} MB"
+
+
 def _checksums(path: Path) -> Path:
     """Return the file with the checksum (CRC-32) of every block of the table at `path`."""
     return path.with_suffix(".crc32")
@@ -164,10 +169,12 @@ class NoiseTable:
         """
         for free, where in ((free_memory(), "of memory"), (free_disk(path), f"on the disk of {path.parent}")):
             if 4 * size > free:
+                most = free // 4
+                most -= most % 10 ** max(0, len(str(most)) - 2)
+                fix = f"Set --noise-table-size {most} at most, or point" if most > 1 else "Point"
                 raise ConfigError(
-                    f"noise_table_size is {size:,}, which takes {4 * size / 1e9:,.1f} GB, but {free / 1e9:,.1f} GB "
-                    f"{where} are free. Set --noise-table-size {free // 4_000_000 * 1_000_000} at most, or point "
-                    "SHES_CACHE_DIR at a larger disk."
+                    f"noise_table_size is {size:,}, which takes {_in_words(4 * size)}, but {_in_words(free)} {where} "
+                    f"are free. {fix} SHES_CACHE_DIR at a larger disk."
                 )
 
     @staticmethod

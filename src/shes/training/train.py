@@ -6,7 +6,7 @@ import os
 import shlex
 from collections.abc import Iterable
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ class Run:
 
     path: Path
     """The run folder."""
-    config: TrainConfig
+    config: TrainConfig = field(repr=False)
     generation: int
     """Number of finished generations."""
     best: Best
