@@ -61,6 +61,7 @@ def run(tmp_path_factory):
 def test_train_returns_the_run(run):
     assert (run.generation, run.config.run.env, run.config.run.seed) == (2, "point-gather", 5)
     assert run.best.generation in (1, 2)
+    assert len(repr(run)) < 300  # without all settings
     assert (run.path / "checkpoints" / "last.npz").is_file()
 
 

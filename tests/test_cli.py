@@ -117,6 +117,11 @@ def test_list_shows_the_runs_that_cannot_be_read_with_the_reason(shes, tiny_run,
     record = json.loads((tmp_path / "theirs" / "config.json").read_text())
     record["config"]["run"]["algorithm"] = "their-own"
     (tmp_path / "theirs" / "config.json").write_text(json.dumps(record))
+    record["config"]["run"]["env"] = 7
+    (tmp_path / "whole" / "config.json").rename(tmp_path / "kept")
+    (tmp_path / "whole" / "config.json").write_text(json.dumps(record))
+    assert "unreadable" in shes("list", tmp_path)
+    (tmp_path / "kept").replace(tmp_path / "whole" / "config.json")
     (tmp_path / "another").mkdir()
     (tmp_path / "another" / "config.json").write_text("{}")
 
@@ -130,6 +135,15 @@ def test_list_shows_the_runs_that_cannot_be_read_with_the_reason(shes, tiny_run,
     text = shes("list", tmp_path)
     assert re.search(r"theirs +│ point-gather +│ - / 4 +│ - +│ unreadable", text)
     assert "theirs is unreadable: " in text
+
+
+def test_memory_that_runs_out_is_one_line(capsys, monkeypatch):
+    def envs():
+        raise MemoryError
+
+    monkeypatch.setattr("shes.cli.commands.envs.envs", envs)
+    assert main(["envs"]) == 2
+    assert re.fullmatch(r"Error: not enough memory \(no more is free\)\. .*\n", capsys.readouterr().err)
 
 
 def test_info_shows_what_a_run_is(shes, tiny_run):

@@ -50,7 +50,7 @@ class EveryKind(Settings):
 
 NOT_NUMBERS = ["1", True, None, float("nan"), float("inf"), [1], 1j]
 WRONG = {
-    "whole": (r"a whole number of at least 2", [1, 2.0, *NOT_NUMBERS]),
+    "whole": (r"a whole number of at least 2", [1, 2.0, -(10**400), *NOT_NUMBERS]),
     "seed": (r"a whole number of at least 0 and less than 2\*\*63", [-1, 2**63, 1.0]),
     "positive": (r"a positive number", [0, -0.1, *NOT_NUMBERS]),
     "zero": (r"zero or a positive number", [-0.1, *NOT_NUMBERS]),
@@ -72,6 +72,12 @@ WRONG = {
 
 def test_every_kind_of_setting_is_checked_here():
     assert WRONG.keys() == setting_fields(EveryKind).keys()
+
+
+@pytest.mark.parametrize("values", [{"whole": 2**63}, {"positive": 10**400}, {"layers": (8, 10**30)}])
+def test_a_whole_number_that_numpy_has_not_is_refused(values):
+    with pytest.raises(ConfigError, match=r"must be less than 2\*\*63, got .*Set --"):
+        EveryKind(**values)
 
 
 @pytest.mark.parametrize("name", WRONG)

@@ -213,13 +213,21 @@ class Setting:
         return isinstance(value, tuple) and (bool(value) or self.item is int) and all(map(self._is_item, value))
 
     def _is_item(self, value: Any) -> bool:
-        """Return whether `value` has the type of an item and is within the bounds; a bool is not a number."""
+        """Return whether `value` has the type of an item and is within the bounds; a bool is not a number.
+
+        Raises:
+            ConfigError: It is a whole number of 2**63 or more.
+        """
         if self.item not in (int, float):
             return isinstance(value, self.item) and (self.item is not str or bool(value))
         if isinstance(value, bool) or not isinstance(value, int if self.item is int else int | float):
             return False
         bounds = (note for note in self.notes if isinstance(note, _Bound))
-        return math.isfinite(value) and all(note.compare(value, note.bound) for note in bounds)
+        if not all(note.compare(value, note.bound) for note in bounds):
+            return False
+        if isinstance(value, int) and abs(value) >= 2**63:  # NumPy has no such integers
+            raise out_of_range(self.name, value, "less than 2**63", self.flag)
+        return math.isfinite(value)
 
     @property
     def allowed(self) -> str:

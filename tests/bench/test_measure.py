@@ -6,6 +6,7 @@ import time
 import pytest
 
 from shes.bench.measure import bench_rollout, bench_update
+from shes.errors import ConfigError
 from shes.training.build import build_algorithm
 from shes.training.presets import make_config
 
@@ -87,3 +88,10 @@ def test_the_update_bench_goes_on_for_as_long_as_it_is_asked_to():
     start = time.perf_counter()
     bench_update(make_config("point-gather", "smoke", TINY), repeats=1, seconds=0.3)
     assert time.perf_counter() - start >= 0.3
+
+
+@pytest.mark.parametrize("bench", [bench_rollout, bench_update])
+def test_what_does_not_fit_the_memory_is_refused(bench):
+    config = make_config("point-gather", "smoke", {**TINY, "population_size": 10**12})
+    with pytest.raises(ConfigError, match=r"population_size is 1,000.* Set --population-size \d+ or less"):
+        bench(config)

@@ -298,10 +298,6 @@ CONFIGS = {
         lambda text: text.replace('"sigma"', '"sigmma"'),
         r"config\.json: unknown setting 'sigmma' in room 'evolution'\. Did you mean 'sigma'\?",
     ),
-    "missing_key": (
-        lambda text: re.sub(r'"sigma": [\d.]+,', "", text),
-        r"config\.json: the settings lack sigma in room 'evolution'\. The record is damaged",
-    ),
     "wrong_type": (
         lambda text: re.sub(r'"sigma": [\d.]+', '"sigma": "big"', text),
         r"sigma must be a positive number, got 'big'",
@@ -320,6 +316,14 @@ def test_a_damaged_record_is_refused(refused, run_copy, case, command):
     config = run_copy / "config.json"
     config.write_text(damage(config.read_text()))
     assert re.search(message, refused(command, run_copy))
+
+
+@pytest.mark.parametrize("command", ["resume", "evaluate"])
+def test_a_setting_that_was_lost_is_told_by_the_checkpoint(refused, run_copy, command):
+    config = run_copy / "config.json"
+    config.write_text(re.sub(r'"population_size": \d+,', "", config.read_text()))
+    message = refused(command, run_copy)
+    assert re.search(r"\.npz is of another run: population_size is 8, not \d+\. Put back", message)
 
 
 # Checkpoints.

@@ -240,12 +240,20 @@ def test_a_table_that_does_not_fit_is_refused_with_the_size_that_would(tmp_path,
     monkeypatch.setattr(noise, f"free_{size}", lambda *_: 4 * 2_500_000)
     with pytest.raises(
         ConfigError,
-        match=rf"noise_table_size is 3,000,000, which takes 0\.0 GB, but 0\.0 GB {what} are free\. "
-        r"Set --noise-table-size 2000000 at most, or point SHES_CACHE_DIR",
+        match=rf"noise_table_size is 3,000,000, which takes 12\.0 MB, but 10\.0 MB {what} are free\. "
+        r"Set --noise-table-size 2500000 at most, or point SHES_CACHE_DIR",
     ):
         NoiseTable.open(3_000_000, directory=tmp_path / "cache")
     assert list(tmp_path.iterdir()) == []
-    NoiseTable.open(2_000_000, directory=tmp_path / "cache")
+    NoiseTable.open(2_500_000, directory=tmp_path / "cache")
+
+
+def test_where_no_table_fits_no_size_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(noise, "free_disk", lambda _: 0)
+    with pytest.raises(
+        ConfigError, match=r"0\.0 MB on the disk of .* are free\. Point SHES_CACHE_DIR at a larger disk"
+    ):
+        NoiseTable.open(5000, directory=tmp_path / "cache")
 
 
 def test_a_table_that_is_there_needs_no_free_disk(tmp_path, monkeypatch):

@@ -146,7 +146,8 @@ SCALARS = {
     "generation.npy": [np.int64(-1), np.float64(1), np.zeros(2, np.int64), np.complex64(1), np.array("7")],
     "env_steps.npy": [np.int64(-5)],
     "seed.npy": [np.int64(-5)],
-    "best_score.npy": [np.float64("nan"), np.array("1")],
+    "best_score.npy": [np.float64("nan"), np.float64("inf"), np.array("1")],
+    "best_return.npy": [np.float64("inf")],
     "best_generation.npy": [np.int64(-2), np.array([1, 2])],
     "format.npy": [np.array([2]), np.float64(2)],
     "settings.npy": [np.array("[1]"), np.array("{"), np.array("[" * 100_000), np.array("7"), np.int64(3)],
@@ -156,6 +157,10 @@ SCALARS = {
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in SCALARS.items() for value in values])
 def test_numbers_and_settings_that_no_run_writes_are_refused(change, name, value):
     refused(change(**{name: member(value)}), "is not a whole SHES checkpoint")
+
+
+def test_another_seed_than_that_of_the_settings_is_refused(change):
+    refused(change(**{"seed.npy": member(np.int64(99))}), r"is damaged: its seed is 99, not \d")
 
 
 def test_settings_of_many_megabytes_are_not_read(change):

@@ -1,6 +1,7 @@
 """Run folders that no run has left behind: each fault is one clear error, and nothing is written outside."""
 
 import json
+import os
 import shutil
 
 import pytest
@@ -124,6 +125,35 @@ def test_nothing_is_written_through_a_link_in_a_folder_for_a_new_run(tmp_path, n
     with pytest.raises(RunFolderError, match=rf"{name} is a symbolic link that leads out of the run folder"):
         runs.train_tiny(path)
     assert not outside.exists()
+
+
+def test_nothing_is_written_through_a_link_below_the_folder_of_events(run_copy, tmp_path):
+    outside = tmp_path / "outside"
+    (run_copy / "tensorboard" / "env_steps").rename(outside)
+    (run_copy / "tensorboard" / "env_steps").symlink_to(outside)
+    before = files(outside)
+    refused(run_copy, r"env_steps is a symbolic link that leads out of the run folder")
+    assert files(outside) == before
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("name", ["progress.csv", "evaluation.csv", "log.txt", ".lock"])
+def test_no_pipe_is_waited_for(run_copy, tmp_path, name):
+    (run_copy / name).unlink()
+    os.mkfifo(run_copy / name)
+    with pytest.raises(RunFolderError, match=rf"{name} is not a regular file"):
+        shes.resume(run_copy, generations=6)
+    if name.endswith(".csv"):
+        with pytest.raises(RunFolderError, match=rf"{name} cannot be read .*: it is not a regular file"):
+            plot([run_copy], tmp_path / "curves.png")
+
+
+@pytest.mark.timeout(60)
+def test_a_pipe_as_record_is_not_waited_for(run_copy, tmp_path):
+    (run_copy / "config.json").unlink()
+    os.mkfifo(run_copy / "config.json")
+    with pytest.raises(RunFolderError, match=r"config\.json cannot be read: there is no such file"):
+        plot([run_copy], tmp_path / "curves.png")
 
 
 def test_a_link_to_the_run_folder_itself_or_inside_it_is_followed(tmp_path, run_copy):

@@ -1,5 +1,6 @@
 """Evaluation: fresh episodes of the mean policies, the same on any number of workers."""
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -32,6 +33,22 @@ def test_workers_change_no_number(threes):
     one = evaluate(threes, episodes=7, num_workers=1)
     assert same(one, evaluate(threes, episodes=7, num_workers=2))
     assert one.scores.shape == (7,)
+
+
+def test_what_the_workers_tell_is_a_warning(tiny_run, monkeypatch, caplog):
+    def build(*arguments):
+        backend = original(*arguments)
+        all_at_once = backend.map
+        monkeypatch.setattr(
+            backend, "map", lambda tasks: (backend.on_event("worker 7 gives no answer"), all_at_once(tasks))[1]
+        )
+        return backend
+
+    module = importlib.import_module("shes.training.evaluate")
+    original = module.build_backend
+    monkeypatch.setattr(module, "build_backend", build)
+    evaluate(tiny_run, episodes=2, num_workers=1)
+    assert [(each.levelname, each.message) for each in caplog.records] == [("WARNING", "worker 7 gives no answer")]
 
 
 def test_fewer_episodes_are_the_first_of_more(tiny_run):

@@ -42,7 +42,7 @@ NAMES = ["population_size", "episodes_per_policy", "evaluation_episodes", "horiz
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("value", [HUGE, 10**30])
+@pytest.mark.parametrize("value", [HUGE, 10**18])
 @pytest.mark.usefixtures("small_machine")
 def test_a_size_that_does_not_fit_is_refused_with_the_size_that_would(tmp_path, design, name, value):
     its_flag = "--" + name.replace("_", "-")
@@ -75,9 +75,18 @@ def test_the_workers_together_must_fit(config, design):
 
 
 @pytest.mark.usefixtures("small_machine")
+def test_the_horizon_of_an_evaluation_that_follows_it_is_lowered_with_it(config, design):
+    workload = replace(Workload.of(config), horizon=HUGE, evaluation_horizon=HUGE)
+    with pytest.raises(ConfigError, match=r"horizon is 1.*Set --horizon \d+ or less") as error:
+        check_limits(workload, design)
+    fit = int(str(error.value).split()[-3])
+    check_limits(replace(workload, horizon=fit, evaluation_horizon=fit), design)
+
+
+@pytest.mark.usefixtures("small_machine")
 def test_several_sizes_that_do_not_fit_are_named_together(config, design):
     workload = replace(Workload.of(config), population_size=HUGE, evaluation_episodes=HUGE)
-    with pytest.raises(ConfigError, match=r"the run takes .*Lower --population-size, .*--evaluation-horizon, or use"):
+    with pytest.raises(ConfigError, match=r"the run takes .*Lower --population-size, .*--horizon, .*--hidden, or use"):
         check_limits(workload, design)
 
 

@@ -297,5 +297,8 @@ def test_an_agent_shows_parameters_and_statistics_of_every_level(tiny_run):
         np.testing.assert_array_equal(agent.parameters[level.name], level.theta)
         np.testing.assert_array_equal(agent.statistics[level.name].mean, level.statistics.mean)
         np.testing.assert_allclose(agent.statistics[level.name].std, level.statistics.std)
+    assert re.fullmatch(
+        r"<Agent of point-gather: controller of \d+ parameters, primitive of \d+ parameters; num_envs 1>", repr(agent)
+    )
     agent.parameters["controller"][:] = 0  # a copy
     assert agent.parameters["controller"].any()

@@ -223,6 +223,9 @@ def test_everything_is_refused_before_there_is_a_folder(tmp_path, capsys):
         capsys, *base, *("--sweep", f"sigma={','.join(map(str, range(1, 502)))}"), "--seed", "1", "2"
     )
     assert "seed must be" in refused(capsys, *base, "--seed", "1", "-2")
+    for name in ("population-size", "noise-table-size"):
+        sweep = ["--sweep", f"{name}=8,{10**15}", "--workers", "1"]
+        assert f"are free. Set --{name} " in refused(capsys, *base[:4], "--out", tmp_path / "all", *sweep)
     assert list(tmp_path.iterdir()) == []
 
 

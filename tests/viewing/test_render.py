@@ -145,8 +145,10 @@ def test_the_caption_says_how_the_episode_ended(tiny_run, monkeypatch):
         ({"checkpoints": ()}, ConfigError, "at least one checkpoint"),
         ({"checkpoints": ("77",)}, CheckpointError, "there is no checkpoint .* There are: .*best"),
         ({"size": 63}, ConfigError, "even number of pixels from 64 to 1080, got 63. Set --size"),
-        ({"steps": 0}, ConfigError, "steps must be .* at least 1, got 0. Set --steps"),
-        ({"episode": -1}, ConfigError, "episode must be .* at least 0, got -1. Set --episode"),
+        ({"steps": 0}, ConfigError, "steps must be .* at least 1 .*, got 0. Set --steps"),
+        ({"episode": -1}, ConfigError, "episode must be .* at least 0 .*, got -1. Set --episode"),
+        ({"steps": 10**20}, ConfigError, "steps must be .* less than 100000, got 10+. Set --steps"),
+        ({"episode": 10**12}, ConfigError, "episode must be .* less than 100000, got 10+. Set --episode"),
         ({"seed": -1}, ConfigError, "seed must be .* at least 0, got -1. Set --seed"),
     ],
 )

@@ -30,6 +30,7 @@ from shes.es.perturbation import ManyToMany
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.training.build import build_algorithm, build_backend, build_task
+from shes.training.limits import Workload, check_limits
 
 _REPLAY_S = 1.0
 
@@ -103,12 +104,13 @@ def _on_one_core() -> Iterator[None]:
 
 
 def _evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
-    """Return the algorithm of `config`; raise ConfigError unless it is an evolution strategy."""
+    """Return the algorithm of `config`; raise ConfigError unless it is an evolution strategy that fits this machine."""
     algorithm = build_algorithm(config)
     if not isinstance(algorithm, EvolutionAlgorithm):
         raise ConfigError(
             f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm shes or es."
         )
+    check_limits(Workload.of(config), algorithm.design)
     return algorithm
 
 

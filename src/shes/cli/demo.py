@@ -1,6 +1,7 @@
 """`make demo`: an ant learns to walk and then to collect food, with results and videos before and after training.
 
-`python -m shes.cli.demo point` does the same with a point robot in half the time.
+`python -m shes.cli.demo point` does the same with a point robot in half the time. What takes seconds to import is
+imported where it is used, so that Ctrl-C before is no traceback.
 """
 
 from __future__ import annotations
@@ -16,14 +17,10 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
+import shes
 from shes.cli.output import make_console, print_error
-from shes.cli.progress_display import ProgressDisplay, format_duration
 from shes.cli.streams import INTERRUPTED, with_streams
 from shes.errors import ShesError
-from shes.training.evaluate import evaluate
-from shes.training.train import train
-from shes.viewing.plot import plot
-from shes.viewing.render import render
 
 __all__ = ["main"]
 
@@ -51,11 +48,14 @@ def _demo(robot: str) -> int:
     try:
         last = _DEMOS[robot](console, folder)
     except KeyboardInterrupt:
-        console.print(f"Stopped; the runs so far are in {folder}.", highlight=False, soft_wrap=True)
+        kept = f"; the runs so far are in {folder}" if folder.exists() else " before the first run"
+        console.print(f"Stopped{kept}.", highlight=False, soft_wrap=True)
         return INTERRUPTED
     except ShesError as error:
         print_error(str(error))
         return error.exit_code
+    from shes.cli.progress_display import format_duration
+
     console.print(
         f"\nThe demo took {format_duration(monotonic() - start)}.\n"
         f"Next: .venv/bin/shes resume {last} --generations 200   (continues training)\n"
@@ -102,14 +102,15 @@ _DEMOS: dict[str, Callable[[Console, Path], Path]] = {"ant": _ant, "point": _poi
 
 def _learn(console: Console, env: str, path: Path, **settings: Any) -> None:
     """Train on `env` with live progress."""
-    display = ProgressDisplay(console)
-    with display:
-        train(env, out=path, listener=display, **settings)
+    from shes.cli.progress_display import ProgressDisplay
+
+    with ProgressDisplay(console) as display:
+        shes.train(env, out=path, listener=display, progress=False, **settings)
 
 
 def _show(console: Console, path: Path, what: str, number: Callable[[Any], float]) -> None:
     """Print a result of the run at `path` on fresh episodes, before and after training."""
-    before, after = (number(evaluate(path, episodes=EPISODES, checkpoint=name)) for name in _BEFORE_AFTER)
+    before, after = (number(shes.evaluate(path, episodes=EPISODES, checkpoint=name)) for name in _BEFORE_AFTER)
     console.print(f"\nMean {what}, {EPISODES} fresh episodes: {before:.2f} before training, {after:.2f} after.\n")
 
 
@@ -117,10 +118,11 @@ def _draw(console: Console, runs: dict[str, Path], folder: Path, steps: int) -> 
     """Draw curves, and a video before and after training, of each run, with live progress."""
     console.print("Drawing the untrained and the trained agents ...", highlight=False)
     for name, path in runs.items():
-        curves = plot([path], path / "curves.png")
+        curves = shes.plot([path], path / "curves.png")
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             show = partial(_show_step, progress, progress.add_task(name, total=steps))
-            video = render(path, folder / f"{name}.mp4", checkpoints=_BEFORE_AFTER, size=320, steps=steps, on_step=show)
+            video = folder / f"{name}.mp4"
+            shes.render(path, video, checkpoints=_BEFORE_AFTER, size=320, steps=steps, on_step=show)
         console.print(f"{name}: {video}   curves: {curves}", markup=False, highlight=False, soft_wrap=True)
 
 

@@ -77,6 +77,12 @@ def _run(given: list[str]) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         raise
+    except MemoryError as error:
+        if asked.debug:
+            raise
+        found = str(error) or "no more is free"
+        print_error(f"not enough memory ({found}). Lower what the command asks for; see its --help.")
+        return ConfigError.exit_code
     except (ShesError, OSError) as error:  # OSError: standard output is on a full disk, a path cannot be read, ...
         if asked.debug:
             raise

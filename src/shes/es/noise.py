@@ -41,6 +41,16 @@ def _block(seed: int, number: int, length: int) -> F32Array:
     return rng.standard_normal(length, dtype=np.float32)
 
 
+def _path(size: int, seed: int = NOISE_SEED, directory: Path | None = None) -> Path:
+    """Return the file of the table of `size` normals from `seed`."""
+    return (default_cache_dir() if directory is None else directory) / f"noise-v{_FORMAT}-{size}-{seed}.f32"
+
+
+def _in_words(size: int) -> str:
+    """Return a number of bytes in GB, or in MB if it is small."""
+    return f"{size / 1e9:,.1f} GB" if size >= 1e8 else f"{size / 1e6:,.1f} MB"
+
+
 def _checksums(path: Path) -> Path:
     """Return the file with the checksum (CRC-32) of every block of the table at `path`."""
     return path.with_suffix(".crc32")
@@ -97,9 +107,8 @@ class NoiseTable:
         """
         if size <= 0:
             raise ConfigError(f"noise_table_size must be positive, got {size}. Set --noise-table-size.")
-        directory = default_cache_dir() if directory is None else directory
-        path = directory / f"noise-v{_FORMAT}-{size}-{seed}.f32"
-        remove_abandoned(directory, "noise-*")  # of tables of any size, whose builders were killed
+        path = _path(size, seed, directory)
+        remove_abandoned(path.parent, "noise-*")  # of tables of any size, whose builders were killed
         if not cls._is_intact(path, size, seed):
             cls._check_room(path, size)
             cls._build(path, size, seed)
@@ -129,15 +138,28 @@ class NoiseTable:
             return False
         return head == _block(seed, 0, min(_CHECKED, size)).tobytes() and np.array_equal(sums, found)
 
+    @classmethod
+    def check_room(cls, size: int) -> None:
+        """Check that there is a table of `size` normals, or room for it.
+
+        Raises:
+            ConfigError: It fits neither the memory nor the disk.
+        """
+        path = _path(size)
+        if not path.exists():
+            cls._check_room(path, size)
+
     @staticmethod
     def _check_room(path: Path, size: int) -> None:
         """Raise ConfigError unless the table fits the memory, in which it is mapped, and the disk."""
         for free, where in ((free_memory(), "of memory"), (free_disk(path), f"on the disk of {path.parent}")):
             if 4 * size > free:
+                most = free // 4
+                most -= most % 10 ** max(0, len(str(most)) - 2)
+                fix = f"Set --noise-table-size {most} at most, or point" if most > 1 else "Point"
                 raise ConfigError(
-                    f"noise_table_size is {size:,}, which takes {4 * size / 1e9:,.1f} GB, but {free / 1e9:,.1f} GB "
-                    f"{where} are free. Set --noise-table-size {free // 4_000_000 * 1_000_000} at most, or point "
-                    "SHES_CACHE_DIR at a larger disk."
+                    f"noise_table_size is {size:,}, which takes {_in_words(4 * size)}, but {_in_words(free)} {where} "
+                    f"are free. {fix} SHES_CACHE_DIR at a larger disk."
                 )
 
     @staticmethod

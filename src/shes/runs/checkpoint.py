@@ -128,7 +128,7 @@ def load_checkpoint(path: Path, check: HeaderCheck | None = None, *, with_state:
         CheckpointError: The file is missing, truncated, too large, or not a checkpoint of this version.
     """
     if not path.is_file():
-        others = sorted(other.stem for other in path.parent.glob("*.npz")) if path.parent.is_dir() else []
+        others = sorted(other.stem for other in path.parent.glob("*.npz") if other.is_file())
         there = f" There are: {', '.join(others)}." if others else ""
         raise CheckpointError(
             f"there is no checkpoint {path}.{there} Choose one with --checkpoint; "
@@ -220,8 +220,8 @@ def _from_arrays(own: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray]
     best = checkpoint.best
     if min(int(arrays["seed"]), checkpoint.generation, checkpoint.env_steps, best.generation + 1) < 0:
         raise ValueError("a count is negative")
-    if np.isnan(best.score) or np.isnan(best.mean_return):
-        raise ValueError("the best score or return is NaN")
+    if not (best.score < np.inf and best.mean_return < np.inf):
+        raise ValueError("the best score or return is NaN or infinity")
     if not isinstance(checkpoint.numbers, dict):
         raise TypeError("the settings are not a JSON object")
     return checkpoint

@@ -114,12 +114,12 @@ class TrainConfig:
         """Return the configuration from the result of `to_dict`.
 
         Raises:
-            ConfigError: A key is unknown or missing, a value is not allowed, or a shared setting has two values.
+            ConfigError: A key is unknown, a value is not allowed, or a shared setting has two values.
             UnknownNameError: A value is a name that is in no registry.
         """
         classes = check_record(rooms)
         config = cls.__new__(cls)
-        config._set({room: made(**rooms[room]) for room, made in classes.items()})
+        config._set({room: made(**rooms.get(room, {})) for room, made in classes.items()})
         return config
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -81,7 +81,7 @@ class RunFolder:
 
         Raises:
             RunFolderError: Another process holds it, the folder belongs to a shipped agent, or a symbolic link in it
-                leads out of it.
+                leads out of it, or one of its files is not a regular one.
             StorageError: The folder cannot be written.
         """
         name = shipped_name(self.path)
@@ -104,10 +104,13 @@ class RunFolder:
             yield
 
     def _check_links(self) -> None:
-        """Raise RunFolderError if a file of the run would be written through a symbolic link out of the folder."""
+        """Raise RunFolderError if a file of the run would be written through a link out of it, or into a pipe."""
         home = os.path.realpath(self.path)
         files = (self.config, self.progress, self.evaluation, self.log, self._lock)
-        for place in (*files, self.checkpoints, self.tensorboard):
+        for place in (*files, self.checkpoints, self.tensorboard, self.tensorboard / "env_steps"):
+            if place.exists() and not (place.is_file() if place in files else place.is_dir()):
+                kind = "regular file" if place in files else "folder"
+                raise RunFolderError(f"{place} is not a {kind}: nothing is written there. Remove it.")
             target = os.path.realpath(place)
             if not Path(target).is_relative_to(home):
                 raise RunFolderError(
@@ -210,7 +213,7 @@ class RunFolder:
                 f"the shipped agent {agent} has the checkpoint best alone, got {name!r}. Omit --checkpoint."
             )
         checkpoint, config = load_checkpoint(path, check, with_state=with_state), self.read_config()
-        mine = config.numbers()
+        mine, seed = config.numbers(), int(checkpoint.arrays["seed"])
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
         missing = {name: config.setting(name).default for name in mine if name not in checkpoint.numbers}
         checkpoint = replace(checkpoint, numbers={**missing, **checkpoint.numbers})
@@ -219,11 +222,15 @@ class RunFolder:
             other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]
             shown = ", ".join(f"{key} is {checkpoint.numbers.get(key)!r}, not {mine.get(key)!r}" for key in other[:3])
             raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
+        if seed != config.run.seed:
+            raise CheckpointError(f"{path} is damaged: its seed is {seed}, not {config.run.seed}. Take another one.")
         return checkpoint
 
     def read_record(self) -> dict[str, Any]:
         """Return the content of `config.json`, settings and provenance; raise RunFolderError if it is damaged."""
         try:
+            if not self.config.is_file():  # a pipe would be waited for
+                raise FileNotFoundError("there is no such file")
             record = json.loads(self.config.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
             raise RunFolderError(f"{self.config} cannot be read: {error}. Restore it from a copy.") from error

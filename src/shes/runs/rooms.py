@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
@@ -100,7 +101,6 @@ class EvaluationSettings(Settings):
 
 
 _NO_ENVIRONMENT = "the configuration names no environment (key 'env')."
-_RESTORE = "The record is damaged or of another version: restore it from a copy, or use the version that wrote it."
 _OF_EVERY_RUN: dict[str, type[Settings]] = {
     "run": RunSettings,
     "workers": WorkerSettings,
@@ -150,9 +150,12 @@ def _check_distinct(rooms: Mapping[str, type[Settings]]) -> None:
 
 def settings_in(classes: Iterable[type[Settings]]) -> dict[str, Setting]:
     """Return the settings of several classes by name, without `Unasked` fields."""
-    return {
-        name: setting for cls in classes for name, setting in setting_fields(cls).items() if not setting.has(Unasked)
-    }
+    return {name: setting for cls in classes for name, setting in _asked(cls).items()}
+
+
+@cache
+def _asked(cls: type[Settings]) -> dict[str, Setting]:
+    return {name: setting for name, setting in setting_fields(cls).items() if not setting.has(Unasked)}
 
 
 def known_settings() -> dict[str, Setting]:
@@ -182,10 +185,13 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
 
 
 def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run with this record, which holds exactly the settings of the run, by room.
+    """Return the settings classes of a run with this record, by room.
+
+    A setting that the record lacks is newer than the run. It has its default, which does what was done before there was
+    the setting. If it was lost instead, the checkpoints tell, which hold the settings as well.
 
     Raises:
-        ConfigError: A room or a setting is unknown or missing.
+        ConfigError: A room or a setting is unknown.
         UnknownNameError: A value is an unknown name.
     """
     for room, values in rooms.items():
@@ -200,15 +206,9 @@ def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Setti
         if room not in classes:
             raise ConfigError(f"a run of {run['env']} has no room of settings {room!r}.")
         _check_choices(settings[room], values)
-    for room, here in settings.items():
-        if room not in rooms:
-            raise ConfigError(f"the settings lack room {room!r}. {_RESTORE}")
-        for name in rooms[room]:
-            if name not in here:
-                raise _unknown(name, here, f" in room {room!r}")
-        missing = [name for name in here if name not in rooms[room]]
-        if missing:
-            raise ConfigError(f"the settings lack {', '.join(missing)} in room {room!r}. {_RESTORE}")
+        for name in values:
+            if name not in settings[room]:
+                raise _unknown(name, settings[room], f" in room {room!r}")
     return classes
 
 

@@ -76,6 +76,8 @@ def unreadable_state(folder: RunFolder, error: Exception) -> RunState:
         run = dict(folder.read_record()["config"]["run"])
     except (ShesError, KeyError, TypeError, ValueError):
         run = {}
+    if not isinstance(run.get("env"), str):
+        run["env"] = None
     return RunState(
         run=str(folder.path),
         **{name: run.get(name) for name in ("env", "algorithm", "preset", "seed", "generations")},

@@ -36,6 +36,8 @@ def read_wall_time(path: Path) -> float:
 
 def _read_rows(path: Path) -> list[list[str]]:
     """Return the rows of a CSV file, its header first; those without a value are left out."""
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise _damaged(path, OSError("it is not a regular file"))
     try:
         with path.open(newline="", encoding="utf-8") as file:
             return [row for row in csv.reader(file) if row]

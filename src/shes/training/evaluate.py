@@ -17,6 +17,7 @@ from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import lower_diverged
 from shes.runs.device import check_asked_device
+from shes.runs.log import logger
 from shes.training.build import build_backend, open_run
 from shes.training.limits import Workload, check_limits
 from shes.types import F64Array
@@ -169,4 +170,5 @@ def evaluate(
     if targets == "training":
         plan = replace(plan, evaluation=plan.training)
     with build_backend(opened.config, plan, workload.num_episodes) as backend:
+        backend.on_event = logger.warning  # of silent or lost workers; on standard error, unless logging is set up
         return evaluate_state(opened.algorithm, opened.state, fresh_seeds(opened.state, episodes, seed), backend)

@@ -108,12 +108,14 @@ def check_limits(workload: Workload, design: AgentDesign, names: Mapping[str, st
         shown, value = names.get(least, least), getattr(workload, least)
         its_flag = "--workers" if least == "num_workers" else flag(shown)
         raise ConfigError(f"{shown} is {value:,}, which {needs}. Set {its_flag} {fits[least]} or less.")
-    raise ConfigError(f"the run {needs}. Lower {', '.join(map(flag, _SIZES))}, or use a larger machine.")
+    raise ConfigError(f"the run {needs}. Lower {', '.join(map(flag, (*_SIZES, 'hidden')))}, or use a larger machine.")
 
 
 def _largest_fit(workload: Workload, name: str, design: AgentDesign, free: int) -> int:
     """Return the largest value of `name` that fits `free` bytes, rounded down to two digits; 0 if none does."""
-    values = range(1, min(getattr(workload, name), _MOST))
-    fit = bisect_right(values, free, key=lambda value: replace(workload, **{name: value}).memory(design))
+    values, names = range(1, min(getattr(workload, name), _MOST)), [name]
+    if name == "horizon" and workload.horizon == workload.evaluation_horizon:
+        names.append("evaluation_horizon")  # follows it, unless it is set
+    fit = bisect_right(values, free, key=lambda value: replace(workload, **dict.fromkeys(names, value)).memory(design))
     step = 10 ** max(0, len(str(fit)) - 2)
     return fit // step * step

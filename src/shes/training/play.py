@@ -38,6 +38,11 @@ class Agent:
         self._build(run.config, run.algorithm, run.algorithm.parameters(run.state), num_envs)
         self.reset()
 
+    def __repr__(self) -> str:
+        """Return the environment, the levels with their numbers of parameters, and the number of environments."""
+        levels = ", ".join(f"{name} of {len(level.theta)} parameters" for name, level in self._levels.items())
+        return f"<Agent of {self.config.run.env}: {levels}; num_envs {self.num_envs}>"
+
     def _build(
         self, config: TrainConfig, algorithm: Algorithm[Any], levels: tuple[LevelParameters, ...], num_envs: int
     ) -> None:

@@ -6,7 +6,7 @@ import os
 import shlex
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ class Run:
 
     path: Path
     """The run folder."""
-    config: TrainConfig
+    config: TrainConfig = field(repr=False)
     generation: int
     """Number of finished generations."""
     best: Best

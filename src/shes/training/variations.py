@@ -9,10 +9,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from shes.errors import ConfigError
+from shes.es.noise import NoiseTable
 from shes.runs.config import TrainConfig
 from shes.runs.rooms import check_names, known_settings
 from shes.settings import Setting, out_of_range
 from shes.training.build import build_algorithm
+from shes.training.limits import Workload, check_limits
 from shes.training.presets import make_config
 
 _MOST_RUNS = 1_000
@@ -102,7 +104,11 @@ def vary(
             asked = {**settings, **values, "seed": seed}
             config = make_config(env, asked.pop("preset", preset), asked)
             if seed == seeds[0]:
-                build_algorithm(config)  # all that it refuses is refused before the first run
+                # All that can be refused is refused before the first run.
+                algorithm = build_algorithm(config)
+                check_limits(Workload.of(config), algorithm.design)
+                if "noise_table_size" in config.settings:
+                    NoiseTable.check_room(config.evolution.noise_table_size)
             found[f"{group}/seed-{seed}" if group else f"seed-{seed}"] = config
     return found
 

@@ -1,31 +1,33 @@
-"""An external environment, one that Gymnasium or a user's function makes: an `EnvironmentMaker`."""
+# pyright: reportIncompatibleMethodOverride=false
+"""External environments: what makes one, and N of them as a batch of episodes, stepped one after another."""
 
 from __future__ import annotations
 
 import importlib
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, redirect_stderr
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, ClassVar
+from operator import attrgetter
+from time import perf_counter
+from typing import Any, ClassVar
 
 import gymnasium
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
+from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.external.reader import ExternalReader, Locate, find_physics
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import SimulatorFactory
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
 from shes.settings import flag
-from shes.sim.cpu import CpuSimulator, log_physics_warnings
-
-if TYPE_CHECKING:
-    from shes.envs.external.reader import Locate
-    from shes.envs.external.task import ExternalTask
-
-__all__ = ["ExternalEnvironment"]
+from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
+from shes.types import F64Array, FloatArray, IntArray
 
 _ROBOTICS = ("AntMaze", "PointMaze", "Fetch", "HandManipulate", "HandReach", "AdroitHand", "FrankaKitchen")
+_NUM_SEEDS = 2**31  # seeds are taken modulo this: some environments pass theirs on to generators that accept no more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,14 +74,12 @@ class ExternalEnvironment:
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> ExternalTask:
-        """Return `num_episodes` episodes; see `EnvironmentMaker.make`.
+        """Return `num_episodes` episodes.
 
         Raises:
             ConfigError: The device is not the CPU, the environment cannot be made or used, or an option that no preset
                 sets is not the default.
         """
-        from shes.envs.external.task import ExternalTask  # it imports this module
-
         if simulator is not CpuSimulator:
             raise ConfigError(f"{self.name} has its own physics, which runs on the CPU only. Set --device cpu.")
         for name, value in vars(options or TaskOptions()).items():
@@ -123,3 +123,131 @@ def _import_robotics(env_id: str) -> None:
     if env_id.startswith(_ROBOTICS):
         with redirect_stderr(io.StringIO()):  # it prints deprecation notices
             importlib.import_module("gymnasium_robotics")
+
+
+class ExternalTask(EpisodeBatch):
+    """N episodes of an external environment.
+
+    `terminated` is True where the environment has ended the episode: by termination or by its own truncation.
+    `fallen` is True only where it has terminated the episode and `info` reports no success.
+    """
+
+    draws_itself = True
+    control_limit = 1.0
+    # The contract's read-only properties: static facts are the reader's, live arrays are this object's.
+    reader = property(attrgetter("_reader"))
+    observation_size = property(attrgetter("_reader.observation_size"))
+    primitive_view = proprioception = property(attrgetter("_reader.primitive_view"))
+    position, heading = property(attrgetter("_position")), property(attrgetter("_heading"))
+    terminated, fallen = property(attrgetter("_terminated")), property(attrgetter("_fallen"))
+    diverged, physics_s = property(attrgetter("_diverged")), property(attrgetter("_physics_s"))
+    score, success = property(attrgetter("_score")), property(attrgetter("_success"))
+
+    def __init__(self, environment: ExternalEnvironment, num_episodes: int) -> None:
+        """Make the first of `num_episodes` environments and inspect it; the others are made at their first reset."""
+        self.environment, self.num_episodes = environment, num_episodes
+        self._render_mode: str | None = None
+        self._envs: list[gymnasium.Env[Any, Any] | None] = [None] * num_episodes
+        env = self._env(0)
+        with environment.explained("be used"):
+            self._reader = ExternalReader(env, environment.locate, environment.primitive_view)
+        self.action_size = self._reader.action_size
+        self.step_s = 1 / (env.metadata.get("render_fps") or 10)
+        self._physics_s = 0.0
+        self.time: IntArray = np.zeros(num_episodes, np.int64)
+        self.reward, self.running_return, self._score, self._heading = np.zeros((4, num_episodes))
+        self._terminated, self._fallen, self._diverged, self._success = np.zeros((4, num_episodes), np.bool_)
+        self._position, self._rows = np.zeros((num_episodes, 2)), np.zeros((num_episodes, self.observation_size))
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """Name and index of each observed value."""
+        return tuple(f"{self.environment.name}[{i}]" for i in range(self.observation_size))
+
+    @property
+    def position_columns(self) -> IntArray:
+        """No indices: which columns hold the position is unknown."""
+        return np.zeros(0, np.int64)
+
+    def check_position(self) -> None:
+        """Check that the robot can be located; see `EpisodeBatch.check_position`."""
+        if not self._reader.can_locate:
+            raise ConfigError(
+                f"the position of the robot of {self.environment.name} is unknown, and no MuJoCo joints determine it. "
+                "Call shes.register_external(name, make, locate=...), or set --algorithm es, which needs no position."
+            )
+
+    def observe(self) -> F64Array:
+        """Return the current observations [N, O]; values that are not finite are 0."""
+        return self._rows
+
+    def reset(self, ids: IntArray, seeds: Sequence[int], states: Sequence[F64Array | None] = ()) -> None:
+        """Start new episodes in rows `ids`; see `EpisodeBatch.reset`."""
+        if any(state is not None for state in states):
+            self.states(ids)  # raises
+        for values in (self.time, self.running_return, self._score, self._terminated, self._fallen, self._diverged):
+            values[ids] = 0
+        for i, seed in zip(ids.tolist(), seeds, strict=True):
+            env = self._env(i)
+            with self.environment.explained("reset"):
+                observation, info = env.reset(seed=int(seed) % _NUM_SEEDS)
+                physics = find_physics(env)
+                if physics is not None:
+                    forget_divergences(physics)
+                self._record(i, env, observation, 0.0, info)
+
+    def step(self, ids: IntArray, action: FloatArray) -> None:
+        """Apply `action` [N, A] in [-1, 1] for one step of episodes `ids`; see `EpisodeBatch.step`."""
+        actions = self._reader.to_action(np.asarray(action, dtype=np.float64))
+        for i in ids.tolist():
+            env, start = self._env(i), perf_counter()
+            with self.environment.explained("step"):
+                observation, reward, terminated, truncated, info = env.step(actions[i])
+                self._physics_s += perf_counter() - start
+                self._terminated[i] = terminated or truncated
+                self._record(i, env, observation, float(reward), info)
+                self._fallen[i] = terminated and not self._success[i]
+        self.time[ids] += 1
+
+    def _record(self, i: int, env: gymnasium.Env[Any, Any], observation: Any, reward: float, info: Any) -> None:
+        """Store the results of a step or reset of environment `i`; a diverged episode earns and scores 0."""
+        row, physics = self._reader.flat(observation), find_physics(env)
+        is_broken = bool(info.get("diverged", False)) or not (np.isfinite(reward) and np.isfinite(row).all())
+        self._rows[i] = np.nan_to_num(row, nan=0.0, posinf=0.0, neginf=0.0)
+        self._diverged[i] |= is_broken or (physics is not None and count_divergences(physics) > 0)
+        if self._diverged[i]:
+            self.reward[i] = self._score[i] = self._success[i] = 0
+            return
+        self.reward[i] = reward
+        self.running_return[i] += reward
+        success, is_score = info.get("success", info.get("is_success")), self.environment.is_scored_by_success
+        if is_score and success is None and self._terminated[i]:
+            entries = ", ".join(info) or "empty"
+            raise ConfigError(f"its score is success, but the last info does not report it: {entries}.")
+        self._success[i] = bool(success)
+        self._score[i] = self._success[i] if is_score else self.running_return[i]
+        if self._reader.can_locate:
+            *self._position[i], self._heading[i] = self._reader.planar_pose(row, info, env)
+
+    def _env(self, i: int) -> gymnasium.Env[Any, Any]:
+        """Return environment `i`, which is made at the first call."""
+        env = self._envs[i] = self._envs[i] or self.environment.make_one(self._render_mode)
+        return env
+
+    def draw_by(self, mode: str) -> None:
+        """Make the environments anew, with render mode `mode`, at their next reset; see `EpisodeBatch.draw_by`."""
+        if mode not in (modes := self._env(0).metadata.get("render_modes") or ["none"]):
+            raise ConfigError(f"{self.environment.name} has no render mode {mode!r}, only {', '.join(modes)}.")
+        self.close()
+        self._render_mode = mode
+
+    def pose(self, episode: int) -> Any:
+        """Return the environment's picture [H, W, 3]; None in mode `human`, where its own window shows it."""
+        with self.environment.explained("be drawn"):
+            return np.array(self._env(episode).render(), np.uint8) if self._render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the environments."""
+        for env in filter(None, self._envs):
+            env.close()
+        self._envs = [None] * self.num_episodes
