@@ -8,7 +8,8 @@ EXTRAS_STAMP := $(VENV)/.extras-done
 PY := $(VENV)/bin/python
 # One BLAS thread: parallelism comes from worker processes, and the thread count changes bits.
 # Bytecode: without it every process that a test starts compiles all of shes again, and pytest every test.
-PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest
+# Two processes, each with whole files, so that a file's fixtures are made once.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile
 SOURCES := $(wildcard src tests benchmarks examples docs)
 DEMO_COMMAND := .venv/bin/python -m shes.cli.demo
 # The Python that .venv is made of: `make setup PYTHON=/path/to/python3.12`. Empty: the first candidate that works.
@@ -85,7 +86,7 @@ test-all: $(EXTRAS_STAMP) ## every test but those that need a GPU
 # On a machine with a card; no other target needs one, and none of them runs these tests.
 test-gpu: $(STAMP) ## tests on a CUDA card: the physics, the roll-out, return distributions against the CPU's
 	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[dev,gpu]'
-	$(PYTEST) -m gpu
+	$(PYTEST) -n 0 -m gpu
 
 lint: $(STAMP) ## ruff: rules and format
 	$(PY) -m ruff check $(SOURCES)
