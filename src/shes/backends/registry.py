@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from shes.backends.backend import Backend
+from shes.backends.mpi import MpiBackend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.ray import RayBackend
 from shes.backends.serial import SerialBackend
@@ -10,7 +11,7 @@ from shes.registry import Registry, subclass_of
 
 BACKENDS: Registry[type[Backend]] = Registry(
     "backend",
-    {"processes": ProcessesBackend, "serial": SerialBackend, "ray": RayBackend},
+    {"processes": ProcessesBackend, "serial": SerialBackend, "ray": RayBackend, "mpi": MpiBackend},
     fix="Set --backend.",
     check=subclass_of(Backend, num_arguments=2),
 )
