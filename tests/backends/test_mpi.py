@@ -88,11 +88,29 @@ class TestUnderMpiexec:
         serial = runs.train_tiny(tmp_path / "serial", generations=generation + 2)
         assert runs.differences(serial, path) == []
 
+    def test_the_slurm_script_trains_and_then_resumes(self, tmp_path, tiny_run):
+        srun, run = tmp_path / "srun", tmp_path / "run"  # a stand-in for Slurm's, which starts three ranks
+        srun.write_text(f'#!/bin/sh\nshift\nexec "{MPIEXEC}" -n 3 "$@"\n')
+        srun.chmod(0o755)
+        flags = runs.flags(**{name: value for name, value in runs.TINY.items() if name != "backend"})
+        submit(srun, run, "point-gather", *flags)
+        assert runs.differences(tiny_run, run) == []
+        srun.write_text('#!/bin/sh\necho "$@"\n')
+        assert submit(srun, run, "point-gather", *flags).endswith(f"-m shes resume {run} --backend mpi\n")
+
     def test_the_backend_contract_holds(self):
         out = finish(start(3, "pytest", "-q", "-p", "no:cacheprovider", "tests/contracts/test_backend_contract.py",
                            "-k", "mpi"))  # fmt: skip
         assert " passed" in out
         assert "skipped" not in out
+
+
+def submit(srun, *words):
+    """Run the Slurm script with this `srun`; return what it prints."""
+    path = os.pathsep.join([str(srun.parent), str(Path(sys.executable).parent), os.environ["PATH"]])
+    environment = {**os.environ, **ENVIRONMENT, "PATH": path, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    script = ["bash", ROOT / "examples" / "cluster" / "slurm_mpi.sh", *words]
+    return subprocess.run(script, env=environment, check=True, capture_output=True, text=True, timeout=120).stdout
 
 
 def kill_rank(process, rank):

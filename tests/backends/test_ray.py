@@ -3,6 +3,7 @@
 import re
 import sys
 import types
+from pathlib import Path
 
 import pytest
 
@@ -108,6 +109,14 @@ def test_a_run_that_is_resumed_on_another_backend_has_the_same_numbers(free_clus
     shes.resume(path, generations=4, backend=then)
     assert runs.differences(tiny_run, path) == []
     assert any(line.endswith("with 2 workers") for line in runs.log_lines(path))
+
+
+@pytest.mark.extras
+def test_ray_accepts_the_cluster_file():
+    util = pytest.importorskip("ray.autoscaler._private.util")
+    yaml = pytest.importorskip("yaml")
+    config = yaml.safe_load((Path(__file__).parents[2] / "examples" / "cluster" / "ray_cluster.yaml").read_text())
+    util.validate_config(util.prepare_config(config))
 
 
 @pytest.mark.extras
