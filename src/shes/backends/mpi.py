@@ -54,6 +54,7 @@ class MpiBackend(PullBackend):
                 "program under mpiexec or srun: mpiexec -n 3 python -m mpi4py.futures -m shes train ... --backend mpi."
             )
         super().__init__(self._comm.Get_size() - 1, worker_warning_s, None)
+        self._workers: list[_Rank] = []
         self._pool: Any = None
         self._served: list[Any] = []  # one future for every rank
         self._start_missing()
@@ -115,7 +116,8 @@ class MpiBackend(PullBackend):
         """Receive the messages that have arrived."""
         status = self._mpi.Status()
         while self._comm.Iprobe(tag=_TAG, status=status):
-            worker = workers[status.Get_source() - 1]
+            source: int = status.Get_source()
+            worker = workers[source - 1]
             worker.inbox.append(self._comm.recv(source=worker.rank, tag=_TAG))
 
     def _advice(self, worker: RemoteWorker) -> str:

@@ -218,7 +218,10 @@ class _RayWorker(RemoteWorker):
         """Ask the actor for its next messages."""
         answer = self._actor.receive.options(concurrency_group="out").remote().future()
         self._answer = answer
-        answer.add_done_callback(lambda _: self._events.put(self))
+        answer.add_done_callback(self._note)
+
+    def _note(self, _: Future[list[bytes]]) -> None:
+        self._events.put(self)
 
     def receive(self) -> Sequence[tuple[Any, ...]]:
         assert self._answer is not None

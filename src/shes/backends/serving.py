@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from shes.backends.factory import unpickle_factory
 from shes.errors import ShesError
 
-ONE_THREAD = dict.fromkeys(
+ONE_THREAD: dict[str, str] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
 """Environment variables by which linear algebra has one thread. More threads would change rounding."""

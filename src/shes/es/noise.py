@@ -11,7 +11,7 @@ import fcntl
 import os
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
@@ -42,7 +42,7 @@ def default_cache_dir() -> Path:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _alone(folder: Path) -> Generator[None]:
     """Let one process of this machine at a time into the block. A file system without locks lets in all."""
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
