@@ -13,7 +13,8 @@ from multiprocessing.connection import wait
 import psutil
 import pytest
 
-from shes.backends.processes import MAX_LOSSES, ProcessesBackend
+from shes.backends.processes import ProcessesBackend
+from shes.backends.pull import MAX_LOSSES
 from shes.errors import ConfigError, WorkerError
 from tests.backends.workers import Worker, start_dying, start_failing, start_refusing, start_sigterm
 from tests.e2e import runs
@@ -49,7 +50,7 @@ def others():
 @pytest.fixture
 def max_losses(monkeypatch):
     """A limit of losses that is reached sooner."""
-    monkeypatch.setattr("shes.backends.processes.MAX_LOSSES", 2)
+    monkeypatch.setattr("shes.backends.pull.MAX_LOSSES", 2)
     return 2
 
 
@@ -262,7 +263,7 @@ def test_a_worker_that_is_stopped_between_two_maps_blocks_no_broadcast():
 
 def test_a_worker_that_is_stopped_while_it_sends_a_result_is_replaced(monkeypatch):
     with ProcessesBackend(lambda: Worker(at_once=1), 1, worker_timeout_s=1) as backend:
-        (process,) = backend._processes
+        (process,) = backend._workers
         pid = process.popen.pid
 
         def wait_and_stop(*arguments):

@@ -45,6 +45,11 @@ class Worker:
         time.sleep(seconds)
         return os.getpid(), self.state
 
+    def node(self, seconds):
+        """Take some time; return the name of the node of a test's cluster, and the state."""
+        time.sleep(seconds)
+        return os.environ.get("SHES_TEST_NODE"), self.state
+
     def meet(self, folder, count=2):
         """Wait until `count` processes do this task; return the process and the state."""
         (Path(folder) / str(os.getpid())).touch()

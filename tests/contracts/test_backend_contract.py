@@ -1,5 +1,9 @@
 """The contract of every backend in `shes.backends.registry.BACKENDS`."""
 
+import importlib.util
+import os
+import sys
+
 import psutil
 import pytest
 
@@ -7,9 +11,23 @@ from shes.backends.backend import Backend
 from shes.backends.registry import BACKENDS
 from shes.errors import WorkerError
 from shes.settings import Execution, setting_fields
+from tests.backends.clusters import ray_cluster
 from tests.backends.workers import ERRORS, Worker
+from tests.e2e import runs
 
-CASES = [(name, num_workers) for name in BACKENDS for num_workers in (1, 2)]
+ENGINES = {"ray": "ray", "mpi": "mpi4py"}
+"""Packages that backends need. Their workers take seconds to start, so that only pairs are tested."""
+CASES = [
+    *(
+        pytest.param((name, count), id=f"{name}-{count}")
+        for name in BACKENDS
+        if name not in ENGINES
+        for count in (1, 2)
+    ),
+    *(pytest.param((name, 2), id=name, marks=pytest.mark.extras) for name in ENGINES),
+]
+SHARED = []
+"""Backends that many tests use."""
 
 
 @pytest.mark.parametrize("name", BACKENDS)
@@ -17,11 +35,31 @@ def test_no_option_of_a_backend_changes_numbers(name):
     assert all(option.has(Execution) for option in setting_fields(BACKENDS[name].Options).values())
 
 
-@pytest.fixture(scope="module", params=CASES, ids=str)
+@pytest.fixture(scope="module")
+def cluster():
+    """A Ray cluster with a CPU for every worker of two backends."""
+    with ray_cluster(1, num_cpus=2) as started:
+        yield started
+
+
+def prepare(request):
+    """Start what the backend of a case needs; skip the test if that is not installed."""
+    name, _ = request.param
+    if name in ENGINES and importlib.util.find_spec(ENGINES[name]) is None:
+        pytest.skip(f"backend {name} needs {ENGINES[name]}")
+    if name == "mpi" and "mpi4py.futures" not in sys.modules:
+        pytest.skip("tests/backends/test_mpi.py runs these tests under mpiexec")
+    if name == "ray":
+        request.getfixturevalue("cluster")
+
+
+@pytest.fixture(scope="module", params=CASES)
 def shared(request):
     """A backend that many tests use: starting one takes longer than most of them."""
+    prepare(request)
     name, num_workers = request.param
     with BACKENDS[name](Worker, num_workers) as made:
+        SHARED.append(made)
         yield made
 
 
@@ -31,19 +69,17 @@ def backend(shared):
     return shared
 
 
-@pytest.fixture
-def others():
-    """Processes that were there before the test."""
-    return psutil.Process().children()
-
-
-@pytest.fixture(params=CASES, ids=str)
-def own_backend(request, others):
-    """A backend that no other test uses."""
+@pytest.fixture(params=CASES)
+def own_backend(request):
+    """A backend that no other test uses, and the children that this process had before."""
+    prepare(request)
+    for made in SHARED:  # only one backend has the ranks of MPI
+        made.close()
     name, num_workers = request.param
+    children = psutil.Process().children()
     with BACKENDS[name](Worker, num_workers) as made:
         made.broadcast(100)
-        yield made
+        yield made, children
 
 
 def test_a_backend_fulfils_the_contract_class(backend):
@@ -111,17 +147,27 @@ def test_what_is_given_is_not_changed(backend):
     assert (tasks, state) == ([("add", [1]), ("add", [2])], [0])
 
 
-def test_closing_leaves_no_process_and_may_be_done_twice(own_backend, others):
-    list(own_backend.map([("add", 1)] * 4))
-    own_backend.close()
-    assert psutil.Process().children() == others
-    own_backend.close()
+def assert_gone(results, children):
+    """Fail if a process that did a ("where", ...) task stays, or this one has other `children`, or zombies."""
+    pids = {pid for pid, _ in results} - {os.getpid()}
+    if "mpi4py.futures" not in sys.modules:  # a rank stays for further work
+        runs.wait_until(lambda: not any(runs.is_alive(pid) for pid in pids), f"workers {pids} are gone", every_s=0.02)
+    assert psutil.Process().children() == children
 
 
-def test_closing_at_work_leaves_no_process(own_backend, others):
-    results = own_backend.map([("where", 0.05)] * 30)
-    next(results)
-    own_backend.close()
-    assert psutil.Process().children() == others
+def test_closing_leaves_no_process_and_may_be_done_twice(own_backend):
+    backend, children = own_backend
+    results = list(backend.map([("where", 0.01)] * 8))
+    backend.close()
+    assert_gone(results, children)
+    backend.close()
+
+
+def test_closing_at_work_leaves_no_process(own_backend):
+    backend, children = own_backend
+    results = backend.map([("where", 0.05)] * 30)
+    first = [next(results)]
+    backend.close()
+    assert_gone(first, children)
     results.close()
-    assert psutil.Process().children() == others
+    assert_gone(first, children)

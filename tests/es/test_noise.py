@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -343,3 +344,17 @@ def test_the_cache_folder_follows_the_environment(monkeypatch, tmp_path):
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert default_cache_dir() == tmp_path / "home" / ".cache" / "shes"
+
+
+def test_a_machine_that_lacks_the_file_generates_the_same_table_once_in_its_own_cache(tmp_path, monkeypatch):
+    there = NoiseTable.open(5000, directory=tmp_path / "there")
+    monkeypatch.setenv("SHES_CACHE_DIR", str(tmp_path / "here"))
+    assert NoiseTable.open_copy(there.path).path == there.path
+    built, build = [], NoiseTable._build
+    monkeypatch.setattr(NoiseTable, "_build", staticmethod(lambda *args: built.append(args) or build(*args)))
+    there.path.unlink()
+    with ThreadPoolExecutor(4) as pool:
+        copies = list(pool.map(NoiseTable.open_copy, [there.path] * 8))
+    assert len(built) == 1
+    assert {copy.path for copy in copies} == {tmp_path / "here" / there.path.name}
+    np.testing.assert_array_equal(copies[0].values, there.values)

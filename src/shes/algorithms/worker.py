@@ -58,7 +58,7 @@ class WorkerPlan(EpisodeSetup):
     branch_design: AgentDesign | None = None
     """Design of the agents in branches, if the primitive is evaluated by intervals."""
     noise_table: Path
-    """File of the noise table on this machine."""
+    """File of the noise table on the machine of the main process."""
 
     @property
     def simulator(self) -> SimulatorFactory:
@@ -125,7 +125,7 @@ class RolloutWorker:
     def __init__(self, plan: WorkerPlan) -> None:
         """Open the noise table. Environments are created on first use."""
         self.plan = plan
-        self.table = NoiseTable.open_file(plan.noise_table)
+        self.table = NoiseTable.open_copy(plan.noise_table)
         self._rollouts: dict[str, Rollout] = {}  # by kind of generation
         self._room: dict[tuple[str, int], int] = {}  # lanes that fit into a device's memory, by kind of generation
         self._lanes = 1

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, Protocol, TypeAlias
 
+from shes.cores import num_cores
 from shes.settings import Settings
 
 
@@ -38,6 +39,11 @@ class Backend(ABC):
     num_workers: int = 1
     on_event: Callable[[str], None] | None = None
     """Receives messages about silent, lost and replaced workers, if any function is set."""
+
+    @classmethod
+    def all_workers(cls) -> int:
+        """Return the number of workers for `--workers 0`: one for every core that this process may use."""
+        return num_cores()
 
     @abstractmethod
     def broadcast(self, state: Any) -> None:

@@ -8,20 +8,20 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any
 
+from shes.backends.pull import RemoteWorker
+from shes.backends.serving import ONE_THREAD
+
 _END_S = 10.0  # wait for a killed process; one that waits for a disk may take longer
-_ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
-)
 
 
-class WorkerProcess:
+class WorkerProcess(RemoteWorker):
     """A worker process and the tasks it is working on."""
 
     def __init__(self, factory: bytes, import_path: str, timeout_s: float | None) -> None:
@@ -29,6 +29,7 @@ class WorkerProcess:
 
         A message that the process has sent in part raises BlockingIOError after `timeout_s` seconds.
         """
+        super().__init__()
         self._socket, theirs = socket.socketpair()
         read_end, self._lifeline = os.pipe()
         # -P: a file in the working directory must not replace a module of the standard library.
@@ -40,7 +41,7 @@ class WorkerProcess:
             self.popen = subprocess.Popen(
                 [*module, *arguments],
                 pass_fds=(theirs.fileno(), read_end),
-                env={**os.environ, **_ONE_THREAD, "PYTHONPATH": import_path},
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": import_path},
                 stdin=subprocess.DEVNULL,
             )
         except OSError:
@@ -55,21 +56,34 @@ class WorkerProcess:
             limit = struct.pack("ll", int(min(timeout_s, 1e9)), int(timeout_s % 1 * 1e6))  # a struct timeval
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
         self.connection = Connection(self._socket.fileno())
-        self.tasks: dict[int, None] = {}  # numbers of the tasks at work, in the order they were given
-        self.is_running = False
-        self.silent_s = 0.0
-        """Seconds that the parent has waited for a message since the last one."""
-        self.is_told = False
-        """Whether the user has been told of the silence."""
         # A thread sends: a stopped worker does not read, and would block the parent.
         self._outgoing: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._sender = Thread(target=self._send_all, name="shes-send", daemon=True)
         self._sender.start()
         self._outgoing.put(lambda: self.connection.send_bytes(factory))
 
+    @property
+    def name(self) -> str:
+        """Process id."""
+        return str(self.popen.pid)
+
+    @property
+    def ending(self) -> str:
+        """Exit code."""
+        return f"exit code {self.popen.returncode}"
+
+    @property
+    def cause(self) -> str:
+        """Signal, if any, and exit code."""
+        return cause_of_death(self.popen.returncode)
+
     def send(self, *message: Any) -> None:
         """Send a message soon. If the worker is gone, the next read notices it."""
         self._outgoing.put(lambda: self.connection.send(message))
+
+    def receive(self) -> Sequence[tuple[Any, ...]]:
+        """Return the next message."""
+        return [self.connection.recv()]
 
     def _send_all(self) -> None:
         while (send := self._outgoing.get()) is not None:

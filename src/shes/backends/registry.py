@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from shes.backends.backend import Backend
+from shes.backends.mpi import MpiBackend
 from shes.backends.processes import ProcessesBackend
+from shes.backends.ray import RayBackend
 from shes.backends.serial import SerialBackend
 from shes.registry import Registry, subclass_of
 
 BACKENDS: Registry[type[Backend]] = Registry(
     "backend",
-    {"processes": ProcessesBackend, "serial": SerialBackend},
+    {"processes": ProcessesBackend, "serial": SerialBackend, "ray": RayBackend, "mpi": MpiBackend},
     fix="Set --backend.",
     check=subclass_of(Backend, num_arguments=2),
 )

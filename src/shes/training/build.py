@@ -117,5 +117,6 @@ def build_backend(config: TrainConfig, plan: WorkerPlan, num_episodes: int | Non
     factory = partial(RolloutWorker, plan)
     cls: Any = BACKENDS.find(config.workers.backend if config.workers.device == "cpu" else "serial")
     options = cls.Options.of(config.settings)
-    count = config.workers.count if num_episodes is None else min(config.workers.count, num_episodes)
+    count = config.workers.num_workers or cls.all_workers()
+    count = count if num_episodes is None else min(count, num_episodes)
     return cls(factory, count, **{name: getattr(options, name) for name in setting_fields(cls.Options)})

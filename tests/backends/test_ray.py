@@ -1,0 +1,149 @@
+"""The ray backend on a cluster of two nodes on this machine: the same numbers, whatever happens to the nodes."""
+
+import re
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+import shes
+from shes.backends.ray import RayBackend
+from shes.errors import ConfigError, MissingExtraError
+from tests.backends.clusters import add_node, ray_cluster
+from tests.backends.workers import Worker
+from tests.e2e import runs
+
+NAME = ("environment", "SHES_TEST_NODE")
+
+
+pytestmark = pytest.mark.timeout(600)  # the first test waits for the cluster
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A cluster of two nodes. The last tests add nodes and remove them; to start another cluster takes too long."""
+    pytest.importorskip("ray")
+    with ray_cluster(2) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def shared(cluster):
+    with RayBackend(lambda: Worker(at_once=1), sys.maxsize) as made:
+        yield made
+
+
+@pytest.fixture
+def free_cluster(cluster, shared):
+    """The same cluster without workers."""
+    shared.close()
+    return cluster
+
+
+@pytest.fixture
+def backend(shared):
+    shared.told = []
+    shared.on_event = shared.told.append
+    shared.broadcast(100)
+    return shared
+
+
+def test_an_address_where_nothing_answers_is_an_error_that_names_the_flag(monkeypatch):
+    ray = types.SimpleNamespace(is_initialized=lambda: False, remote=lambda **_: lambda cls: cls)
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    for address in ("localhost:1", "nonsense"):
+        with pytest.raises(ConfigError, match=rf"no Ray cluster answers at '{address}': .* Set --ray-address"):
+            RayBackend(Worker, 2, ray_address=address)
+
+
+def test_without_ray_the_error_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"--backend ray needs Ray .*pip install 'shes\[ray\]'"):
+        RayBackend(Worker, 2)
+
+
+@pytest.mark.extras
+def test_every_cpu_of_every_node_has_a_worker(backend, tmp_path):
+    assert backend.num_workers == 2
+    assert len({pid for pid, _ in backend.map([("meet", tmp_path)] * 8)}) == 2
+    assert set(backend.map([NAME] * 40)) == {"0", "1"}
+
+
+@pytest.mark.extras
+def test_no_more_workers_are_started_than_asked_for(free_cluster):
+    with RayBackend(Worker, 1) as backend:
+        backend.broadcast(7)
+        assert len({pid for pid, _ in backend.map([("where", 0.01)] * 20)}) == backend.num_workers == 1
+
+
+@pytest.mark.extras
+def test_linear_algebra_has_one_thread(backend):
+    assert set(backend.map([("environment", "OPENBLAS_NUM_THREADS")] * 4)) == {"1"}
+
+
+@pytest.mark.extras
+def test_a_state_is_stored_once_for_all_workers(backend, monkeypatch):
+    import ray
+
+    stored, put = [], ray.put
+    monkeypatch.setattr(ray, "put", lambda value: stored.append(value) or put(value))
+    backend.broadcast(b"x" * 1_000_000)
+    assert [len(state) for _, state in backend.map([("where", 0.01)] * 20)] == [1_000_000] * 20
+    assert len(stored) == 1
+
+
+@pytest.mark.extras
+def test_a_worker_that_dies_is_told_of_and_replaced_and_its_tasks_are_done_again(backend, tmp_path):
+    tasks = [("add", 1), ("die_once", tmp_path / "marker"), *[("add", i) for i in range(2, 30)]]
+    assert list(backend.map(tasks)) == [101, 100, *range(102, 130)]
+    (event,) = backend.told
+    assert re.fullmatch(r"worker \d+ on \S+ died \(.*\); \d+ tasks are done again", event)
+    assert set(backend.map([("where", 0.01)] * 4))  # it works on
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize(("first", "then"), [("serial", "ray"), ("ray", "serial")])
+def test_a_run_that_is_resumed_on_another_backend_has_the_same_numbers(free_cluster, tiny_run, tmp_path, first, then):
+    path = runs.train_tiny(tmp_path / "run", generations=2, backend=first)
+    shes.resume(path, generations=4, backend=then)
+    assert runs.differences(tiny_run, path) == []
+    assert any(line.endswith("with 2 workers") for line in runs.log_lines(path))
+
+
+@pytest.mark.extras
+def test_ray_accepts_the_cluster_file():
+    util = pytest.importorskip("ray.autoscaler._private.util")
+    yaml = pytest.importorskip("yaml")
+    config = yaml.safe_load((Path(__file__).parents[2] / "examples" / "cluster" / "ray_cluster.yaml").read_text())
+    util.validate_config(util.prepare_config(config))
+
+
+@pytest.mark.extras
+def test_a_node_that_joins_in_mid_generation_gets_work(free_cluster):
+    with RayBackend(lambda: Worker(at_once=1), sys.maxsize) as backend:
+        backend.broadcast(100)
+        results = backend.map([("node", 0.05)] * 800)
+        next(results)
+        node = add_node(free_cluster, "new")
+        assert set(results) == {("0", 100), ("1", 100), ("new", 100)}
+        assert backend.num_workers == 3
+    free_cluster.remove_node(node)
+
+
+@pytest.mark.extras
+def test_a_node_that_is_lost_in_mid_generation_changes_no_number(free_cluster, tiny_run, tmp_path, monkeypatch):
+    answer, nodes = RayBackend._answer, list(free_cluster.worker_nodes)
+
+    def answer_and_end_node(backend, worker, message, run):
+        answer(backend, worker, message, run)
+        if message[0] == "result" and nodes and runs.log_lines(path)[-1] == "generation 2 begins":
+            free_cluster.remove_node(nodes.pop(), allow_graceful=False)
+
+    monkeypatch.setattr(RayBackend, "_answer", answer_and_end_node)
+    path = tmp_path / "run"
+    runs.train_tiny(path, backend="ray")
+    lines = runs.log_lines(path)
+    (lost,) = (i for i, line in enumerate(lines) if "tasks are done again" in line)
+    assert lines.index("generation 2 begins") < lost < lines.index("generation 3 begins")
+    assert runs.differences(tiny_run, path) == []

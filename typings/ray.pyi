@@ -1,0 +1,5 @@
+"""Ray is installed only with the extra `ray`."""
+
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
