@@ -339,7 +339,9 @@ def _unwrapped(kind: Any) -> tuple[Any, tuple[Any, ...]]:
 def field_texts(cls: type) -> dict[str, str]:
     """Return the docstrings under the fields of a dataclass and its base classes, each on one line."""
     texts: dict[str, str] = {}
-    for ancestor in (*getattr(cls, "_option_classes", ()), *reversed(cls.__mro__[:-1])):
+    for ancestor in (
+        base for each in (*getattr(cls, "_option_classes", ()), cls) for base in reversed(each.__mro__[:-1])
+    ):
         try:
             definition = _class_definitions(inspect.getsourcefile(ancestor) or "").get(ancestor.__qualname__)
         except (OSError, TypeError, SyntaxError):

@@ -138,6 +138,7 @@ def recording() -> Iterator[Record]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("shes.runs.rooms.num_cores", lambda: 1)
+        patch.setattr("shes.backends.backend.num_cores", lambda: 1)
         patch.setattr(worker, "Rollout", RecordedRollout)
         patch.setattr(worker, "WarpSimulator", DeviceSimulator)
         patch.setattr(worker, "WarpDevice", Device)

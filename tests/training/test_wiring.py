@@ -6,6 +6,7 @@ was done. Settings of the run itself are read from its folder. A setting without
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,16 @@ import pytest
 
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
-from shes.errors import DivergenceError
+from shes.errors import ConfigError, DivergenceError
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.intervals import branch_work
 from shes.runs.folder import RunFolder
 from shes.runs.rooms import known_settings
 from shes.runs.tables import read_csv
+from shes.training.build import build_algorithm, build_backend
 from shes.training.divergence import Divergence
 from shes.training.evaluate import evaluate
+from shes.training.presets import make_config
 from tests.e2e import runs
 from tests.training.built import INTERVALS
 from tests.training.recorder import record_generations, recording
@@ -479,8 +482,16 @@ def test_a_setting_shows_in_the_run(name, source, tmp_path):
     assert show(runs.train_tiny(tmp_path / "run", **{**SHORT, **settings}), source) == expected
 
 
+def test_the_address_of_a_ray_cluster_arrives(monkeypatch):
+    package = SimpleNamespace(remote=lambda **_: lambda cls: cls, is_initialized=lambda: False)
+    monkeypatch.setattr("shes.backends.ray._import_ray", lambda: package)
+    config = make_config("point-gather", "smoke", {"backend": "ray", "ray_address": "localhost:1"})
+    with pytest.raises(ConfigError, match="no Ray cluster answers at 'localhost:1'"):
+        build_backend(config, build_algorithm(config).plan())
+
+
 def test_every_setting_has_a_row():
-    assert {setting_of(row) for row in ROWS} | SHOWN.keys() == known_settings().keys()
+    assert {setting_of(row) for row in ROWS} | SHOWN.keys() | {"ray_address"} == known_settings().keys()
 
 
 def test_training_evaluation_and_the_final_evaluation_share_no_episode(tmp_path):
