@@ -103,6 +103,7 @@ class TestUnderMpiexec:
                            "-k", "mpi"))  # fmt: skip
         assert " passed" in out
         assert "skipped" not in out
+        assert "skipped" not in out
 
 
 def submit(srun, *words):

@@ -91,6 +91,12 @@ def test_a_waypoint_has_as_many_coordinates_as_the_target(name, wrong):
         make_task(name, 1, ENVIRONMENTS[name].options(waypoints=wrong))
 
 
+def test_waypoints_need_a_fixed_target_in_training():
+    with pytest.raises(ConfigError, match=r"waypoints \(8.0, 0.0\) lead to one target.*Set --target"):
+        MazeOptions(waypoints=(8.0, 0.0))
+    MazeOptions(waypoints=(8.0, 0.0), evaluation=True)
+
+
 def test_the_reward_is_the_way_left_through_the_waypoints_and_evaluation_ignores_them():
     options = {"target": (6.0, 8.0), "waypoints": (6.0, 0.0, 6.0, 4.0), "reset_noise": 0.0}
     task = make_task("point-maze", 2, MazeOptions(**options))

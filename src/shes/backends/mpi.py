@@ -23,10 +23,8 @@ from shes.errors import ConfigError, MissingExtraError
 from shes.settings import Settings
 
 _TAG = 4021  # of all messages of this backend
-_SHORTEST_NAP_S, _LONGEST_NAP_S = (
-    1e-6,
-    1e-3,
-)  # between two looks for a message: a rank that waits leaves its core to others
+# Between two looks for a message: a rank that waits leaves its core to others.
+_SHORTEST_NAP_S, _LONGEST_NAP_S = 1e-6, 1e-3
 
 _HELD: list[MpiBackend] = []
 """The backend that has the ranks, if any."""

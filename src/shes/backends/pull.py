@@ -1,4 +1,4 @@
-"""What backends with worker processes share: workers ask for tasks; the work of lost and silent ones is repeated.
+"""Base class of the backends with remote workers: it hands out tasks, and repeats those of lost and silent workers.
 
 A subclass starts workers and waits for their messages, over pipes, Ray or MPI. `shes.backends.serving` is the other
 side of the conversation.
