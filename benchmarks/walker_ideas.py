@@ -7,12 +7,18 @@ learning` (660,000 environment steps, the last policy over 50 fresh episodes), f
 - `smoothed controls`: motors with a first-order lag of 50 ms, which MuJoCo integrates.
 - `64 x 64, low-rank`: the perturbation of a weight matrix is the outer product of two noise vectors, in rollout and
   gradient (Sarkar et al. 2025, Evolution Strategies at the Hyperscale).
+- `one interval, terminal values`: the fitness of a branch is its return plus an estimate of the next
+  interval's return, from the state at its end by ridge regression on the egocentric view and its products; 0 after a
+  fall.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,6 +29,7 @@ import numpy as np
 from run import write_csv
 
 import shes
+from shes.algorithms.evolution import populations
 from shes.envs.bodies.ant import Ant
 from shes.envs.tasks.flagrun import Flagrun
 from shes.es import level
@@ -42,6 +49,7 @@ IDEAS: dict[str, dict[str, Any]] = {
     "one interval, clock 1.2 Hz": SHORT | {"clock_frequency": 1.2},
     "one interval, metres, clock 1.2 Hz": SHORT | {"primitive_reward": "metres", "clock_frequency": 1.2},
     "smoothed controls": {},
+    "one interval, terminal values": SHORT,
     "64 x 64, low-rank": {"hidden": (64, 64)},
 }
 
@@ -83,6 +91,72 @@ def perturb_in_low_rank(sizes: tuple[int, ...]) -> None:
     level.weighted_noise_sum = weighted_sum
 
 
+class TerminalValues:
+    """Value of the state at the end of a branch: the expected return of the next interval, by ridge regression."""
+
+    forgetting = 0.8
+    """Weight of the earlier generations' data, for each generation."""
+
+    def __init__(self) -> None:
+        """Start without data: all values are zero."""
+        self._body = Ant()
+        self._view_size = len(self._body.egocentric)
+        self._scale: np.ndarray | None = None
+        self._pairs = np.triu_indices(self._view_size)
+        size = 1 + self._view_size + len(self._pairs[0])
+        self._gram, self._cross = np.zeros((size, size)), np.zeros(size)
+
+    def features(self, states: np.ndarray) -> np.ndarray:
+        """Return 1, the egocentric view and its products [N, F] of physics `states` [N, S]."""
+        body, view = self._body, np.zeros((len(states), self._view_size))
+        qpos, qvel = np.split(states[:, 1 : 1 + body.num_qpos + body.num_qvel], [body.num_qpos], axis=1)
+        body.write_egocentric(qpos, qvel, body.frame_angle(qpos), view)
+        self._scale = view.std(axis=0) + 1e-3 if self._scale is None else self._scale
+        view = np.clip(view / self._scale, -5, 5)
+        left, right = self._pairs
+        return np.concatenate([np.ones((len(states), 1)), view, view[:, left] * view[:, right]], axis=1)
+
+    def learn(self, states: np.ndarray, returns: np.ndarray) -> None:
+        """Add the `returns` [N] of intervals that started from `states` [N, S]."""
+        features = self.features(states)
+        self._gram = self.forgetting * self._gram + features.T @ features
+        self._cross = self.forgetting * self._cross + features.T @ returns
+
+    def __call__(self, states: np.ndarray) -> np.ndarray:
+        """Return the values [N] of `states` [N, S]."""
+        weights = np.linalg.solve(self._gram + 10 * np.eye(len(self._gram)), self._cross)
+        return self.features(states) @ weights
+
+
+@contextmanager
+def terminal_values() -> Iterator[None]:
+    """Add values to the returns of branches while the context lasts. The ends of both branches of a pair are needed.
+
+    A rollout keeps one of them, so each pair runs a second time, which keeps the other; its steps are not counted.
+    """
+    original, values = populations._roll_out_pairs, TerminalValues()
+
+    def roll_out(state: Any, estimate: Any, work: Any, backend: Any) -> Any:
+        swapped = replace(work, tasks=[replace(task, kept_slot=1 - task.kept_slot) for task in work.tasks])
+        twin = original(state, estimate, swapped, backend)
+        population = original(state, estimate, work, backend)
+        returns = population.results.outcomes["returns"][:, 0, 0]  # a view [n]
+        starts = [task for task in work.tasks if task.start is not None]
+        if starts:
+            pairs = np.array([returns[task.member : task.member + 2].mean() for task in starts])
+            values.learn(np.stack([task.start.state for task in starts]), pairs)
+        ends = population.results.snapshots | twin.results.snapshots  # of branches that did not fall
+        members, states = np.array([member for member, _ in ends]), np.stack([end.state for end in ends.values()])
+        returns[members] += values(states)
+        return population
+
+    populations._roll_out_pairs = roll_out
+    try:
+        yield
+    finally:
+        populations._roll_out_pairs = original
+
+
 def speed_ahead(run: Path, num_robots: int = 64, steps: int = 150, skipped: int = 30) -> float:
     """Return the mean speed in m/s towards goals 8 m ahead, after `skipped` steps, of robots that have not fallen."""
     problem, agent = open_run(run, "last").algorithm.problem, shes.load(run, checkpoint="last", num_envs=num_robots)
@@ -108,7 +182,7 @@ def measure(idea: str, seed: int, env_steps: int) -> dict[str, Any]:
     env = "smooth-ant-flagrun" if idea == "smoothed controls" else "ant-flagrun"
     if "low-rank" in idea:
         settings["backend"] = "serial"  # the replaced noise is that of this process
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder, terminal_values() if "terminal values" in idea else nullcontext():
         run = shes.train(env, preset="smoke", out=Path(folder) / "run", seed=seed, **settings)
         found = shes.evaluate(run.path, checkpoint="last", episodes=50, num_workers=2).summary()
         ahead = speed_ahead(run.path)
