@@ -1,4 +1,4 @@
-"""Array types shared by all packages. Docstrings give shapes as `[axis, axis]`.
+"""Array types and checks shared by all packages. Docstrings give shapes as `[axis, axis]`.
 
 Axes: n members of the population, G mirrored groups, M members of a group, L levels, D parameters of a policy; P lanes,
 R rows (episodes) of a lane, N = P * R episodes in lockstep; E episodes of a member, K episodes of a task or an
@@ -8,12 +8,10 @@ group, S numbers of a full physics state; H and W pixels.
 
 from __future__ import annotations
 
-from typing import Any, Final, Protocol, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
-
-__all__ = ["CONTROLLER", "PRIMITIVE", "ArrayHeader", "BoolArray", "F32Array", "F64Array", "FloatArray", "IntArray"]
 
 F32Array: TypeAlias = NDArray[np.float32]
 F64Array: TypeAlias = NDArray[np.float64]
@@ -39,3 +37,8 @@ class ArrayHeader(Protocol):
     def dtype(self) -> np.dtype[Any]:
         """Type of the elements."""
         ...
+
+
+def is_whole(value: Any) -> TypeGuard[int]:
+    """Return whether `value` is an integer of Python or NumPy; a bool or 25.0 is not."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -17,8 +17,8 @@ from shes.drawing.renderer import Renderer
 from shes.drawing.scenery import MAX_PIXELS
 from shes.drawing.viewer import Viewer
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError
+from shes.types import is_whole
 
 logger = logging.getLogger("shes.drawing")
 

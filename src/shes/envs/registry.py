@@ -14,11 +14,11 @@ from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.envs.gymnasium_ids import SPECS_OF, find_id, gymnasium_id, register_ids
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import SimulatorFactory, Task
-from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, check_class, check_name_form
 from shes.settings import Settings
 from shes.sim.cpu import CpuSimulator
+from shes.types import is_whole
 
 if TYPE_CHECKING:
     import gymnasium

@@ -16,11 +16,10 @@ from shes.drawing.rendering import Window, make_drawer, open_window
 from shes.envs.observation_spec import bounds
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.envs.tasks.options import TaskOptions
-from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
 from shes.settings import Settings, setting_fields
 from shes.sim.cpu import CpuSimulator
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, is_whole
 
 _PICTURE_DEFAULTS: dict[str, Any] = {"width": 480, "height": 480, "camera": "follow"}
 

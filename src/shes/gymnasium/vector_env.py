@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from shes.cores import num_cores
 from shes.drawing.drawer import Picture
-from shes.envs.value_kinds import is_whole
 from shes.errors import ConfigError
 from shes.gymnasium.adapter import TaskAdapter
-from shes.types import BoolArray, F64Array, IntArray
+from shes.types import BoolArray, F64Array, IntArray, is_whole
 
 _RENDER_MODES = ["rgb_array"]
 
