@@ -24,7 +24,14 @@ from shes.studies.comparison import compare
 from shes.studies.design import Curves, sweep_name
 from shes.studies.index import STUDIES
 from shes.studies.running import cells_left, check_study, read_summaries, run_cell, run_study
-from shes.studies.significance import check_scipy, holm, permutation_test
+from shes.studies.significance import (
+    check_scipy,
+    holm,
+    interquartile_mean,
+    mann_whitney,
+    permutation_test,
+    superiority,
+)
 from shes.studies.study import Study, cell_config, cell_steps, choose, generation_steps
 from shes.studies.tables import Cell, Summary, read_tables, write_tables
 from shes.training import session
@@ -550,6 +557,31 @@ def test_the_permutation_test_is_symmetric_seeded_and_never_zero():
     assert permutation_test(np.full(5, 0.1), np.full(10, 0.1)) == 1
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "p", "share"),
+    [
+        ([1, 2, 3], [4, 5, 6], 2 / 20, 1.0),  # the most extreme of the 20 orders, and its opposite
+        ([4, 5, 6], [1, 2, 3], 2 / 20, 0.0),
+        ([1, 2, 5], [3, 4, 6], 8 / 20, 7 / 9),  # U = 2: 4 of the 20 orders have U <= 2
+        ([1, 1], [1, 1], 1.0, 0.5),
+        ([0, 1], [1, 2], None, 7 / 8),  # three pairs won, one tied
+    ],
+)
+def test_mann_whitney_and_superiority_of_orders_counted_by_hand(first, second, p, share):
+    first, second = np.array(first, float), np.array(second, float)
+    assert superiority(first, second) == pytest.approx(share)
+    if p is not None:
+        assert mann_whitney(first, second) == pytest.approx(p)
+
+
+def test_the_interquartile_mean_ignores_a_quarter_at_each_end():
+    mean, low, high = interquartile_mean(np.array([-1000.0, 1, 2, 3, 4, 5, 6, 1e6]))
+    assert mean == 3.5  # of 2, 3, 4, 5
+    assert low < mean < high
+    assert interquartile_mean(np.array([0.3])) == (0.3, 0.3, 0.3)
+    assert interquartile_mean(np.full(5, 0.1)) == pytest.approx((0.1, 0.1, 0.1))
+
+
 def test_holm_corrects_as_the_textbook_does():
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
@@ -572,10 +604,12 @@ def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_
     found = {(c.env, c.group, c.variant, c.against): c for c in compare(study, summaries)}
     base = found["point-maze", "choices", "base", None]
     assert (base.seeds, base.score_mean, base.p, base.p_holm) == (10, pytest.approx(0.2), None, None)
+    assert (base.mann_whitney_p, base.superiority) == (None, None)
     assert base.score_low < 0.2 < base.score_high
     worse = found["point-maze", "choices", "mirrored-none", "base"]
     assert worse.difference == pytest.approx(-2)
     assert (worse.p, worse.p_holm) == (pytest.approx(1e-4, rel=2), pytest.approx(9 * worse.p))
+    assert (worse.mann_whitney_p, worse.superiority) == (pytest.approx(2e-4, rel=1), 0)
     assert found["point-gather", "choices", "mirrored-none", "base"].p_holm == 1
     assert found["point-maze", "transfer", "unfrozen", "frozen"].difference == pytest.approx(2)
     assert found["point-maze", "horizon", "horizon-1000", "horizon-500"].p == 1

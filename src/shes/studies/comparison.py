@@ -1,4 +1,4 @@
-"""Comparisons of a study's variants with the base and with each other: means, intervals, permutation tests."""
+"""Comparisons of a study's variants with the base and with each other: means, intervals, tests, effect sizes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from shes.runs.tables import Row
 from shes.studies.design import StudyDesign
-from shes.studies.significance import holm, permutation_test
+from shes.studies.significance import holm, interquartile_mean, mann_whitney, permutation_test, superiority
 from shes.studies.study import Study
 from shes.studies.tables import Summary
 from shes.types import F64Array
@@ -28,6 +28,13 @@ class Comparison:
     score_low: float
     """Lower end of the 95 % bootstrap interval of the mean over seeds."""
     score_high: float
+    score_error: float | None = None
+    """Standard error of the mean over seeds; None for a single seed."""
+    score_iqm: float
+    """Interquartile mean over seeds."""
+    score_iqm_low: float
+    """Lower end of its 95 % bootstrap interval."""
+    score_iqm_high: float
     against: str | None = None
     """The other variant; None for the base itself."""
     difference: float | None = None
@@ -36,6 +43,10 @@ class Comparison:
     """Two-sided p of a permutation test of the difference of means."""
     p_holm: float | None = None
     """`p` with Holm's correction for the comparisons of this group on this task."""
+    mann_whitney_p: float | None = None
+    """Two-sided p of a Mann-Whitney U test, without correction."""
+    superiority: float | None = None
+    """Probability that a seed of this variant exceeds one of the other; 0.5 is no effect."""
 
     def row(self) -> Row:
         """Return the columns of the row."""
@@ -75,6 +86,7 @@ def _compare_group(
     for (variant, against, other), p in zip(pairs, tests, strict=True):
         values = variants[variant]
         low, high = interval(values[:, None])
+        iqm, iqm_low, iqm_high = interquartile_mean(values)
         found.append(
             Comparison(
                 group=group,
@@ -84,10 +96,16 @@ def _compare_group(
                 score_mean=float(values.mean()),
                 score_low=float(low[0]),
                 score_high=float(high[0]),
+                score_error=float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None,
+                score_iqm=iqm,
+                score_iqm_low=iqm_low,
+                score_iqm_high=iqm_high,
                 against=against,
                 difference=None if other is None else float(values.mean() - other.mean()),
                 p=p,
                 p_holm=None if p is None else next(corrected),
+                mann_whitney_p=None if other is None else mann_whitney(other, values),
+                superiority=None if other is None else superiority(other, values),
             )
         )
     return found
