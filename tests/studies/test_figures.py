@@ -20,20 +20,28 @@ MADE = {name: make(seeds=3) for name, make in STUDIES.items()}
 STUDY = MADE["ablation"]
 COMPARED = [measure.column for study in MADE.values() for measure in study.design.metrics.values()]
 COURSE = [measure.column for study in MADE.values() for measure in study.design.curves.values()]
+COURSES = (0.0, 0.2, 0.5, 0.4, 0.9, 0.8)
+"""The course of a run's measure, as parts of its score."""
 DRAWN = [(name, figure.file.removesuffix(".png")) for name, study in MADE.items() for figure in study.design.figures]
 
 
 def summaries_of(cells):
-    """Return made-up results: good ones, on a course that rises."""
+    """Return made-up results: good ones, on a course that rises with setbacks."""
     rng = np.random.default_rng(0)
     found = {}
     for cell in cells:
         score = 3.0 + rng.normal()
         curve = tuple(
-            {**cell.identity, "env_steps": 250_000 * (step + 1) + cell.seed, **dict.fromkeys(COURSE, score * step / 5)}
+            {
+                **cell.identity,
+                "env_steps": 250_000 * (step + 1) + cell.seed,
+                "seconds": 900.0 * (step + 1) + cell.seed,
+                **dict.fromkeys(COURSE, score * COURSES[step]),
+            }
             for step in range(6)
         )
-        found[cell.name] = Summary(row={**cell.identity, **dict.fromkeys(COMPARED, score)}, curve=curve)
+        whole = {"env_steps": 1_500_000, "seconds": 5400.0, **dict.fromkeys(COMPARED, score)}
+        found[cell.name] = Summary(row={**cell.identity, **whole}, curve=curve)
     return found
 
 
@@ -51,7 +59,7 @@ def all_drawn(tmp_path_factory):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(plt, "close", open_figures.append)
             paths = draw(study.cells, tmp_path_factory.mktemp("figures"), study)
-        found[name] = dict(zip([path.stem for path in paths], open_figures, strict=True)), paths
+        found[name] = dict(zip(dict.fromkeys(path.stem for path in paths), open_figures, strict=True)), paths
     yield found
     for figures_of, _ in found.values():
         for figure in figures_of.values():
@@ -67,8 +75,13 @@ def drawn(all_drawn):
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_figure_is_a_picture_as_wide_as_a_page(all_drawn, name):
     _, paths = all_drawn[name]
-    assert [path.name for path in paths] == [figure.file for figure in MADE[name].design.figures]
+    design = MADE[name].design
+    assert [path.name for path in paths if path.suffix == ".png"] == [figure.file for figure in design.figures]
+    assert len(paths) == len(design.figures) * len(design.formats)
     for path in paths:
+        if path.suffix == ".svg":
+            assert path.read_text().count("<path") > 20
+            continue
         with Image.open(path) as picture:
             width, height = picture.size
             assert (picture.format, width) == ("PNG", 1500)
@@ -135,6 +148,25 @@ def test_curves_are_means_over_seeds_of_transfer_and_horizon(drawn):
     assert [line.get_label() for line in gather.lines] == [line.get_label() for line in maze.lines] == words
     assert [line.get_label() for line in horizon.lines] == [f"{steps} steps (3 seeds)" for steps in (150, 500, 1000)]
     assert len(horizon.collections) == 3
+
+
+def test_figure_3_has_published_scores_and_a_running_best_that_never_falls(all_drawn):
+    gather = all_drawn["fig3"][0]["fig3-hours"].axes[3]
+    lines = {line.get_label(): line for line in gather.lines}
+    assert lines["HIRO (Nachum)"].get_ydata()[0] == 3.02
+    assert lines["SHES (paper)"].get_ydata()[0] == 3.74
+    measured, best = gather.lines[0], gather.lines[1]
+    assert (measured.get_label(), best.get_linestyle()) == ("SHES as published (3 seeds)", "--")
+    assert np.diff(measured.get_ydata()).min() < 0 <= np.diff(best.get_ydata()).min()
+    assert measured.get_xdata()[[0, -1]] == pytest.approx([0.25, 1.5], rel=0.01)
+
+
+@pytest.mark.parametrize(("name", "of_primitive"), [("fig5-env-steps", 1500), ("fig5-hours", 1.5)])
+def test_figure_5_begins_a_transferred_run_where_its_primitive_ended(all_drawn, name, of_primitive):
+    for axis in all_drawn["fig5"][0][name].axes:
+        starts = {line.get_label().split(" (")[0]: line.get_xdata()[0] for line in axis.lines}
+        for form in ("as published", "with the pieces"):
+            assert starts[f"SHES-TL {form}"] - starts[f"SHES {form}"] == pytest.approx(of_primitive, rel=0.01)
 
 
 def test_only_what_is_finished_is_drawn(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from shes.errors import ConfigError, UnknownNameError
 
@@ -55,6 +55,15 @@ class Curve(NamedTuple):
     variant: str
     words: str = ""
     """Its name in the legend; that of tables if empty."""
+    is_after_primitive: bool = False
+    """Whether it begins where the training of its primitive ended."""
+
+
+class Reference(NamedTuple):
+    """A published result: a horizontal line."""
+
+    words: str
+    value: float
 
 
 class CurvePanel(NamedTuple):
@@ -63,6 +72,12 @@ class CurvePanel(NamedTuple):
     env: str
     title: str
     curves: tuple[Curve, ...]
+    measure: Measure | None = None
+    """Column of `curves.csv`; that of the environment if None."""
+    x: Literal["env_steps", "hours"] = "env_steps"
+    references: tuple[Reference, ...] = ()
+    has_running_best: bool = False
+    """Whether the mean of the running maxima is drawn, too, as a dashed line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +88,8 @@ class Curves:
     groups: tuple[str, ...]
     """Groups of which a finished cell is needed."""
     panels: tuple[CurvePanel, ...]
+    columns: int | None = None
+    """Panels in a row; all if None."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +109,8 @@ class StudyDesign:
     paired: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
     """Further comparisons within a group: second with first variant."""
     figures: tuple[Forest | Sweep | Curves, ...] = ()
+    formats: tuple[str, ...] = ("png",)
+    """File formats of every figure."""
     steps_per_s: int = 30_000
     """Environment steps per second of one core in a whole run, for the forecast."""
 

@@ -14,7 +14,7 @@ from matplotlib.transforms import blended_transform_factory
 
 from shes.storage import write_atomically
 from shes.studies.comparison import Comparison
-from shes.studies.design import Curves, Forest, Sweep, sweep_name
+from shes.studies.design import Curve, CurvePanel, Curves, Forest, Sweep, sweep_name
 from shes.studies.study import Study
 from shes.studies.tables import Cell, Summary
 from shes.types import F64Array
@@ -24,6 +24,7 @@ _WIDTH = 10.0
 """Width in inches."""
 _STYLE: dict[Any, Any] = {"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150, "font.size": 10}
 _BASE_COLOR, _COLOR = "#1f77b4", "#c44e00"
+_DASHES = ("-", "--", ":", "-.", (0, (1, 4)))
 _Place = tuple[str, str, str]
 """Environment, group, variant."""
 
@@ -33,6 +34,7 @@ class _Results:
 
     def __init__(self, study: Study, summaries: Mapping[str, Summary], comparisons: Sequence[Comparison]) -> None:
         self.design = study.design
+        self._study, self._by_name = study, summaries
         self.summaries: dict[_Place, list[Summary]] = {}
         self.cells: dict[_Place, Cell] = {}
         for cell in study.cells:
@@ -46,6 +48,12 @@ class _Results:
         """Return the compared measure of every seed."""
         column = self.design.metrics[place[0]].column
         return np.array([summary.row[column] for summary in self.summaries.get(place, ())], dtype=np.float64)
+
+    def of_primitive(self, run: Summary, column: str) -> float:
+        """Return a number of the run whose primitive `run` has; 0 if that run is unknown."""
+        name = next(cell.primitive for cell in self._study.cells if cell.identity.items() <= run.row.items())
+        found = self._by_name.get(name or "")
+        return 0.0 if found is None else float(found.row[column])
 
     def p(self, place: _Place) -> str:
         """Return the corrected p against the base as text; beside the base itself, the heading."""
@@ -75,10 +83,12 @@ def draw_figures(
             with plt.rc_context(_STYLE):
                 figure = _DRAW[type(asked)](results, asked)
             try:
-                write_atomically(out / asked.file, lambda file, figure=figure: figure.savefig(file, format="png"))
+                for form in study.design.formats:
+                    path = (out / asked.file).with_suffix(f".{form}")
+                    write_atomically(path, lambda file, f=figure, form=form: f.savefig(file, format=form))
+                    drawn.append(path)
             finally:
                 plt.close(figure)
-            drawn.append(out / asked.file)
     return drawn
 
 
@@ -176,37 +186,50 @@ def _sensitivity(axis: Axes, results: _Results, env: str, figure_of: Sweep, sett
 
 
 def _draw_curves(results: _Results, figure_of: Curves) -> Figure:
-    """Return a figure with panels of measures over environment steps."""
+    """Return a figure with panels of measures over environment steps or hours."""
     panels = figure_of.panels
-    lines = max(len(panel.curves) for panel in panels)
+    columns = figure_of.columns or len(panels)
+    rows = -(-len(panels) // columns)
+    lines = max(len(panel.curves) + len(panel.references) for panel in panels)
     figure, axes = plt.subplots(
-        1, len(panels), figsize=(_WIDTH, 3.2 + 0.2 * lines), layout="constrained", squeeze=False
+        rows, columns, figsize=(_WIDTH, rows * (3.2 + 0.2 * lines)), layout="constrained", squeeze=False
     )
-    for axis, panel in zip(axes[0], panels, strict=True):
-        measure = results.design.curves[panel.env]
-        for number, (group, variant, words) in enumerate(panel.curves):
-            place = (panel.env, group, variant)
-            if place in results.summaries:
-                name = words or results.design.label(variant)
-                _draw_curve(axis, results.summaries[place], measure.column, name, f"C{number}")
+    for axis, panel in zip(axes.ravel(), panels, strict=False):
+        measure = panel.measure or results.design.curves[panel.env]
+        for number, curve in enumerate(panel.curves):
+            if (place := (panel.env, curve.group, curve.variant)) in results.summaries:
+                _draw_curve(axis, results, place, curve, panel, measure.column, f"C{number}")
+        for number, (words, value) in enumerate(panel.references):
+            axis.axhline(value, color="0.35", linewidth=1, linestyle=_DASHES[number % len(_DASHES)], label=words)
         axis.set_title(panel.title, fontsize="medium", fontweight="bold")
         axis.set_ylabel(measure.words)
-        axis.set_xlabel("thousand environment steps")
+        axis.set_xlabel("hours" if panel.x == "hours" else "thousand environment steps")
         axis.grid(alpha=0.3)
         if axis.lines:
             axis.legend(fontsize="small", frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.22))
+    for axis in axes.ravel()[len(panels) :]:
+        axis.set_axis_off()
     return figure
 
 
-def _draw_curve(axis: Axes, runs: Sequence[Summary], column: str, name: str, color: str) -> None:
+def _draw_curve(
+    axis: Axes, results: _Results, place: _Place, curve: Curve, panel: CurvePanel, column: str, color: str
+) -> None:
     """Draw the mean over seeds and its interval, as far as all seeds reach."""
-    steps = [np.array([row["env_steps"] for row in run.curve], dtype=np.float64) for run in runs]
+    runs = [run for run in results.summaries[place] if run.curve]
+    name, unit = ("seconds", 3600) if panel.x == "hours" else ("env_steps", 1000)
+    steps = [np.array([row[name] for row in run.curve], dtype=np.float64) / unit for run in runs]
+    if curve.is_after_primitive:
+        steps = [x + results.of_primitive(run, name) / unit for x, run in zip(steps, runs, strict=True)]
     scores = [np.array([row[column] for row in run.curve], dtype=np.float64) for run in runs]
     grid, values = interpolate(steps, scores)
     low, high = interval(values)
-    words = f"{name} ({len(runs)} seed{'s' * (len(runs) != 1)})"
-    axis.plot(grid / 1000, values.mean(axis=0), color=color, label=words)
-    axis.fill_between(grid / 1000, low, high, color=color, alpha=0.2, linewidth=0)
+    words = f"{curve.words or results.design.label(place[2])} ({len(runs)} seed{'s' * (len(runs) != 1)})"
+    axis.plot(grid, values.mean(axis=0), color=color, label=words)
+    axis.fill_between(grid, low, high, color=color, alpha=0.2, linewidth=0)
+    if panel.has_running_best:
+        best = interpolate(steps, [np.maximum.accumulate(each) for each in scores])[1].mean(axis=0)
+        axis.plot(grid, best, color=color, linewidth=1, linestyle="--")
 
 
 _DRAW: dict[type, Callable[..., Figure]] = {Forest: _draw_forest, Sweep: _draw_sweep, Curves: _draw_curves}

@@ -25,6 +25,7 @@ from shes.storage import storage_errors, write_atomically
 from shes.studies.significance import check_scipy
 from shes.studies.study import CHECKPOINTS, Study, cell_config
 from shes.studies.tables import Cell, Summary, read_tables
+from shes.training.build import open_run
 from shes.training.evaluate import evaluate
 from shes.training.train import differing, resume, start_run
 
@@ -92,13 +93,15 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
     random = evaluate(folder.path, episodes=episodes, checkpoint="last", num_workers=1, targets="training").summary()
     row |= {"last_training_success": random["success_rate"], "last_training_return": random["return_mean"]}
     table, progress = read_csv(folder.evaluation), read_csv(folder.progress)
+    outer = f"{open_run(folder.path, 'last').algorithm.level_names[0]}_return_mean"
     curve: list[Row] = []
     first = 0.0
     for i, generation in enumerate(table["generation"]):
-        made = zip(progress["generation"], progress["success_rate"], strict=True)
-        since = [rate for number, rate in made if first < number <= generation]
         shown = {name: table[name][i] if name in table else None for name in _CURVE}
-        curve.append({**cell.identity, **shown, "training_success_rate": sum(since) / len(since)})
+        since = [k for k, number in enumerate(progress["generation"]) if first < number <= generation]
+        for name, column in (("training_success_rate", "success_rate"), ("training_return_mean", outer)):
+            shown[name] = sum(progress[column][k] for k in since) / len(since)
+        curve.append({**cell.identity, **shown, "seconds": table["wall_time_s"][i]})
         first = generation
     return Summary(row=row, curve=tuple(curve))
 
