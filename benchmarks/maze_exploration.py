@@ -62,7 +62,7 @@ def final_positions(run: Path, episodes: int = 100) -> np.ndarray:
     task, robots = problem.env.make(episodes, problem.evaluation), np.arange(episodes)
     task.reset(robots, robots.tolist())
     for _ in range(500):
-        task.step(robots, agent.act(task.observe()))
+        task.step(robots, agent.control(task.observe(), task.position, task.heading))
     position = task.position.copy()
     task.close()
     return position
