@@ -1,19 +1,31 @@
-"""Output of the commands: tables, JSON, and errors on one line."""
+"""Output of the commands: tables, JSON, and errors on one line, in ASCII where the encoding lacks a character."""
 
 from __future__ import annotations
 
+import codecs
 import json
-import shlex
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from shes.cli.streams import showable
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # rich is imported where it is used: `shes --help` has to be quick
     from rich.console import Console
 
-__all__ = ["make_console", "print_error", "print_facts", "print_line", "print_table", "quote"]
+    from shes.listing import Listing, Table
+
+__all__ = ["TO_ASCII", "make_console", "print_error", "print_line", "show"]
+
+TO_ASCII = "shes.to_ascii"
+"""Name of the error handler that writes ASCII for the characters that an encoding lacks."""
+_IN_ASCII = {"±": "+/-", "×": "x", "·": ",", "…": "...", "—": "-", "≥": ">=", "≤": "<=", "→": "->", "°": " deg"}
+
+
+def _to_ascii(error: UnicodeError) -> tuple[str, int]:
+    """Return the ASCII text for the characters that an encoding lacks, and the position after them."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(_IN_ASCII.get(each, "?") for each in error.object[error.start : error.end]), error.end
+
+
+codecs.register_error(TO_ASCII, _to_ascii)
 
 
 def make_console(*, stderr: bool = False) -> Console:
@@ -27,25 +39,27 @@ def make_console(*, stderr: bool = False) -> Console:
     return _Console(stderr=stderr)
 
 
-def print_facts(facts: dict[str, Any], *, as_json: bool) -> None:
-    """Print named values as a table, or as one JSON object."""
+def show(listing: Listing, as_json: bool = False) -> int:
+    """Print a listing as JSON, or as tables and lines, and its errors; return the exit code."""
     if as_json:
-        print(json.dumps(facts))
-        return
-    rows = [(name, f"{value:,.3f}" if isinstance(value, float) else str(value)) for name, value in facts.items()]
-    print_table((), rows)
+        print(json.dumps(listing.facts, indent=2 if isinstance(listing.facts, list) else None))
+    else:
+        for part in listing.parts:
+            print_line(part) if isinstance(part, str) else _print_table(part)
+    for error in listing.errors:
+        print_error(error)
+    return 1 if listing.errors else 0
 
 
-def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table, with a heading over each column if there are headings."""
-    from rich.table import Table
+def _print_table(table: Table) -> None:
+    from rich.table import Table as RichTable
     from rich.text import Text
 
     console = make_console()
-    table = Table(*headings, show_header=bool(headings))
-    for row in rows:
-        table.add_row(*(Text(showable(cell, console.encoding)) for cell in row))
-    console.print(table)
+    shown = RichTable(*table.headings, show_header=bool(table.headings))
+    for row in table.rows:  # laid out as long as they are in the encoding
+        shown.add_row(*(Text(cell.encode(console.encoding, TO_ASCII).decode(console.encoding)) for cell in row))
+    console.print(shown)
 
 
 def print_line(text: str) -> None:
@@ -58,8 +72,3 @@ def print_error(text: str) -> None:
     from rich.text import Text
 
     make_console(stderr=True).print(Text.assemble(("Error:", "bold red"), " ", text), highlight=False, soft_wrap=True)
-
-
-def quote(path: Path | str) -> str:
-    """Return `path` quoted for a shell."""
-    return shlex.quote(str(path))

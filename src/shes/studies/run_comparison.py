@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from shes.errors import ConfigError, UnknownNameError
+from shes.listing import Listing, Table
 from shes.runs.folder import RunFolder
 from shes.studies.significance import check_scipy, permutation_test
 from shes.training.evaluate import Evaluation, evaluate
@@ -39,6 +40,24 @@ class RunComparison:
     high: float
     p: float
     """Two-sided p of a permutation test of the difference."""
+
+    def listing(self, first: str, second: str) -> Listing:
+        """Return the listing of the comparison of the runs with these names."""
+        rows = [
+            (first, f"{self.first_mean:.3f}", str(self.first_count)),
+            (second, f"{self.second_mean:.3f}", str(self.second_count)),
+        ]
+        interval = f"95 % interval [{self.low:+.3f}, {self.high:+.3f}]"
+        parts = [
+            Table(("run", f"mean {self.measure}", self.unit), rows),
+            f"difference {self.difference:+.3f}, {interval}, p {self.p:.4f}",
+        ]
+        if self.unit == "episodes":
+            parts.append(
+                "Over episodes: this says nothing of other seeds of training. Compare folders of several seeds for "
+                "that."
+            )
+        return Listing({"first": first, "second": second, **asdict(self)}, parts)
 
 
 def compare_runs(

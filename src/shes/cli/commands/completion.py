@@ -1,25 +1,23 @@
-"""`shes completion`: shells ask `shes --complete` for the words that may stand at the cursor."""
+"""`shes completion`: shells ask `shes --complete` for the words that may stand at the cursor: those of the help."""
 
 from __future__ import annotations
 
 import glob
+import io
 import os
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Iterable
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
-from typing import Annotated, Literal, get_args, get_origin
+from typing import Literal
+from unittest.mock import patch
 
-import tyro
-
-from shes.cli.parsing import asked_config, offered_settings, parameters_of
+from shes.cli.parsing import call
 from shes.cli.program import COMMANDS, find_command
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ShesError
 from shes.runs.shipped import shipped_names
-from shes.settings import Setting, flag
-from shes.training.presets import PRESETS
-
-__all__ = ["completion", "print_completions"]
 
 _BASH = "complete -o default -C 'shes --complete' shes"
 _SCRIPTS = {
@@ -30,8 +28,6 @@ _SCRIPTS = {
 }
 """Script of each shell. It puts the line into COMP_LINE; tcsh, into COMMAND_LINE."""
 _EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
-_RUNS = ("run", "runs", "first", "second", "primitive", "controller")
-"""Parameters and settings whose values are runs."""
 
 
 def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
@@ -46,7 +42,7 @@ def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
     return 0
 
 
-def print_completions() -> None:
+def print_completions() -> int:
     """Print what may stand at the cursor of the line that a shell completes. If nothing, the shell completes files."""
     line = os.environ.get("COMP_LINE") or os.environ.get("COMMAND_LINE") or "shes "
     line = line[: int(os.environ.get("COMP_POINT", len(line)))]
@@ -55,48 +51,35 @@ def print_completions() -> None:
     if typed.startswith("-") and "=" in typed:  # bash replaces what follows =
         name, _, typed = typed.partition("=")
         before.append(name)
-    for word in _possible(before, typed):
+    possible: Iterable[str] = [*COMMANDS, *_EVERYWHERE, "--version"]
+    if before:
+        possible = _words_after(before, typed) if before[0] in COMMANDS else ()
+    for word in possible:
         if word.startswith(typed):
             print(word)
+    return 0
 
 
-def _possible(before: list[str], typed: str) -> Iterable[str]:
+def _words_after(before: list[str], typed: str) -> list[str]:
     """Return the words that may follow `before`; the last one begins with `typed`."""
-    if not before:
-        return [*COMMANDS, *_EVERYWHERE, "--version"]
-    if before[0] not in COMMANDS:
-        return []
-    function = find_command(before[0])
+    text = io.TextIOWrapper(io.BytesIO(), "utf-8")
+    with redirect_stdout(text), patch.dict(os.environ, COLUMNS="9999"), suppress(ShesError):
+        call(find_command(before[0]), [*before[1:], "--help-all"])
+    text.seek(0)
     places: list[str] = []
     flags: dict[str, list[str]] = {name: [] for name in _EVERYWHERE}
-    for name, each in parameters_of(function).items():
-        kind, *notes = get_args(each.annotation) if get_origin(each.annotation) is Annotated else (each.annotation,)
-        names = _names(name, get_args(kind) if get_origin(kind) is Literal else (), typed)
-        if each.default is each.empty or tyro.conf.Positional in notes:
-            places += names
+    for cell in re.split(r"│\s*", text.read())[1:]:  # the usage comes first
+        entry, *_ = re.split(r"\s{2,}", cell)  # --camera {both,follow,top}   Camera.
+        words = re.findall(r"--[\w-]+", entry) if entry.startswith("-") else None
+        values = [name for names in re.findall(r"\{(.*?)\}", entry) for name in names.split(",")]
+        if entry == "ENV":
+            values = [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS]
+        elif re.match(r"RUN|FIRST|SECOND|--.*\bRUN$", entry):
+            start = glob.escape(typed if "/" in typed else "runs/")
+            runs = (glob.iglob(f"{start}*/{end}config.json") for end in ("", "*/"))  # noqa: PTH207 - may be absolute
+            values = [*shipped_names(), *sorted(str(Path(file).parent) for files in runs for file in files)]
+        if words is None:
+            places += values
         else:
-            flags[flag(name)] = names
-    for setting in _settings(function, before[1:]):
-        flags[setting.flag] = _names(setting.name, setting.choices, typed)
-        if setting.kind is bool and not setting.is_optional:
-            flags[flag(f"no_{setting.name}")] = []
+            flags |= dict.fromkeys(words, values)
     return list(flags) if typed.startswith("-") else flags.get(before[-1]) or places
-
-
-def _settings(function: Callable[..., int], words: list[str]) -> Iterable[Setting]:
-    """Return the settings that are flags of a command."""
-    try:
-        return offered_settings(function, asked_config(words)).values()
-    except ShesError:  # an unknown preset, for example
-        return ()
-
-
-def _names(name: str, choices: Iterable[str], typed: str) -> list[str]:
-    """Return the values that parameter or setting `name` may have, as far as they have names."""
-    if name == "env":
-        return [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS]
-    if name not in _RUNS:
-        return list(PRESETS if name == "preset" else choices)
-    start = glob.escape(typed if "/" in typed else "runs/")
-    found = (glob.iglob(f"{start}*/{end}config.json") for end in ("", "*/"))  # noqa: PTH207 - `typed` may be absolute
-    return [*shipped_names(), *sorted(str(Path(file).parent) for files in found for file in files)]

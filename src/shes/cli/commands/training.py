@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack, closing
+from collections.abc import Iterable
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, Literal
 
 import tyro
 
 import shes
-from shes.cli.output import make_console, print_error, print_facts, print_line, quote
+from shes.cli.output import make_console, print_line, show
 from shes.cli.parsing import DEFAULT_ENV, Env, Json, Run
-from shes.cli.progress_display import ProgressDisplay
 from shes.errors import ConfigError
-from shes.runs.folder import RunFolder, new_folder
+from shes.listing import facts_listing
+from shes.runs.folder import new_folder
 from shes.training.presets import make_config
+from shes.training.progress_display import ProgressDisplay
 from shes.training.runs_folder import RunsFolder
-from shes.training.train import Run as FinishedRun
-from shes.training.train import resume as resume_run
-from shes.training.train import start_run
+from shes.training.train import resume_run, start_run
 from shes.training.variations import read_sweep, vary
 
 
@@ -50,10 +49,12 @@ def train(
         raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
     if len(seed) == 1 and not swept:
         config = make_config(env, preset, {**settings, "seed": seed[0]})
-        return _show_progress(lambda display: start_run(config, out, display), out)
+        with ProgressDisplay(make_console()) as display:
+            run = start_run(config, out, display)
+        return show(run.listing())
     configs = vary(env, preset, settings, seed, swept)
     folder = RunsFolder.create(out or new_folder(next(iter(configs.values())), f"{len(configs)}-runs"), configs)
-    return _train_all(folder, list(configs))
+    return _train_all(folder, configs)
 
 
 def resume(run: Run, settings: dict[str, Any]) -> int:
@@ -61,68 +62,22 @@ def resume(run: Run, settings: dict[str, Any]) -> int:
 
     shes resume runs/first --generations 200 --workers 4
     """
-    if RunsFolder.is_at(run):
-        folder = RunsFolder.open(run, **settings)
-        if not folder.left:
-            raise ConfigError(
-                f"all {len(folder.configs)} runs of {run} have ended. To go on: shes resume {quote(run)} "
-                f"--generations {2 * max(config.run.generations for config in folder.configs.values())}"
-            )
-        return _train_all(folder, list(folder.configs))
-    return _show_progress(lambda display: resume_run(run, listener=display, **settings), Path(run))
+    if not RunsFolder.is_at(run):
+        with ProgressDisplay(make_console()) as display:
+            resumed = resume_run(run, display, **settings)
+        return show(resumed.listing())
+    folder = RunsFolder.open(run, **settings)
+    if not folder.left:
+        raise ConfigError(
+            f"all {len(folder.configs)} runs of {run} have ended. To go on: shes resume {quote(run)} "
+            f"--generations {2 * max(config.run.generations for config in folder.configs.values())}"
+        )
+    return _train_all(folder, folder.configs)
 
 
-def _train_all(folder: RunsFolder, names: list[str]) -> int:
+def _train_all(folder: RunsFolder, names: Iterable[str]) -> int:
     """Train the runs `names` of a folder that have not ended; return the exit code."""
-    displays, left, failed = ExitStack(), [name for name in names if name in folder.left], 0
-
-    def display_of(name: str) -> ProgressDisplay:
-        print_line(f"[{names.index(name) + 1}/{len(names)}] {name}")
-        return displays.enter_context(ProgressDisplay(make_console()))
-
-    try:
-        with displays, closing(folder.train(left, display_of)) as outcomes:
-            for ended in outcomes:
-                displays.close()
-                if ended.error is not None:
-                    failed += 1
-                    print_error(f"{ended.name} failed: {ended.error}")
-    except KeyboardInterrupt:
-        print_line(f"Stopped; all finished generations are kept. Go on: shes resume {quote(folder.path)}")
-        raise
-    found = quote(folder.path)
-    if failed:
-        print_error(f"{failed} of {len(names)} runs failed. To go on with them: shes resume {found}")
-        return 1
-    print_line(f"Done: {len(names)} runs, one in each folder below {found}.")
-    print_line(f"Next: shes plot {found} · shes list {found} · shes evaluate {quote(folder.path / names[0])}")
-    return 0
-
-
-def _show_progress(work: Callable[[ProgressDisplay], FinishedRun], path: Path | None) -> int:
-    """Call `work` with a progress display; after Ctrl-C, print how to resume the run.
-
-    Args:
-        work: Trains, and reports to the display.
-        path: The run folder, if it is known before.
-    """
-    display = ProgressDisplay(make_console())
-    try:
-        with display:
-            run = work(display)
-    except KeyboardInterrupt:
-        path = display.path or path
-        # Before the first generation the display knows no path; the run can be resumed if its record exists.
-        if path is not None and RunFolder(path).config.is_file():
-            print_line(f"Stopped; all finished generations are kept. Go on: shes resume {quote(path)}")
-        raise
-    best = "no evaluation yet"
-    if run.best.generation >= 0:
-        best = f"best evaluation score {run.best.score:.2f} (generation {run.best.generation})"
-    found = quote(run.path)
-    print_line(f"Done: {run.generation} generations, {best}.")
-    print_line(f"Next: shes evaluate {found} · shes render {found} · shes plot {found}")
-    return 0
+    return show(folder.train_shown(list(names), lambda: ProgressDisplay(make_console()), print_line))
 
 
 def evaluate(*, json: Json = False, **options: Annotated[Any, "shes.training.evaluate.evaluate"]) -> int:
@@ -130,10 +85,8 @@ def evaluate(*, json: Json = False, **options: Annotated[Any, "shes.training.eva
 
     shes evaluate runs/first --episodes 100
     """
-    found = shes.evaluate(**options)
-    facts = {"run": options["run"], "checkpoint": options["checkpoint"], **found.summary()}
-    print_facts(facts, as_json=json)
-    return 0
+    facts = shes.evaluate(**options).summary()
+    return show(facts_listing({"run": options["run"], "checkpoint": options["checkpoint"], **facts}), json)
 
 
 def bench(
@@ -155,9 +108,6 @@ def bench(
     """
     from shes.bench.measure import bench_rollout, bench_update
 
-    if not 0 <= seconds < float("inf"):
-        raise ConfigError(f"seconds must be zero or a positive number, got {seconds}. Set --seconds.")
     config = make_config(env, settings.pop("preset", "laptop"), settings)
     measure = bench_rollout if name == "rollout" else bench_update
-    print_facts(measure(config, seconds=seconds), as_json=json)
-    return 0
+    return show(facts_listing(measure(config, seconds=seconds)), json)

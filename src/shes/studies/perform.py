@@ -1,0 +1,99 @@
+"""A study from the forecast to its tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import closing
+from itertools import groupby
+from operator import attrgetter
+from pathlib import Path
+from shlex import quote
+from time import monotonic
+
+from shes.listing import Listing, Say, Table
+from shes.studies.comparison import Comparison, compare
+from shes.studies.design import StudyDesign
+from shes.studies.figures import draw_figures
+from shes.studies.running import Outcome, cells_left, check_study, read_summaries, run_study
+from shes.studies.study import Study, cell_steps, choose
+from shes.studies.tables import write_csv, write_tables
+from shes.training.progress_display import format_duration
+
+
+def perform(study: Study, out: Path, groups: Sequence[str] | None, num_workers: int, say: Say) -> Listing:
+    """Run what is left of `study`, write its tables and figures to `out`, and return the listing of its comparisons.
+
+    Args:
+        study: The study.
+        out: Folder of its runs, tables and figures.
+        groups: Groups to run beside the base; all if None.
+        num_workers: Runs at a time.
+        say: Receives the progress, a line at a time.
+
+    Raises:
+        ShesError: Raised by `choose` or `run_study`.
+    """
+    chosen = choose(study, groups)
+    check_study(study, out)
+    left = {cell.name for cell in cells_left(chosen, out)}
+    failed: dict[str, str] = {}
+    try:
+        with closing(run_study(chosen, out, num_workers=num_workers)) as outcomes:
+            for outcome in with_progress(chosen, outcomes, left, num_workers, say):
+                if outcome.summary is None:
+                    failed[outcome.cell.name] = outcome.error
+                else:
+                    write_tables(study.ordered(), read_summaries(study, out), out)
+    except KeyboardInterrupt as stop:
+        stop.add_note("Stopped; finished runs are kept. Continue with the same command.")
+        raise
+    summaries = read_summaries(study, out)
+    comparisons = compare(study, summaries)
+    write_tables(study.ordered(), summaries, out)
+    rows = [each.row() for each in comparisons]
+    write_csv(out / "comparison.csv", rows)
+    figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
+    facts = {"out": str(out), "cells": len(chosen.cells), "failed": failed, "figures": figures, "comparisons": rows}
+    files = (
+        f"Tables: runs.csv, curves.csv, comparison.csv in {quote(str(out))}",
+        f"Figures: {' '.join(map(quote, figures)) or 'none'}",
+    )
+    errors = [f"{cell} failed: {error}" for cell, error in failed.items()]
+    if failed:
+        errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
+    return Listing(facts, [*_parts(study.design, comparisons), *files], errors)
+
+
+def _parts(design: StudyDesign, comparisons: Iterable[Comparison]) -> Iterator[Table | str]:
+    """Yield a table for each environment, with a row for each variant."""
+    for env, found in groupby(comparisons, attrgetter("env")):
+        yield env
+        yield Table(("group", "variant", "seeds", "mean [95 %]", "p"), [each.texts(design) for each in found])
+        yield f"mean: {design.metrics[env].words}, over seeds; p: against the base, permutation test with Holm."
+
+
+def with_progress(
+    study: Study, outcomes: Iterable[Outcome], left: Collection[str], num_workers: int, say: Say
+) -> Iterator[Outcome]:
+    """Yield the outcomes of the cells that are `left`; say a forecast, and after each its result and the time left."""
+    steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
+    to_make, made, start = {name: steps[name] for name in left}, 0, monotonic()
+    at_once = max(1, min(num_workers, len(left)))
+    expected = format_duration(sum(to_make.values()) / study.design.steps_per_s / at_once)
+    done = f"; {len(steps) - len(left)} are done" if len(left) < len(steps) else ""
+    say(
+        f"{len(steps)} runs, {sum(steps.values()) / 1e6:,.1f} M environment steps{done}. About {expected} at "
+        f"{study.design.steps_per_s:,} steps a second on each of {at_once} core{'s' * (at_once != 1)}; "
+        "Ctrl-C stops, the same command continues."
+    )
+    for outcome in outcomes:
+        for event in outcome.events:
+            say(event)
+        made += to_make.pop(outcome.cell.name)
+        result = "FAILED"
+        if outcome.summary is not None:
+            row, measure = outcome.summary.row, study.design.metric(outcome.cell.env)
+            result = f"{measure.words} {row[measure.column]:.2f} in {row['seconds']:.0f} s"
+        time_left = format_duration(sum(to_make.values()) * (monotonic() - start) / made)
+        say(f"[{len(steps) - len(to_make)}/{len(steps)}] {outcome.cell.name}: {result}; {time_left} left")
+        yield outcome
