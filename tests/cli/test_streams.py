@@ -9,7 +9,8 @@ import pytest
 
 from shes.cli import output
 from shes.cli.program import main
-from shes.cli.streams import BROKEN_PIPE, INTERRUPTED, exit_code
+from shes.cli.streams import BROKEN_PIPE, INTERRUPTED, TO_ASCII, exit_code
+from shes.console import LineConsole
 from shes.errors import ConfigError, WorkerError
 from shes.listing import Listing, Table, facts_listing
 from tests.e2e import runs
@@ -28,11 +29,11 @@ BRACKETS = "[b]x[/b] [/q] pip install 'shes[robotics]'"
     ],
 )
 def test_characters_that_an_encoding_lacks_are_shown_in_ascii(text, encoding, shown):
-    assert text.encode(encoding, output.TO_ASCII).decode(encoding) == shown
+    assert text.encode(encoding, TO_ASCII).decode(encoding) == shown
 
 
 def test_a_table_is_as_wide_as_its_text_in_ascii(monkeypatch):
-    stream = io.TextIOWrapper(io.BytesIO(), "ascii", errors=output.TO_ASCII)
+    stream = io.TextIOWrapper(io.BytesIO(), "ascii", errors=TO_ASCII)
     monkeypatch.setattr(sys, "stdout", stream)
     output.show(Listing(None, [Table(("a", "b"), [("5 ± 1", "5"), ("5", "5 × 1")])]))
     stream.flush()
@@ -44,8 +45,8 @@ def test_a_table_is_as_wide_as_its_text_in_ascii(monkeypatch):
 def test_brackets_are_shown_as_they_are(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     output.show(facts_listing({BRACKETS: BRACKETS}))
-    output.print_line(BRACKETS)
-    output.print_error(BRACKETS)
+    LineConsole().line(BRACKETS)
+    LineConsole(stderr=True).error(BRACKETS)
     out, err = capsys.readouterr()
     assert out.count(BRACKETS) == 2 + 1
     assert err == f"Error: {BRACKETS}\n"
@@ -71,8 +72,8 @@ def fail(error):
 @pytest.mark.parametrize(
     ("work", "code"),
     [
-        (lambda: output.print_line("a word"), BROKEN_PIPE),
-        (lambda: output.print_error("a word"), BROKEN_PIPE),
+        (lambda: LineConsole().line("a word"), BROKEN_PIPE),
+        (lambda: LineConsole(stderr=True).error("a word"), BROKEN_PIPE),
         (fail(KeyboardInterrupt()), INTERRUPTED),
         (fail(ConfigError("wrong")), 2),
         (fail(WorkerError("lost")), 1),
@@ -92,7 +93,7 @@ def test_output_that_cannot_be_written_does_not_hide_the_exit_code_of_an_error(m
 def test_closed_streams_are_replaced(monkeypatch):
     for name in ("stdin", "stdout", "stderr"):
         monkeypatch.setattr(sys, name, None)
-    assert exit_code(lambda: output.print_line("nobody reads it") or 7) == 7
+    assert exit_code(lambda: LineConsole().line("nobody reads it") or 7) == 7
     assert sys.stdin.read() == ""
     for name in ("stdin", "stdout", "stderr"):
         getattr(sys, name).close()

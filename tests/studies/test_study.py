@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from shes.backends.serial import SerialBackend
-from shes.cli.commands.studies import experiment
+from shes.cli.commands import experiment
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
 from shes.studies import ablation as ablations
 from shes.studies import learning as lessons

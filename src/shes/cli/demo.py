@@ -18,8 +18,8 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 import shes
-from shes.cli.output import make_console
 from shes.cli.streams import INTERRUPTED, exit_code
+from shes.console import LineConsole
 
 __all__ = ["main"]
 
@@ -39,7 +39,7 @@ def main() -> int:
 
 def _demo(robot: str) -> int:
     """Run the demo of `robot`; return the exit code."""
-    console, start = make_console(), monotonic()
+    console, start = LineConsole(), monotonic()
     if robot not in _DEMOS:
         print(f"unknown robot {robot!r}; there are demos of {' and '.join(_DEMOS)}", file=sys.stderr)
         return 2

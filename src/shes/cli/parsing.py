@@ -1,15 +1,16 @@
 """Commands are plain functions: tyro makes their flags from signature and docstring, parses, and calls them.
 
-Parameters without a default are positional, the others are flags. `**options` annotated with the name of a function
-stands for those parameters of that function that the command does not name. A parameter `settings` stands for the
-settings of a run, which become flags unless the command names them itself: in a command that takes an environment all
-of them, in another those with which a run can be resumed.
+Parameters without a default are positional, and the first one; the others are flags. A parameter `settings` stands for
+the settings of a run, which become flags unless the command names them itself: in a command that takes an environment
+all of them, in another those with which a run can be resumed. A command returns an exit code, or what is printed: a
+listing, or an object that has one, which `--json` prints as JSON; or the paths of files that it has written.
 """
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
@@ -17,10 +18,11 @@ from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-import shes
+from shes.cli.output import show, show_steps
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import UnknownNameError
+from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.rooms import known_settings, settings_in
 from shes.settings import Setting, flag
@@ -28,7 +30,7 @@ from shes.training.presets import make_config
 from shes.training.train import resumable_settings
 from shes.training.transfer import TRANSFERRED
 
-__all__ = ["DEFAULT_ENV", "Env", "Json", "Run", "call"]
+__all__ = ["DEFAULT_ENV", "call"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
@@ -36,37 +38,37 @@ _HELP_ALL = "--help-all"
 
 _OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
 """Flags of parameters that have another name in Python, which is a flag, too."""
-
-Run = Annotated[str, tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent.")]
-Env = Annotated[
-    str, tyro.conf.arg(metavar="ENV", help="Environment, see shes envs; or gymnasium:ID for one of Gymnasium.")
-]
-Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
+_WRITES = {"plot": "Learning curves", "render": "Video", "export": "Policy"}
+"""What the files are whose paths a command returns."""
 
 
-def call(function: Callable[..., int], words: Sequence[str]) -> int:
-    """Call a command with the values in `words`; return its exit code.
+def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
+    """Call command `name` with the values in `words`, and print what it returns; return the exit code.
 
     Raises:
         UnknownNameError: A value is none of the names that it can be.
     """
 
     def program(**values: Any) -> int:
-        return function(**values)
+        is_json = values.pop("json", False)
+        with show_steps() if shows_steps else nullcontext({}) as steps:
+            found = function(**values, **steps)
+        return show(found, _WRITES.get(name, ""), as_json=is_json)
 
     env, words = _environment_first(words)
     shows_help = not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
-    parameters, text = _parameters(function)
+    parameters = _parameters(function)
+    shows_steps = parameters.pop("on_step", None) is not None
     if "settings" in parameters:
         kind = _settings_type(parameters, _asked_config(env, words), words if shows_help else None)
         parameters["settings"] = parameters["settings"].replace(annotation=Annotated[kind, tyro.conf.arg(name="")])
     program.__annotations__ = {name: each.annotation for name, each in parameters.items()}
     program.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined] - tyro reads it
-    program.__doc__ = text.replace("`", "")
+    program.__doc__ = (inspect.getdoc(function) or "").replace("`", "")
     try:
         return tyro.cli(
             program,
-            prog=f"shes {function.__name__.rstrip('_')}",
+            prog=f"shes {name}",
             args=["--help"] if shows_help else words,
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.PositionalRequiredArgs),
             registry=_VALUES,
@@ -88,27 +90,28 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
     return DEFAULT_ENV, list(words)
 
 
-def _parameters(function: Callable[..., Any]) -> tuple[dict[str, inspect.Parameter], str]:
-    """Return the parameters of a command by name, as tyro reads them, and its docstring."""
+def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a command by name, as tyro reads them, with `json` if it returns a listing."""
+    signature = inspect.signature(function, eval_str=True)
     found: dict[str, inspect.Parameter] = {}
-    text = inspect.getdoc(function) or ""
-    for name, each in inspect.signature(function, eval_str=True).parameters.items():
-        kind = each.annotation
-        if each.kind is inspect.Parameter.VAR_KEYWORD:
-            module, _, behind = kind.__metadata__[0].rpartition(".")
-            others, its_text = _parameters(getattr(shes.import_module(module), behind))
-            found = {**others, **found}
-            text += f"\n\nArgs:\n{its_text.partition('Args:')[2].partition('Raises:')[0]}"
-        elif not name.startswith("on_"):  # a callback
-            if isinstance(kind, UnionType) and str in get_args(kind):  # text where text will do
-                several = any(get_origin(one) is Sequence for one in get_args(kind))
-                kind = tuple[str, ...] if several else str | None if NoneType in get_args(kind) else str
-            if name in _OTHER_FLAGS:
-                kind = Annotated[kind, tyro.conf.arg(name=_OTHER_FLAGS[name], aliases=(flag(name),))]
-            elif kind is str and each.default is each.empty:
-                kind = Annotated[kind, tyro.conf.arg(metavar=name.upper())]
-            found[name] = each.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY)
-    return found, text
+    for name, each in signature.parameters.items():
+        kind, is_required = each.annotation, each.default is each.empty
+        if isinstance(kind, UnionType) and str in get_args(kind):  # text where text will do
+            several = any(get_origin(one) is Sequence for one in get_args(kind))
+            kind = tuple[str, ...] if several else str | None if NoneType in get_args(kind) else str
+        if name in _OTHER_FLAGS:
+            kind = Annotated[kind, tyro.conf.arg(name=_OTHER_FLAGS[name], aliases=(flag(name),))]
+        elif is_required and kind in (str, tuple[str, ...]):
+            one = name.removesuffix("s").upper()
+            shown, hint = (one, None) if kind is str else (f"{one} [{one} ...]", "(required)")
+            kind = Annotated[kind, tyro.conf.arg(metavar=shown, help_behavior_hint=hint)]
+        elif not found and each.kind is not each.KEYWORD_ONLY:
+            kind = Annotated[kind, tyro.conf.Positional]
+        found[name] = each.replace(annotation=kind, kind=each.KEYWORD_ONLY)
+    if signature.return_annotation is Listing or hasattr(signature.return_annotation, "listing"):
+        kind = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
+        found["json"] = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+    return found
 
 
 # Settings.

@@ -6,6 +6,7 @@ import argparse
 import importlib
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import shes
 from shes.cli.streams import exit_code
@@ -14,22 +15,25 @@ from shes.errors import ConfigError, UnknownNameError
 __all__ = ["COMMANDS", "find_command", "main"]
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "envs": ("lists", "list the environments"),
-    "list": ("lists", "list the runs below runs/, and the shipped agents"),
-    "info": ("lists", "show the settings and the state of a run"),
-    "train": ("training", "train on an environment"),
-    "resume": ("training", "continue a run"),
-    "evaluate": ("training", "evaluate a checkpoint of a run on fresh episodes"),
-    "plot": ("viewing", "plot the learning curves of runs"),
-    "compare": ("studies", "compare two runs, or groups of runs, with an interval and a p value"),
-    "render": ("viewing", "make a video of a run's policy"),
-    "watch": ("viewing", "watch a run's policy in a window"),
-    "export": ("viewing", "write a run's policy to a file that needs no SHES"),
-    "experiment": ("studies", "run a study of many runs, with tables and figures"),
-    "bench": ("training", "measure the speed of this machine"),
-    "completion": ("completion", "print a script that completes commands and flags with the Tab key"),
+    "envs": ("envs.catalogue.list_environments", "list the environments"),
+    "list": ("runs.listings.list_runs", "list the runs below runs/, and the shipped agents"),
+    "info": ("runs.listings.describe_run", "show the settings and the state of a run"),
+    "train": ("cli.commands.train", "train on an environment"),
+    "resume": ("cli.commands.resume", "continue a run"),
+    "evaluate": ("training.evaluate.evaluate", "evaluate a checkpoint of a run on fresh episodes"),
+    "plot": ("viewing.plot.plot", "plot the learning curves of runs"),
+    "compare": (
+        "studies.run_comparison.compare_runs",
+        "compare two runs, or groups of runs, with an interval and a p value",
+    ),
+    "render": ("viewing.render.render", "make a video of a run's policy"),
+    "watch": ("viewing.watch.watch", "watch a run's policy in a window"),
+    "export": ("training.export.export", "write a run's policy to a file that needs no SHES"),
+    "experiment": ("cli.commands.experiment", "run a study of many runs, with tables and figures"),
+    "bench": ("cli.commands.bench", "measure the speed of this machine"),
+    "completion": ("cli.completion.completion", "print a script that completes commands and flags with the Tab key"),
 }
-"""Module below `shes.cli.commands` and one line of help of every command: a function of its name; `list` is `list_`."""
+"""Function of every command, below `shes`, and its line in the overview."""
 
 _OVERVIEW = """\
 usage: shes COMMAND ...
@@ -56,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["--complete"]:  # asked by a shell
-        return exit_code(lambda: shes.import_module("shes.cli.commands.completion").print_completions())
+        return exit_code(lambda: shes.import_module("shes.cli.completion").print_completions())
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--debug", action="store_true")
     parser.add_argument("--import", action="append", nargs="?", default=[], dest="modules")
@@ -79,16 +83,16 @@ def _run(modules: Iterable[str | None], words: Sequence[str]) -> int:
         return 0
     if name.startswith("-"):
         raise ConfigError(f"unknown flag {name} before the command. See `shes --help`.")
-    command = find_command(name)
-    return shes.import_module("shes.cli.parsing").call(command, rest)  # tyro is slow to import
+    function = find_command(name)
+    return shes.import_module("shes.cli.parsing").call(name, function, rest)  # tyro is slow to import
 
 
-def find_command(name: str) -> Callable[..., int]:
+def find_command(name: str) -> Callable[..., Any]:
     """Return the function of command `name`; raise UnknownNameError if there is none."""
     if name not in COMMANDS:
         raise UnknownNameError("command", name, COMMANDS, "See `shes --help`.")
-    module = shes.import_module(f"shes.cli.commands.{COMMANDS[name][0]}")
-    return getattr(module, "list_" if name == "list" else name)
+    module, _, function = COMMANDS[name][0].rpartition(".")
+    return getattr(shes.import_module(f"shes.{module}"), function)
 
 
 def _import(name: str | None) -> None:

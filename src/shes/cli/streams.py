@@ -1,22 +1,38 @@
-"""Standard output and error as they are, errors on one line, and exit codes."""
+"""Exit codes, errors on one line, and standard output and error as they are."""
 
 from __future__ import annotations
 
+import codecs
 import io
 import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 
-from shes.cli.output import TO_ASCII, print_error, print_line
 from shes.errors import ConfigError, ShesError
 
-__all__ = ["BROKEN_PIPE", "INTERRUPTED", "exit_code"]
+__all__ = ["BROKEN_PIPE", "INTERRUPTED", "TERMINATED", "TO_ASCII", "exit_code"]
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 BROKEN_PIPE = 141
 """Exit code if the reader of the output has gone, as after SIGPIPE."""
+TERMINATED = 143
+"""Exit code after SIGTERM."""
+
+TO_ASCII = "shes.to_ascii"
+"""Name of the error handler that writes ASCII for the characters that an encoding lacks."""
+_IN_ASCII = {"±": "+/-", "×": "x", "·": ",", "…": "...", "—": "-", "≥": ">=", "≤": "<=", "→": "->", "°": " deg"}
+
+
+def _to_ascii(error: UnicodeError) -> tuple[str, int]:
+    """Return the ASCII text for the characters that an encoding lacks, and the position after them."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(_IN_ASCII.get(each, "?") for each in error.object[error.start : error.end]), error.end
+
+
+codecs.register_error(TO_ASCII, _to_ascii)
 
 
 def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
@@ -33,19 +49,18 @@ def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
         except KeyboardInterrupt as stop:
             code = INTERRUPTED
             for note in getattr(stop, "__notes__", ())[-1:]:  # the last one knows most
-                print_line(note)
+                print(note)
             print("Interrupted.", file=sys.stderr)
         except (MemoryError, OSError, ShesError) as error:  # OSError: a full disk, a path that cannot be read, ...
             if is_debug or isinstance(error, BrokenPipeError):
                 raise
             code = error.exit_code if isinstance(error, ShesError) else ConfigError.exit_code
-            found = str(error) or "no more is free"
-            is_full = isinstance(error, MemoryError)
-            print_error(
-                f"not enough memory ({found}). Lower what the command asks for; see its --help."
-                if is_full
-                else str(error)
-            )
+            text = str(error)
+            if isinstance(error, MemoryError):
+                text = f"not enough memory ({text or 'no more is free'}). Lower what is asked for; see --help."
+            from shes.console import LineConsole  # rich is slow to import
+
+            LineConsole(stderr=True).error(text)
         sys.stdout.flush()
     except BrokenPipeError:
         for stream in (sys.stdout, sys.stderr):  # the null device takes what Python flushes when it exits

@@ -13,8 +13,8 @@ from shes.errors import ShesError
 from shes.listing import Listing, Table
 
 
-def environments_listing() -> Listing:
-    """Return the listing of every environment; all their descriptions have the same keys."""
+def list_environments() -> Listing:
+    """List the environments with their dimensions, rewards and scores."""
     rows = [_describe(name, environment) for name, environment in ENVIRONMENTS.items()]
     rows += map(_describe_external, EXTERNAL_ENVIRONMENTS.values())
     shown: list[tuple[str, ...]] = []

@@ -11,10 +11,14 @@ from shes.runs.shipped import read_agent, shipped_names
 from shes.runs.state import RunState, run_state, states_below
 
 
-def runs_listing(path: Path) -> Listing:
-    """Return the listing of the runs below `path`, and of the shipped agents."""
-    runs, agents = states_below(path), {name: read_agent(name) for name in shipped_names()}
-    parts: list[Table | str] = [f"There is no run below {path}."]
+def list_runs(folder: Path | str = "runs") -> Listing:
+    """List the runs below a folder, and the shipped agents. The name of an agent can be given instead of a run.
+
+    Args:
+        folder: The folder.
+    """
+    runs, agents = states_below(Path(folder)), {name: read_agent(name) for name in shipped_names()}
+    parts: list[Table | str] = [f"There is no run below {folder}."]
     if runs:
         parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
     parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
@@ -38,8 +42,16 @@ def _row(run: RunState) -> tuple[str, ...]:
     return run.run, run.env or "-", f"{done} / {total}", score, run.state
 
 
-def run_listing(run: Path | str, *, full: bool = False) -> Listing:
-    """Return the listing of the state of a run, with all settings if `full`; its facts always have them."""
+def describe_run(run: Path | str, *, full: bool = False) -> Listing:
+    """Show the settings and the state of a run.
+
+    Args:
+        run: The run folder, or the name of a shipped agent.
+        full: Show all settings. JSON always has them.
+
+    Raises:
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
+    """
     folder = RunFolder.open(run)
     record, config = folder.read_record(), folder.read_config()
     facts: dict[str, Any] = {

@@ -15,6 +15,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from shes.console import LineConsole
 from shes.runs.config import TrainConfig
 from shes.training.listening import AnyListener
 
@@ -190,7 +191,7 @@ class ProgressDisplay:
 @contextmanager
 def shown_beside(listener: AnyListener, progress: bool | None) -> Iterator[AnyListener]:
     """Yield `listener`, beside a progress display if `progress` is True, or None in a terminal or a notebook."""
-    console = Console()
+    console = LineConsole()
     if not (console.is_terminal or console.is_jupyter if progress is None else progress):
         yield listener
         return

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from shes.console import LineConsole
 from shes.errors import PolicyError, RunFolderError, ShesError, WorkerError
-from shes.listing import Listing, Say
+from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.shipped import find_run
@@ -108,13 +109,13 @@ class RunsFolder:
         kept = {name for name in ended if _is_as_long(configs[name], changed[name])}
         return cls(path, changed, kept)
 
-    def train_shown(self, names: list[str], display: Callable[[], ProgressDisplay], say: Say) -> Listing:
-        """Train those of the runs `names` that are left, each with a `display`; return the listing of their ends."""
-        displays, errors, found = ExitStack(), list[str](), shlex.quote(str(self.path))
+    def train_shown(self, names: list[str]) -> Listing:
+        """Train those of the runs `names` that are left and show their progress; return the listing of their ends."""
+        displays, errors, console = ExitStack(), list[str](), LineConsole()
 
         def display_of(name: str) -> ProgressDisplay:
-            say(f"[{names.index(name) + 1}/{len(names)}] {name}")
-            return displays.enter_context(display())
+            console.line(f"[{names.index(name) + 1}/{len(names)}] {name}")
+            return displays.enter_context(ProgressDisplay(console))
 
         left = [name for name in names if name in self.left]
         with resumable(self.path), displays, closing(self.train(left, display_of)) as outcomes:
@@ -122,7 +123,8 @@ class RunsFolder:
                 displays.close()
                 if ended.error is not None:
                     errors.append(f"{ended.name} failed: {ended.error}")
-                    say(errors[-1])
+                    console.line(errors[-1])
+        found = shlex.quote(str(self.path))
         parts = [
             f"Done: {len(names)} runs, one in each folder below {found}.",
             f"Next: shes plot {found} · shes list {found} · shes evaluate {shlex.quote(str(self.path / names[0]))}",

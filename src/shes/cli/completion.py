@@ -64,7 +64,7 @@ def _words_after(before: list[str], typed: str) -> list[str]:
     """Return the words that may follow `before`; the last one begins with `typed`."""
     text = io.TextIOWrapper(io.BytesIO(), "utf-8")
     with redirect_stdout(text), patch.dict(os.environ, COLUMNS="9999"), suppress(ShesError):
-        call(find_command(before[0]), [*before[1:], "--help-all"])
+        call(before[0], find_command(before[0]), [*before[1:], "--help-all"])
     text.seek(0)
     places: list[str] = []
     flags: dict[str, list[str]] = {name: [] for name in _EVERYWHERE}
