@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-__all__ = ["Listing", "Say", "Table", "facts_listing"]
-
-Say = Callable[[str], None]
-"""Receives lines about the progress of something that takes long."""
+__all__ = ["Listing", "Table", "facts_listing"]
 
 
 class Table(NamedTuple):

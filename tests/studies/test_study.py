@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from shes.backends.serial import SerialBackend
-from shes.cli.commands import experiment
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
 from shes.studies import ablation as ablations
 from shes.studies import learning as lessons
@@ -23,7 +22,7 @@ from shes.studies import running
 from shes.studies.comparison import compare
 from shes.studies.design import Curves, sweep_name
 from shes.studies.index import STUDIES
-from shes.studies.perform import with_progress
+from shes.studies.perform import experiment, with_progress
 from shes.studies.running import cells_left, check_study, read_summaries, run_cell, run_study
 from shes.studies.significance import check_scipy, holm, permutation_test
 from shes.studies.study import Study, cell_config, cell_steps, choose, generation_steps
@@ -441,7 +440,7 @@ def test_the_command_offers_the_studies_the_scales_and_the_groups_there_are(name
     offered = get_type_hints(experiment)
     assert get_args(offered["name"]) == tuple(STUDIES)
     assert set(get_args(offered["scale"])) == set(ablations.SCALES) == set(lessons.SCALES)
-    help_of_only = " ".join(experiment.__doc__.split()).partition("only: ")[2]
+    help_of_only = " ".join(experiment.__doc__.split()).partition("groups: ")[2]
     assert f"{name}: {', '.join(sorted(MADE[name]('smoke').design.groups))}" in help_of_only
 
 

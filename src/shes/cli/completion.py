@@ -34,9 +34,6 @@ def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
     """Print a script by which a shell completes commands, flags, environments, runs and other names.
 
     For bash: shes completion bash >> ~/.bashrc
-
-    Args:
-        shell: The shell.
     """
     print(_SCRIPTS[shell])
     return 0

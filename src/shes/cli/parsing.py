@@ -9,8 +9,9 @@ listing, or an object that has one, which `--json` prints as JSON; or the paths 
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, redirect_stdout
 from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
@@ -36,22 +37,21 @@ DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
 _HELP_ALL = "--help-all"
 
-_OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
+_OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint", "groups": "only"}
 """Flags of parameters that have another name in Python, which is a flag, too."""
 _WRITES = {"plot": "Learning curves", "render": "Video", "export": "Policy"}
 """What the files are whose paths a command returns."""
 
 
 def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
-    """Call command `name` with the values in `words`, and print what it returns; return the exit code.
-
-    Raises:
-        UnknownNameError: A value is none of the names that it can be.
-    """
+    """Call command `name` with the values in `words`, and print what it returns; return the exit code."""
 
     def program(**values: Any) -> int:
         is_json = values.pop("json", False)
-        with show_steps() if shows_steps else nullcontext({}) as steps:
+        with (
+            show_steps() if shows_steps else nullcontext({}) as steps,
+            redirect_stdout(None if is_json else sys.stdout),
+        ):
             found = function(**values, **steps)
         return show(found, _WRITES.get(name, ""), as_json=is_json)
 
@@ -95,17 +95,19 @@ def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     signature = inspect.signature(function, eval_str=True)
     found: dict[str, inspect.Parameter] = {}
     for name, each in signature.parameters.items():
-        kind, is_required = each.annotation, each.default is each.empty
-        if isinstance(kind, UnionType) and str in get_args(kind):  # text where text will do
-            several = any(get_origin(one) is Sequence for one in get_args(kind))
-            kind = tuple[str, ...] if several else str | None if NoneType in get_args(kind) else str
+        kind, is_required, shown = each.annotation, each.default is each.empty, dict[str, Any]()
+        kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
+        several, one = any(get_origin(it) is Sequence for it in kinds), name.removesuffix("s").upper()
+        if several:
+            kind = tuple[str, ...] | None if NoneType in kinds else tuple[str, ...]
+            shown = {"metavar": f"{one} [{one} ...]", "help_behavior_hint": "(required)" if is_required else None}
+        elif str in kinds:  # text where text will do
+            kind = str | None if NoneType in kinds else str
+            shown = {"metavar": one} if is_required else {}
         if name in _OTHER_FLAGS:
-            kind = Annotated[kind, tyro.conf.arg(name=_OTHER_FLAGS[name], aliases=(flag(name),))]
-        elif is_required and kind in (str, tuple[str, ...]):
-            one = name.removesuffix("s").upper()
-            shown, hint = (one, None) if kind is str else (f"{one} [{one} ...]", "(required)")
-            kind = Annotated[kind, tyro.conf.arg(metavar=shown, help_behavior_hint=hint)]
-        elif not found and each.kind is not each.KEYWORD_ONLY:
+            shown |= {"name": _OTHER_FLAGS[name], "aliases": (flag(name),)}
+        kind = Annotated[kind, tyro.conf.arg(**shown)] if shown else kind
+        if not found and each.kind is not each.KEYWORD_ONLY and not is_required:
             kind = Annotated[kind, tyro.conf.Positional]
         found[name] = each.replace(annotation=kind, kind=each.KEYWORD_ONLY)
     if signature.return_annotation is Listing or hasattr(signature.return_annotation, "listing"):
@@ -118,16 +120,14 @@ def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 
 
 def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
-    """Return the settings of `env` with the preset and the algorithm in `words`.
+    """Return the settings of `env` with the preset and the algorithm in `words`; raise UnknownNameError for any name.
 
-    Raises:
-        UnknownNameError: There is no such preset or algorithm; or another setting has an unknown name, which may be why
-            one of its flags is unknown, too.
+    Of whatever setting, an unknown name may be why one of its flags is unknown, too.
     """
     choosing = {each.flag: each for each in known_settings().values() if each.choices}
     pairs = [*pairwise(words), *(word.split("=", 1) for word in words if "=" in word)]
-    found = [(choosing[name], value) for name, value in pairs if name in choosing and not value.startswith("-")]
-    given = {each.name: each.checked(value) for each, value in found}
+    found = {choosing[name]: value for name, value in pairs if name in choosing and not value.startswith("-")}
+    given = {each.name: each.checked(value) for each, value in found.items()}
     return make_config(env, given.get("preset", "laptop"), {"algorithm": given.get("algorithm", "shes")})
 
 
@@ -138,8 +138,8 @@ def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequen
     there are: the run says which of them it does not have.
     """
     here = settings_in(map(type, config.rooms.values())) if "env" in named else resumable_settings()
-    offered = here if asking is not None else {**known_settings(), **here}
-    offered = {name: each for name, each in offered.items() if name not in {*named, "env"}}
+    everywhere = known_settings() if asking is None else {}
+    offered = {name: each for name, each in {**everywhere, **here}.items() if name not in {*named, "env"}}
     if asking is None:
         return _group("", offered, {})
     groups: dict[str, Any] = {}

@@ -22,14 +22,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "resume": ("cli.commands.resume", "continue a run"),
     "evaluate": ("training.evaluate.evaluate", "evaluate a checkpoint of a run on fresh episodes"),
     "plot": ("viewing.plot.plot", "plot the learning curves of runs"),
-    "compare": (
-        "studies.run_comparison.compare_runs",
-        "compare two runs, or groups of runs, with an interval and a p value",
-    ),
+    "compare": ("studies.run_comparison.compare_runs", "compare two runs, or groups of runs: interval and p value"),
     "render": ("viewing.render.render", "make a video of a run's policy"),
     "watch": ("viewing.watch.watch", "watch a run's policy in a window"),
     "export": ("training.export.export", "write a run's policy to a file that needs no SHES"),
-    "experiment": ("cli.commands.experiment", "run a study of many runs, with tables and figures"),
+    "experiment": ("studies.perform.experiment", "run a study of many runs, with tables and figures"),
     "bench": ("cli.commands.bench", "measure the speed of this machine"),
     "completion": ("cli.completion.completion", "print a script that completes commands and flags with the Tab key"),
 }

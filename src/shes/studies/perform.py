@@ -2,37 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
 from shlex import quote
 from time import monotonic
+from typing import Literal
 
-from shes.listing import Listing, Say, Table
+from shes.console import LineConsole
+from shes.listing import Listing, Table
+from shes.runs.rooms import WorkerSettings
 from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
 from shes.studies.figures import draw_figures
+from shes.studies.index import STUDIES
 from shes.studies.running import Outcome, cells_left, check_study, read_summaries, run_study
 from shes.studies.study import Study, cell_steps, choose
 from shes.studies.tables import write_csv, write_tables
 from shes.training.progress_display import format_duration
 
 
-def perform(study: Study, out: Path, groups: Sequence[str] | None, num_workers: int, say: Say) -> Listing:
-    """Run what is left of `study`, write its tables and figures to `out`, and return the listing of its comparisons.
+def experiment(
+    name: Literal["ablation", "learning"],
+    *,
+    out: Path | None = None,
+    num_workers: int = 0,
+    scale: Literal["laptop", "smoke"] = "laptop",
+    seeds: int | None = None,
+    groups: Sequence[str] | None = None,
+) -> Listing:
+    """Run a study of many runs and draw its figures. The same command continues a study that was stopped.
+
+    shes experiment ablation --out results/ablation --workers 2
 
     Args:
-        study: The study.
-        out: Folder of its runs, tables and figures.
-        groups: Groups to run beside the base; all if None.
-        num_workers: Runs at a time.
-        say: Receives the progress, a line at a time.
+        name: ablation: the paper's choices, a sweep of the settings, transfer and horizon, on Point Gather and Maze;
+            learning: the worth of each part of the walker's learning, on Ant Flagrun.
+        out: Folder of its runs, tables and figures; finished runs in it are kept. runs/ and its name if none.
+        num_workers: Runs at a time; 0 is one for every core.
+        scale: laptop: hours on two cores; smoke: a minute, as a test.
+        seeds: Seeds of every variant; if none 10, and 5 in a sweep and in learning (smoke: 2).
+        groups: Groups to run beside the base; all if none. ablation: choices, horizon, sweep, transfer; learning:
+            alternatives, form, pieces, sweep.
 
     Raises:
         ShesError: Raised by `choose` or `run_study`.
     """
+    study, out, say = STUDIES[name](scale, seeds), out or Path("runs") / name, LineConsole().line
+    num_workers = WorkerSettings(num_workers=num_workers).count
     chosen = choose(study, groups)
     check_study(study, out)
     left = {cell.name for cell in cells_left(chosen, out)}
@@ -73,7 +92,7 @@ def _parts(design: StudyDesign, comparisons: Iterable[Comparison]) -> Iterator[T
 
 
 def with_progress(
-    study: Study, outcomes: Iterable[Outcome], left: Collection[str], num_workers: int, say: Say
+    study: Study, outcomes: Iterable[Outcome], left: Collection[str], num_workers: int, say: Callable[[str], None]
 ) -> Iterator[Outcome]:
     """Yield the outcomes of the cells that are `left`; say a forecast, and after each its result and the time left."""
     steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
