@@ -13,10 +13,10 @@ class LineConsole(Console):
         """Raise BrokenPipeError."""
         raise BrokenPipeError
 
-    def line(self, text: str | Text) -> None:
+    def print_line(self, text: str | Text) -> None:
         """Print `text` without wrapping or markup."""
         self.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    def error(self, text: str) -> None:
+    def print_error(self, text: str) -> None:
         """Print an error message on one line."""
-        self.line(Text.assemble(("Error:", "bold red"), " ", text))
+        self.print_line(Text.assemble(("Error:", "bold red"), " ", text))

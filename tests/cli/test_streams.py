@@ -45,8 +45,8 @@ def test_a_table_is_as_wide_as_its_text_in_ascii(monkeypatch):
 def test_brackets_are_shown_as_they_are(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     output.show(facts_listing({BRACKETS: BRACKETS}))
-    LineConsole().line(BRACKETS)
-    LineConsole(stderr=True).error(BRACKETS)
+    LineConsole().print_line(BRACKETS)
+    LineConsole(stderr=True).print_error(BRACKETS)
     out, err = capsys.readouterr()
     assert out.count(BRACKETS) == 2 + 1
     assert err == f"Error: {BRACKETS}\n"
@@ -72,8 +72,8 @@ def fail(error):
 @pytest.mark.parametrize(
     ("work", "code"),
     [
-        (lambda: LineConsole().line("a word"), BROKEN_PIPE),
-        (lambda: LineConsole(stderr=True).error("a word"), BROKEN_PIPE),
+        (lambda: LineConsole().print_line("a word"), BROKEN_PIPE),
+        (lambda: LineConsole(stderr=True).print_error("a word"), BROKEN_PIPE),
         (fail(KeyboardInterrupt()), INTERRUPTED),
         (fail(ConfigError("wrong")), 2),
         (fail(WorkerError("lost")), 1),
@@ -93,7 +93,7 @@ def test_output_that_cannot_be_written_does_not_hide_the_exit_code_of_an_error(m
 def test_closed_streams_are_replaced(monkeypatch):
     for name in ("stdin", "stdout", "stderr"):
         monkeypatch.setattr(sys, name, None)
-    assert exit_code(lambda: LineConsole().line("nobody reads it") or 7) == 7
+    assert exit_code(lambda: LineConsole().print_line("nobody reads it") or 7) == 7
     assert sys.stdin.read() == ""
     for name in ("stdin", "stdout", "stderr"):
         getattr(sys, name).close()

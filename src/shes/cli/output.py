@@ -40,14 +40,14 @@ def show(found: Any, kind: str = "", *, as_json: bool = False) -> int:
         listing = listing._replace(parts=())
     for part in listing.parts:
         if isinstance(part, str):
-            console.line(part)
+            console.print_line(part)
             continue
         table = RichTable(*part.headings, show_header=bool(part.headings))
         for row in part.rows:  # laid out as long as they are in the encoding
             table.add_row(*(Text(cell.encode(console.encoding, TO_ASCII).decode(console.encoding)) for cell in row))
         console.print(table)
     for error in listing.errors:
-        LineConsole(stderr=True).error(error)
+        LineConsole(stderr=True).print_error(error)
     return 1 if listing.errors else 0
 
 

@@ -95,15 +95,16 @@ def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     signature = inspect.signature(function, eval_str=True)
     found: dict[str, inspect.Parameter] = {}
     for name, each in signature.parameters.items():
-        kind, is_required, shown = each.annotation, each.default is each.empty, dict[str, Any]()
+        kind, is_required = each.annotation, each.default is each.empty
+        shown: dict[str, Any] = {}
         kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
         several, one = any(get_origin(it) is Sequence for it in kinds), name.removesuffix("s").upper()
         if several:
             kind = tuple[str, ...] | None if NoneType in kinds else tuple[str, ...]
-            shown = {"metavar": f"{one} [{one} ...]", "help_behavior_hint": "(required)" if is_required else None}
+            shown |= {"metavar": f"{one} [{one} ...]", "help_behavior_hint": "(required)" if is_required else None}
         elif str in kinds:  # text where text will do
             kind = str | None if NoneType in kinds else str
-            shown = {"metavar": one} if is_required else {}
+            shown |= {"metavar": one} if is_required else {}
         if name in _OTHER_FLAGS:
             shown |= {"name": _OTHER_FLAGS[name], "aliases": (flag(name),)}
         kind = Annotated[kind, tyro.conf.arg(**shown)] if shown else kind

@@ -60,7 +60,7 @@ def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
                 text = f"not enough memory ({text or 'no more is free'}). Lower what is asked for; see --help."
             from shes.console import LineConsole  # rich is slow to import
 
-            LineConsole(stderr=True).error(text)
+            LineConsole(stderr=True).print_error(text)
         sys.stdout.flush()
     except BrokenPipeError:
         for stream in (sys.stdout, sys.stderr):  # the null device takes what Python flushes when it exits

@@ -50,7 +50,7 @@ def experiment(
     Raises:
         ShesError: Raised by `choose` or `run_study`.
     """
-    study, out, say = STUDIES[name](scale, seeds), out or Path("runs") / name, LineConsole().line
+    study, out, say = STUDIES[name](scale, seeds), out or Path("runs") / name, LineConsole().print_line
     num_workers = WorkerSettings(num_workers=num_workers).count
     chosen = choose(study, groups)
     check_study(study, out)

@@ -114,7 +114,7 @@ class RunsFolder:
         displays, errors, console = ExitStack(), list[str](), LineConsole()
 
         def display_of(name: str) -> ProgressDisplay:
-            console.line(f"[{names.index(name) + 1}/{len(names)}] {name}")
+            console.print_line(f"[{names.index(name) + 1}/{len(names)}] {name}")
             return displays.enter_context(ProgressDisplay(console))
 
         left = [name for name in names if name in self.left]
@@ -123,7 +123,7 @@ class RunsFolder:
                 displays.close()
                 if ended.error is not None:
                     errors.append(f"{ended.name} failed: {ended.error}")
-                    console.line(errors[-1])
+                    console.print_line(errors[-1])
         found = shlex.quote(str(self.path))
         parts = [
             f"Done: {len(names)} runs, one in each folder below {found}.",
