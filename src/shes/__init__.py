@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     __version__: str
     from shes import es
     from shes.algorithms.registry import register_algorithm
-    from shes.cli.python import resume, train
     from shes.envs.registry import register_environment, register_external
     from shes.hierarchy.goals import register_goal_encoding
     from shes.hierarchy.outputs import register_controller_output
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from shes.training.export import export
     from shes.training.listening import StopTraining
     from shes.training.play import Agent, load
-    from shes.training.train import Run
+    from shes.training.train import Run, resume, train
     from shes.viewing.plot import plot
     from shes.viewing.render import render
 
@@ -73,8 +72,8 @@ _HOMES = {
     "register_goal_encoding": "shes.hierarchy.goals",
     "register_primitive_reward": "shes.hierarchy.rewards",
     "render": "shes.viewing.render",
-    "resume": "shes.cli.python",
-    "train": "shes.cli.python",
+    "resume": "shes.training.train",
+    "train": "shes.training.train",
 }
 
 

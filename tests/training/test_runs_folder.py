@@ -6,10 +6,10 @@ import shutil
 import pytest
 
 from shes.cli import main
-from shes.cli.progress_display import ProgressDisplay
 from shes.errors import ConfigError, PolicyError, RunFolderError, UnknownNameError
 from shes.runs.folder import RunFolder
 from shes.training import runs_folder
+from shes.training.progress_display import ProgressDisplay
 from shes.training.runs_folder import RunsFolder, find_runs
 from shes.training.variations import read_sweep, vary
 from tests.e2e import runs

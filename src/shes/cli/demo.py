@@ -18,9 +18,8 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 import shes
-from shes.cli.output import make_console, print_error
-from shes.cli.streams import INTERRUPTED, with_streams
-from shes.errors import ShesError
+from shes.cli.streams import INTERRUPTED, exit_code
+from shes.console import LineConsole
 
 __all__ = ["main"]
 
@@ -35,12 +34,12 @@ _BEFORE_AFTER = ("0", "best")  # checkpoints
 
 def main() -> int:
     """Run the demo in the working directory; return the exit code."""
-    return with_streams(lambda: _demo(sys.argv[1] if len(sys.argv) > 1 else "ant"))
+    return exit_code(lambda: _demo(sys.argv[1] if len(sys.argv) > 1 else "ant"))
 
 
 def _demo(robot: str) -> int:
     """Run the demo of `robot`; return the exit code."""
-    console, start = make_console(), monotonic()
+    console, start = LineConsole(), monotonic()
     if robot not in _DEMOS:
         print(f"unknown robot {robot!r}; there are demos of {' and '.join(_DEMOS)}", file=sys.stderr)
         return 2
@@ -51,10 +50,7 @@ def _demo(robot: str) -> int:
         kept = f"; the runs so far are in {folder}" if folder.exists() else " before the first run"
         console.print(f"Stopped{kept}.", highlight=False, soft_wrap=True)
         return INTERRUPTED
-    except ShesError as error:
-        print_error(str(error))
-        return error.exit_code
-    from shes.cli.progress_display import format_duration
+    from shes.training.progress_display import format_duration
 
     console.print(
         f"\nThe demo took {format_duration(monotonic() - start)}.\n"
@@ -102,7 +98,7 @@ _DEMOS: dict[str, Callable[[Console, Path], Path]] = {"ant": _ant, "point": _poi
 
 def _learn(console: Console, env: str, path: Path, **settings: Any) -> None:
     """Train on `env` with live progress."""
-    from shes.cli.progress_display import ProgressDisplay
+    from shes.training.progress_display import ProgressDisplay
 
     with ProgressDisplay(console) as display:
         shes.train(env, out=path, listener=display, progress=False, **settings)

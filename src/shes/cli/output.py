@@ -1,65 +1,62 @@
-"""Output of the commands: tables, JSON, and errors on one line."""
+"""What the commands print: tables and lines, JSON, the paths of files, and the progress of a drawing."""
 
 from __future__ import annotations
 
 import json
-import shlex
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
-from shes.cli.streams import showable
+from rich.progress import Progress
+from rich.table import Table as RichTable
+from rich.text import Text
 
-if TYPE_CHECKING:  # rich is imported where it is used: `shes --help` has to be quick
-    from rich.console import Console
+from shes.cli.streams import TERMINATED, TO_ASCII
+from shes.console import LineConsole
+from shes.listing import Listing
 
-__all__ = ["make_console", "print_error", "print_facts", "print_line", "print_table", "quote"]
-
-
-def make_console(*, stderr: bool = False) -> Console:
-    """Return a console that raises BrokenPipeError if nobody reads its output, where rich would exit with code 1."""
-    from rich.console import Console
-
-    class _Console(Console):
-        def on_broken_pipe(self) -> None:
-            raise BrokenPipeError
-
-    return _Console(stderr=stderr)
+__all__ = ["show", "show_steps"]
 
 
-def print_facts(facts: dict[str, Any], *, as_json: bool) -> None:
-    """Print named values as a table, or as one JSON object."""
+def show(found: Any, kind: str = "", *, as_json: bool = False) -> int:
+    """Print what a command returns; return the exit code.
+
+    Args:
+        found: An exit code, which is not printed; a listing, or an object that has one; or a path or several, or None.
+        kind: What is at the paths.
+        as_json: Whether to print the listing as JSON.
+    """
+    if isinstance(found, int):
+        return found
+    listing = found.listing() if hasattr(found, "listing") else found
+    if not isinstance(listing, Listing):
+        files = () if found is None else found if isinstance(found, tuple) else (found,)
+        listing = Listing([], [f"{kind}: {file}" for file in files])
+    console = LineConsole()
     if as_json:
-        print(json.dumps(facts))
-        return
-    rows = [(name, f"{value:,.3f}" if isinstance(value, float) else str(value)) for name, value in facts.items()]
-    print_table((), rows)
+        print(json.dumps(listing.facts, indent=2 if isinstance(listing.facts, list) else None))
+        listing = listing._replace(parts=())
+    for part in listing.parts:
+        if isinstance(part, str):
+            console.print_line(part)
+            continue
+        table = RichTable(*part.headings, show_header=bool(part.headings))
+        for row in part.rows:  # laid out as long as they are in the encoding
+            table.add_row(*(Text(cell.encode(console.encoding, TO_ASCII).decode(console.encoding)) for cell in row))
+        console.print(table)
+    for error in listing.errors:
+        LineConsole(stderr=True).print_error(error)
+    return 1 if listing.errors else 0
 
 
-def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table, with a heading over each column if there are headings."""
-    from rich.table import Table
-    from rich.text import Text
-
-    console = make_console()
-    table = Table(*headings, show_header=bool(headings))
-    for row in rows:
-        table.add_row(*(Text(showable(cell, console.encoding)) for cell in row))
-    console.print(table)
-
-
-def print_line(text: str) -> None:
-    """Print `text` without wrapping or markup."""
-    make_console().print(text, highlight=False, markup=False, soft_wrap=True)
-
-
-def print_error(text: str) -> None:
-    """Print an error message on one line of standard error."""
-    from rich.text import Text
-
-    make_console(stderr=True).print(Text.assemble(("Error:", "bold red"), " ", text), highlight=False, soft_wrap=True)
-
-
-def quote(path: Path | str) -> str:
-    """Return `path` quoted for a shell."""
-    return shlex.quote(str(path))
+@contextmanager
+def show_steps() -> Iterator[dict[str, Callable[[int, int], None]]]:
+    """Yield `on_step`, which shows the progress of a drawing in a terminal. SIGTERM lets it remove its files."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    console = LineConsole(stderr=True)
+    is_silent = not console.is_terminal or console.is_dumb_terminal
+    with Progress(console=console, transient=True, disable=is_silent) as progress:
+        task = progress.add_task("drawing", total=None)
+        yield {"on_step": lambda done, total: progress.update(task, completed=done, total=total)}

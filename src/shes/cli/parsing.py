@@ -1,70 +1,75 @@
 """Commands are plain functions: tyro makes their flags from signature and docstring, parses, and calls them.
 
-Parameters without a default are positional, the others are flags. `**options` annotated with the name of a function
-stands for those parameters of that function that the command does not name. A parameter `settings` stands for the
-settings of a run, which become flags unless the command names them itself: in a command that takes an environment all
-of them, in another those with which a run can be resumed.
+Parameters without a default are positional, and the first one; the others are flags. A parameter `settings` stands for
+the settings of a run, which become flags unless the command names them itself: in a command that takes an environment
+all of them, in another those with which a run can be resumed. A command returns an exit code, or what is printed: a
+listing, or an object that has one, which `--json` prints as JSON; or the paths of files that it has written.
 """
 
 from __future__ import annotations
 
-import argparse
 import inspect
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, redirect_stdout
+from itertools import pairwise
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-import shes
+from shes.cli.output import show, show_steps
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import UnknownNameError
+from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.rooms import known_settings, settings_in
 from shes.settings import Setting, flag
-from shes.training.presets import PRESETS, make_config
+from shes.training.presets import make_config
 from shes.training.train import resumable_settings
+from shes.training.transfer import TRANSFERRED
 
-__all__ = ["DEFAULT_ENV", "Env", "Json", "Run", "asked_config", "call", "offered_settings", "parameters_of"]
+__all__ = ["DEFAULT_ENV", "call"]
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
 _HELP_ALL = "--help-all"
 
-_OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
+_OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint", "groups": "only"}
 """Flags of parameters that have another name in Python, which is a flag, too."""
-
-Run = Annotated[str, tyro.conf.arg(metavar="RUN", help="The run folder, or the name of a shipped agent.")]
-Env = Annotated[
-    str, tyro.conf.arg(metavar="ENV", help="Environment, see shes envs; or gymnasium:ID for one of Gymnasium.")
-]
-Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
+_WRITES = {"plot": "Learning curves", "render": "Video", "export": "Policy"}
+"""What the files are whose paths a command returns."""
 
 
-def call(function: Callable[..., int], words: Sequence[str]) -> int:
-    """Call a command with the values in `words`; return its exit code.
-
-    Raises:
-        UnknownNameError: A value is none of the names that it can be.
-    """
+def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
+    """Call command `name` with the values in `words`, and print what it returns; return the exit code."""
 
     def program(**values: Any) -> int:
-        return function(**values)
+        is_json = values.pop("json", False)
+        with (
+            show_steps() if shows_steps else nullcontext({}) as steps,
+            redirect_stdout(None if is_json else sys.stdout),
+        ):
+            found = function(**values, **steps)
+        return show(found, _WRITES.get(name, ""), as_json=is_json)
 
-    parameters = parameters_of(function)
+    env, words = _environment_first(words)
+    shows_help = not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
+    parameters = _parameters(function)
+    shows_steps = parameters.pop("on_step", None) is not None
     if "settings" in parameters:
-        kind = Annotated[_settings_type(function, words), tyro.conf.arg(name="")]
-        parameters["settings"] = parameters["settings"].replace(annotation=kind)
+        kind = _settings_type(parameters, _asked_config(env, words), words if shows_help else None)
+        parameters["settings"] = parameters["settings"].replace(annotation=Annotated[kind, tyro.conf.arg(name="")])
     program.__annotations__ = {name: each.annotation for name, each in parameters.items()}
     program.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined] - tyro reads it
-    program.__doc__ = _text(function)
+    program.__doc__ = (inspect.getdoc(function) or "").replace("`", "")
     try:
         return tyro.cli(
             program,
-            prog=f"shes {function.__name__.rstrip('_')}",
-            args=["--help"] if _asks_for_help(words) else _with_environment_first(words),
+            prog=f"shes {name}",
+            args=["--help"] if shows_help else words,
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.PositionalRequiredArgs),
             registry=_VALUES,
         )
@@ -72,71 +77,76 @@ def call(function: Callable[..., int], words: Sequence[str]) -> int:
         return end.code if isinstance(end.code, int) else 2
 
 
-def parameters_of(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """Return the parameters of a command by name, as tyro reads them."""
+def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the environment in `words`, or `DEFAULT_ENV`, and `words` with it before all flags.
+
+    In `--hidden 4 3 ENV` it would be a value of the flag; what follows a flag at once is no environment.
+    """
+    for i, (before, word) in enumerate(zip(["", *words], words, strict=False)):
+        is_value = before.startswith("--") and not before.startswith("--no-") and "=" not in before
+        if not is_value and (word in ENVIRONMENTS or word in EXTERNAL_ENVIRONMENTS or word.startswith(GYMNASIUM)):
+            first = next((j for j, each in enumerate(words[:i]) if each.startswith("-")), i)
+            return word, [*words[:first], word, *words[first:i], *words[i + 1 :]]
+    return DEFAULT_ENV, list(words)
+
+
+def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a command by name, as tyro reads them, with `json` if it returns a listing."""
+    signature = inspect.signature(function, eval_str=True)
     found: dict[str, inspect.Parameter] = {}
-    for name, each in inspect.signature(function, eval_str=True).parameters.items():
-        if each.kind is inspect.Parameter.VAR_KEYWORD:
-            found = {**parameters_of(_behind(each)), **found}
-        elif not name.startswith("on_"):  # a callback
-            kind = _read_as(each.annotation)
-            if name in _OTHER_FLAGS:
-                kind = Annotated[kind, tyro.conf.arg(name=_OTHER_FLAGS[name], aliases=(flag(name),))]
-            elif kind is str and each.default is each.empty:
-                kind = Annotated[kind, tyro.conf.arg(metavar=name.upper())]
-            found[name] = each.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY)
+    for name, each in signature.parameters.items():
+        kind, is_required = each.annotation, each.default is each.empty
+        shown: dict[str, Any] = {}
+        kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
+        several, one = any(get_origin(it) is Sequence for it in kinds), name.removesuffix("s").upper()
+        if several:
+            kind = tuple[str, ...] | None if NoneType in kinds else tuple[str, ...]
+            shown |= {"metavar": f"{one} [{one} ...]", "help_behavior_hint": "(required)" if is_required else None}
+        elif str in kinds:  # text where text will do
+            kind = str | None if NoneType in kinds else str
+            shown |= {"metavar": one} if is_required else {}
+        if name in _OTHER_FLAGS:
+            shown |= {"name": _OTHER_FLAGS[name], "aliases": (flag(name),)}
+        kind = Annotated[kind, tyro.conf.arg(**shown)] if shown else kind
+        if not found and each.kind is not each.KEYWORD_ONLY and not is_required:
+            kind = Annotated[kind, tyro.conf.Positional]
+        found[name] = each.replace(annotation=kind, kind=each.KEYWORD_ONLY)
+    if signature.return_annotation is Listing or hasattr(signature.return_annotation, "listing"):
+        kind = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
+        found["json"] = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
     return found
 
 
-def _read_as(kind: Any) -> Any:
-    """Return the type as which the command line reads a parameter of type `kind`: text where text will do."""
-    kinds = get_args(kind) if isinstance(kind, UnionType) else ()
-    if str not in kinds:
-        return kind
-    if any(get_origin(each) is Sequence for each in kinds):
-        return tuple[str, ...]
-    return str | None if NoneType in kinds else str
+# Settings.
 
 
-def _behind(options: inspect.Parameter) -> Callable[..., Any]:
-    """Return the function for whose parameters `**options` stands."""
-    module, _, name = options.annotation.__metadata__[0].rpartition(".")
-    return getattr(shes.import_module(module), name)
+def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
+    """Return the settings of `env` with the preset and the algorithm in `words`; raise UnknownNameError for any name.
+
+    Of whatever setting, an unknown name may be why one of its flags is unknown, too.
+    """
+    choosing = {each.flag: each for each in known_settings().values() if each.choices}
+    pairs = [*pairwise(words), *(word.split("=", 1) for word in words if "=" in word)]
+    found = {choosing[name]: value for name, value in pairs if name in choosing and not value.startswith("-")}
+    given = {each.name: each.checked(value) for each, value in found.items()}
+    return make_config(env, given.get("preset", "laptop"), {"algorithm": given.get("algorithm", "shes")})
 
 
-def _text(function: Callable[..., Any]) -> str:
-    """Return the docstring of a command, with the arguments of the function for which `**options` stands."""
-    text, options = inspect.getdoc(function) or "", inspect.signature(function, eval_str=True).parameters.get("options")
-    if options is not None:
-        behind = inspect.getdoc(_behind(options)) or ""
-        text += f"\n\nArgs:\n{behind.partition('Args:')[2].partition('Raises:')[0]}"
-    return text.replace("`", "")
+def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequence[str] | None) -> Any:
+    """Return the type of the settings that are flags of a command with parameters `named` on a run like `config`.
 
-
-def _asks_for_help(words: Sequence[str]) -> bool:
-    return not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
-
-
-def offered_settings(function: Callable[..., int], config: TrainConfig) -> dict[str, Setting]:
-    """Return the settings by name that are flags of a command on a run like `config`."""
-    named = parameters_of(function)
-    if "settings" not in named:
-        return {}
-    found = settings_in(map(type, config.rooms.values())) if "env" in named else resumable_settings()
-    return {name: each for name, each in found.items() if name not in named}
-
-
-def _settings_type(function: Callable[..., int], words: Sequence[str]) -> Any:
-    """Return the type of the parameter `settings`; for the help it has a group for each room, or the everyday one."""
-    config = asked_config(words)
-    offered, named = offered_settings(function, config), function.__annotations__
-    if not _asks_for_help(words):  # the run says which of the others it does not have
-        others = {name: each for name, each in known_settings().items() if name not in named}
-        return _group("", {**others, **offered}, config.settings)
+    With the words `asking` for help, it has a group for each room, or the everyday one. Without, it has all settings
+    there are: the run says which of them it does not have.
+    """
+    here = settings_in(map(type, config.rooms.values())) if "env" in named else resumable_settings()
+    everywhere = known_settings() if asking is None else {}
+    offered = {name: each for name, each in {**everywhere, **here}.items() if name not in {*named, "env"}}
+    if asking is None:
+        return _group("", offered, {})
     groups: dict[str, Any] = {}
     if "env" not in named:
         groups["settings"] = _group("A setting that is not given keeps its value.", offered, {})
-    elif _HELP_ALL not in words:
+    elif _HELP_ALL not in asking:
         title = f"Values of preset {config.run.preset} for {config.run.env}. {_HELP_ALL} shows all {len(offered)}."
         everyday = {name: each for name, each in offered.items() if each.is_everyday}
         groups["everyday"] = _group(title, everyday, config.settings)
@@ -150,73 +160,30 @@ def _settings_type(function: Callable[..., int], words: Sequence[str]) -> Any:
 
 def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any]) -> Any:
     """Return a `TypedDict` whose keys tyro makes flags of. Keys that are not given are left out; help has `values`."""
-    keys = {
-        name: _annotated(each, _shown(values[name]) if name in values else "as before")
-        for name, each in settings.items()
-        if name != "env"
-    }
+    keys: dict[str, Any] = {}
+    for name, each in settings.items():
+        kind: Any = (
+            tuple[each.item, ...] if each.kind is tuple else Literal[each.choices] if each.choices else each.kind
+        )
+        value = values.get(name, "as before")
+        if isinstance(value, tuple):  # the only one that may be empty has the sizes of hidden layers
+            value = " ".join(map(str, value)) or "none (linear)"
+        shown = tyro.conf.arg(
+            name=each.flag[2:],
+            aliases=None if each.flag == flag(name) else (flag(name),),
+            help=each.text,
+            help_behavior_hint=f"(default: {'none' if value is None else value})",
+            metavar="none|RUN" if name in TRANSFERRED else None,
+        )
+        keys[name] = Annotated[kind | None if each.is_optional else kind, shown]
     group = TypedDict("Settings", keys, total=False)  # type: ignore[misc] - as above
     group.__doc__ = title
     return group
 
 
-def _annotated(setting: Setting, default: str) -> Any:
-    """Return the type of a setting as tyro shows and reads it."""
-    choices = tuple(PRESETS) if setting.name == "preset" else setting.choices
-    kind: Any = Literal[choices] if choices else tuple[setting.item, ...] if setting.kind is tuple else setting.kind
-    aliases = (flag(setting.name),) if setting.flag != flag(setting.name) else None
-    shown = tyro.conf.arg(
-        name=setting.flag[2:], aliases=aliases, help=setting.text, help_behavior_hint=f"(default: {default})"
-    )
-    return Annotated[kind | None if setting.is_optional else kind, shown]
-
-
-def _shown(value: Any) -> str:
-    """Return a value as it is written after its flag."""
-    if value == ():
-        return "none (linear)"  # no hidden layers, the only tuple that may be empty
-    return " ".join(map(str, value)) if isinstance(value, tuple) else "none" if value is None else str(value)
-
-
-def asked_config(words: Sequence[str]) -> TrainConfig:
-    """Return the settings of the environment, preset and algorithm in `words`.
-
-    Raises:
-        UnknownNameError: There is no such preset or algorithm; or another setting has an unknown name, which may be why
-            one of its flags is unknown, too.
-    """
-    choosing = {name: each for name, each in known_settings().items() if each.choices or name == "preset"}
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for name, each in choosing.items():
-        parser.add_argument(each.flag, dest=name, nargs="?")
-    found = vars(parser.parse_known_args(words)[0]).items()
-    given = {name: choosing[name].checked(value) for name, value in found if value is not None}
-    place = _find_environment(words)
-    env = DEFAULT_ENV if place is None else words[place]
-    return make_config(env, given.get("preset", "laptop"), {"algorithm": given.get("algorithm", "shes")})
-
-
-def _find_environment(words: Sequence[str]) -> int | None:
-    """Return the index of the environment in `words`, or None. The value of a flag is no environment."""
-    for i, word in enumerate(words):
-        before = words[i - 1] if i else ""
-        is_value = before.startswith("--") and not before.startswith("--no-") and "=" not in before
-        if not is_value and (word in ENVIRONMENTS or word in EXTERNAL_ENVIRONMENTS or word.startswith(GYMNASIUM)):
-            return i
-    return None
-
-
-def _with_environment_first(words: Sequence[str]) -> list[str]:
-    """Return `words` with the environment before all flags: in `--hidden 4 3 ENV` it would be a value of the flag."""
-    moved, place = list(words), _find_environment(words)
-    if place is not None:
-        first = next((i for i, word in enumerate(words) if word.startswith("-")), place)
-        moved.insert(min(first, place), moved.pop(place))
-    return moved
-
+# Rules for values that tyro by itself reads otherwise.
 
 _VALUES = ConstructorRegistry()
-"""Rules for values that tyro by itself reads otherwise."""
 
 
 @_VALUES.primitive_rule

@@ -1,4 +1,4 @@
-"""Standard output and error as they are: closed, read by nobody, or of an encoding without ± and ×."""
+"""Exit codes, errors on one line, and standard output and error as they are."""
 
 from __future__ import annotations
 
@@ -6,83 +6,80 @@ import codecs
 import io
 import os
 import sys
-import unicodedata
 from collections.abc import Callable
 from contextlib import suppress
 
-from shes.errors import ShesError
+from shes.errors import ConfigError, ShesError
 
-__all__ = ["BROKEN_PIPE", "INTERRUPTED", "showable", "with_streams"]
+__all__ = ["BROKEN_PIPE", "INTERRUPTED", "TERMINATED", "TO_ASCII", "exit_code"]
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 BROKEN_PIPE = 141
 """Exit code if the reader of the output has gone, as after SIGPIPE."""
+TERMINATED = 143
+"""Exit code after SIGTERM."""
 
-_TO_ASCII = "shes.to_ascii"
-_REPLACEMENTS = {"±": "+/-", "×": "x", "·": ",", "…": "...", "—": "-", "≥": ">=", "≤": "<=", "→": "->", "°": " deg"}
-_REPLACEMENTS |= dict.fromkeys("┌┐└┘├┤┬┴┼", "+") | dict(zip("▁▂▃▄▅▆▇█─━═╌│┃║", "_.-:=+*#----|||", strict=True))
+TO_ASCII = "shes.to_ascii"
+"""Name of the error handler that writes ASCII for the characters that an encoding lacks."""
+_IN_ASCII = {"±": "+/-", "×": "x", "·": ",", "…": "...", "—": "-", "≥": ">=", "≤": "<=", "→": "->", "°": " deg"}
 
 
 def _to_ascii(error: UnicodeError) -> tuple[str, int]:
     """Return the ASCII text for the characters that an encoding lacks, and the position after them."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    found = error.object[error.start : error.end]
-    plain = (unicodedata.normalize("NFKD", each).encode("ascii", "ignore").decode() or "?" for each in found)
-    return "".join(_REPLACEMENTS.get(each, other) for each, other in zip(found, plain, strict=True)), error.end
+    return "".join(_IN_ASCII.get(each, "?") for each in error.object[error.start : error.end]), error.end
 
 
-codecs.register_error(_TO_ASCII, _to_ascii)
+codecs.register_error(TO_ASCII, _to_ascii)
 
 
-def showable(text: str, encoding: str) -> str:
-    """Return `text` with ASCII for the characters that `encoding` lacks. Tables are laid out by its length."""
-    try:
-        return text.encode(encoding, _TO_ASCII).decode(encoding)
-    except LookupError:  # an unknown encoding
-        return text.encode("ascii", _TO_ASCII).decode()
+def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
+    """Return the exit code of `work`, or of the error that ends it, which is printed.
 
-
-def with_streams(work: Callable[[], int]) -> int:
-    """Return the exit code of `work`, whatever standard output and error are.
-
-    If nobody reads them any more, the exit code is the one of what ended the work before, else `BROKEN_PIPE`.
-    A closed stream is replaced by the null device.
+    The streams may be closed, read by nobody, or of an encoding without ± and ×. With `is_debug`, errors are raised.
     """
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # else the next file that is opened gets its descriptor
-            descriptor = os.open(os.devnull, os.O_RDWR)
-            os.set_inheritable(descriptor, True)  # or the workers have the same gap
-            setattr(sys, name, os.fdopen(descriptor, mode, encoding="utf-8"))
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=_TO_ASCII)
+    _mend_streams()
     code = 0
     try:
-        code = work()
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-    except BrokenPipeError as error:
-        _discard_output()
-        return code or _code_before(error)
+        try:
+            code = work()
+            sys.stdout.flush()  # a full disk shows here, not when Python exits
+        except KeyboardInterrupt as stop:
+            code = INTERRUPTED
+            for note in getattr(stop, "__notes__", ())[-1:]:  # the last one knows most
+                print(note)
+            print("Interrupted.", file=sys.stderr)
+        except (MemoryError, OSError, ShesError) as error:  # OSError: a full disk, a path that cannot be read, ...
+            if is_debug or isinstance(error, BrokenPipeError):
+                raise
+            code = error.exit_code if isinstance(error, ShesError) else ConfigError.exit_code
+            text = str(error)
+            if isinstance(error, MemoryError):
+                text = f"not enough memory ({text or 'no more is free'}). Lower what is asked for; see --help."
+            from shes.console import LineConsole  # rich is slow to import
+
+            LineConsole(stderr=True).print_error(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        for stream in (sys.stdout, sys.stderr):  # the null device takes what Python flushes when it exits
+            with suppress(OSError):  # broken, or without descriptor
+                stream.flush()
+                continue
+            with suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return code or BROKEN_PIPE
     return code
 
 
-def _code_before(error: BaseException) -> int:
-    """Return the exit code of the error that was being printed when `error` was raised."""
-    while error.__context__ is not None:
-        error = error.__context__
-        if isinstance(error, KeyboardInterrupt | ShesError):
-            return error.exit_code if isinstance(error, ShesError) else INTERRUPTED
-    return BROKEN_PIPE
-
-
-def _discard_output() -> None:
-    """Let the null device take what broken streams still hold: Python flushes them when it exits."""
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except BrokenPipeError:
-            with suppress(OSError):  # a stream without descriptor
-                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+def _mend_streams() -> None:
+    """Replace closed streams by the null device; let the others show in ASCII what their encoding lacks."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        stream = getattr(sys, name)
+        if stream is None:  # else the next file that is opened gets its descriptor
+            descriptor = os.open(os.devnull, os.O_RDWR)
+            os.set_inheritable(descriptor, True)  # or the workers have the same gap
+            setattr(sys, name, os.fdopen(descriptor, mode, encoding="utf-8"))
+        elif mode == "w" and isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=TO_ASCII)

@@ -10,7 +10,7 @@ import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.registry import ALGORITHMS, find_algorithm, learners
@@ -35,7 +35,7 @@ class RunSettings(Settings):
         Shown(everyday=True),
     ] = "shes"
     """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES."""
-    preset: Annotated[str, Execution(), Shown(everyday=True)] = "laptop"
+    preset: Annotated[Literal["paper", "laptop", "smoke"], Execution(), Shown(everyday=True)] = "laptop"
     """Preset of the other settings: paper, laptop or smoke."""
     seed: Annotated[int, Ge(0), Lt(2**63), Shown(everyday=True)] = 1
     """Seed of every random draw."""

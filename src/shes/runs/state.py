@@ -1,9 +1,10 @@
-"""The state of a run, for `shes list` and `shes info`."""
+"""The state of runs: how far they are, and whether they can be resumed."""
 
 from __future__ import annotations
 
 import fcntl
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from shes.errors import CheckpointError, ShesError
@@ -31,11 +32,6 @@ class RunState:
     known is None."""
     problem: str | None = None
     """Why the run is unreadable."""
-
-    @property
-    def shown_score(self) -> str:
-        """The best score as text."""
-        return "-" if self.best_score is None else f"{self.best_score:.2f}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the state as JSON types."""
@@ -70,7 +66,21 @@ def run_state(folder: RunFolder) -> RunState:
     )
 
 
-def unreadable_state(folder: RunFolder, error: Exception) -> RunState:
+def states_below(path: Path) -> list[RunState]:
+    """Return the states of the runs below `path`, in alphabetical order; runs that cannot be read are `unreadable`."""
+    found: list[RunState] = []
+    for file in sorted(path.glob("**/config.json")):
+        folder = RunFolder(file.parent)
+        if not (folder.checkpoints.is_dir() or folder.progress.is_file()):
+            continue  # another program's config.json
+        try:
+            found.append(run_state(folder))
+        except Exception as error:  # noqa: BLE001 - one bad folder, whatever is in it, must not hide the other runs
+            found.append(_unreadable_state(folder, error))
+    return found
+
+
+def _unreadable_state(folder: RunFolder, error: Exception) -> RunState:
     """Return what the record of a run tells whose state cannot be read because of `error`."""
     try:
         run = dict(folder.read_record()["config"]["run"])

@@ -52,6 +52,13 @@ class Comparison:
         """Return the columns of the row."""
         return asdict(self)
 
+    def texts(self, design: StudyDesign) -> tuple[str, ...]:
+        """Return the cells of its row in the table of a task."""
+        other = "" if self.against in (None, design.base[1]) else f" (to {design.label(self.against)})"
+        score = f"{self.score_mean:.2f} [{self.score_low:.2f}, {self.score_high:.2f}]"
+        p = "-" if self.p_holm is None else f"{self.p_holm:.4f}"
+        return self.group, design.label(self.variant) + other, str(self.seeds), score, p
+
 
 def compare(study: Study, summaries: Mapping[str, Summary]) -> list[Comparison]:
     """Return the comparisons of all variants with a finished run: with the base of their task, and in pairs."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from shes.errors import ConfigError, UnknownNameError
+from shes.listing import Listing, Table
 from shes.runs.folder import RunFolder
 from shes.studies.significance import check_scipy, permutation_test
 from shes.training.evaluate import Evaluation, evaluate
@@ -24,6 +25,8 @@ MEASURES = {"score": "scores", "return": "returns", "success": "successes"}
 class RunComparison:
     """The comparison of two runs over episodes, or of two groups of runs over runs."""
 
+    first: str
+    second: str
     measure: str
     unit: str
     """Unit of the samples: `runs`, or `episodes` of a single run on each side."""
@@ -40,6 +43,24 @@ class RunComparison:
     p: float
     """Two-sided p of a permutation test of the difference."""
 
+    def listing(self) -> Listing:
+        """Return the means, the difference, its interval and p."""
+        rows = [
+            (self.first, f"{self.first_mean:.3f}", str(self.first_count)),
+            (self.second, f"{self.second_mean:.3f}", str(self.second_count)),
+        ]
+        interval = f"95 % interval [{self.low:+.3f}, {self.high:+.3f}]"
+        parts = [
+            Table(("run", f"mean {self.measure}", self.unit), rows),
+            f"difference {self.difference:+.3f}, {interval}, p {self.p:.4f}",
+        ]
+        if self.unit == "episodes":
+            parts.append(
+                "Over episodes: this says nothing of other seeds of training. Compare folders of several seeds for "
+                "that."
+            )
+        return Listing(asdict(self), parts)
+
 
 def compare_runs(
     first: Path | str,
@@ -51,10 +72,14 @@ def compare_runs(
     num_workers: int = 0,
     seed: int = 0,
 ) -> RunComparison:
-    """Evaluate two runs, or the runs of two folders, on the same fresh episodes and compare them.
+    """Compare two runs, or two folders of runs that differ in the seed, on the same fresh episodes.
+
+    The interval of the difference is Welch's; p is that of a permutation test. Needs SciPy (extra study).
 
     With several runs on each side, the samples are the means of the runs: the result holds for other seeds of training,
     too. With one run on each side, they are its episodes: the result holds for these two agents alone.
+
+    shes compare runs/base runs/sweep/sigma-0.05
 
     Args:
         first: A run folder, a folder of runs that differ in the seed only, or a shipped agent.
@@ -99,6 +124,8 @@ def compare_runs(
     one, other = (side[0] if is_single else np.array([each.mean() for each in side]) for side in of_runs)
     low, high = mean_difference_interval(one, other)
     return RunComparison(
+        first=str(first),
+        second=str(second),
         measure=measure,
         unit="episodes" if is_single else "runs",
         first_count=len(one),

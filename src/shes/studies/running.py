@@ -27,7 +27,7 @@ from shes.studies.study import CHECKPOINTS, Study, cell_config
 from shes.studies.tables import Cell, Summary, read_tables
 from shes.training.build import open_run
 from shes.training.evaluate import evaluate
-from shes.training.train import differing, resume, start_run
+from shes.training.train import differing, resume_run, start_run
 
 _SUMMARY = "summary.json"
 _CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
@@ -50,7 +50,7 @@ def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
     """Train a cell to its end from its last checkpoint, if it has one; evaluate it and return its summary.
 
     Raises:
-        ShesError: Raised by `start_run`, `resume` or `evaluate`; its folder may hold a run with other settings.
+        ShesError: Raised by `start_run`, `resume_run` or `evaluate`; its folder may hold a run with other settings.
     """
     path = out / cell.name
     summary = _read_summary(path)
@@ -64,7 +64,7 @@ def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
         _check_settings(cell, folder, config)
         last = folder.load("last")
         if not config.run.is_over(last.generation, last.env_steps):
-            resume(path)
+            resume_run(path)
     summary = _summarise(cell, folder, episodes)
     text = json.dumps({"row": summary.row, "curve": summary.curve})
     write_atomically(path / _SUMMARY, lambda file: file.write(text.encode()))

@@ -16,6 +16,7 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import lower_diverged
+from shes.listing import Listing, facts_listing
 from shes.runs.device import check_asked_device
 from shes.runs.log import logger
 from shes.training.build import build_backend, open_run
@@ -46,6 +47,13 @@ class Evaluation:
     """Environment steps [K]."""
     diverged: F64Array
     """1 if the simulation diverged, else 0 [K]."""
+    run: str = ""
+    """The run, if it was evaluated by `evaluate`."""
+    checkpoint: str = ""
+
+    def listing(self) -> Listing:
+        """Return the listing of the run, the checkpoint and the summary."""
+        return facts_listing({"run": self.run, "checkpoint": self.checkpoint, **self.summary()})
 
     def summary(self) -> dict[str, Any]:
         """Return means and standard deviations by column name, as tables show them."""
@@ -135,6 +143,8 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate a checkpoint of a run on episodes that its training did not use, not even to choose the checkpoint.
 
+    shes evaluate runs/first --episodes 100
+
     Args:
         run: The run folder, or the name of a shipped agent.
         episodes: Number of episodes.
@@ -171,4 +181,5 @@ def evaluate(
         plan = replace(plan, evaluation=plan.training)
     with build_backend(opened.config, plan, workload.num_episodes) as backend:
         backend.on_event = logger.warning  # of silent or lost workers; on standard error, unless logging is set up
-        return evaluate_state(opened.algorithm, opened.state, fresh_seeds(opened.state, episodes, seed), backend)
+        found = evaluate_state(opened.algorithm, opened.state, fresh_seeds(opened.state, episodes, seed), backend)
+    return replace(found, run=str(run), checkpoint=checkpoint)

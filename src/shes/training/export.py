@@ -41,7 +41,11 @@ def export(
     format: Literal["npz", "onnx"] = "npz",  # noqa: A002 - as the flag
     checkpoint: str = "best",
 ) -> tuple[Path, ...]:
-    """Write the mean policies of a run, with their normalisation, and return the files.
+    """Write the mean policies of a run, with their normalisation, to files that need no SHES, and return these.
+
+    The program examples/run_exported.py acts from an npz file with NumPy alone.
+
+    shes export ant-gather --format onnx --out gather.onnx
 
     Args:
         run: The run folder, or the name of a shipped agent.

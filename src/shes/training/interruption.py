@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 
@@ -42,3 +44,13 @@ class Interruption:
             yield
         finally:
             self._may_raise = False
+
+
+@contextmanager
+def resumable(path: Path | str) -> Iterator[None]:
+    """Add to a KeyboardInterrupt the note that the run, or the folder of runs, at `path` can be resumed."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        stop.add_note(f"Stopped; all finished generations are kept. Go on: shes resume {shlex.quote(str(path))}")
+        raise

@@ -8,18 +8,24 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections.abc import Callable, Generator, Mapping
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from shes.console import LineConsole
 from shes.errors import PolicyError, RunFolderError, ShesError, WorkerError
+from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.shipped import find_run
 from shes.runs.tables import read_wall_time
 from shes.storage import storage_errors, write_atomically
+from shes.training.interruption import resumable
 from shes.training.listening import AnyListener
+from shes.training.progress_display import ProgressDisplay
 from shes.training.train import Run, check_resumable, differing, finish_run
 
 _RECORD = "runs.json"
@@ -102,6 +108,31 @@ class RunsFolder:
             changed = {name: each.having(minutes=settings["minutes"] + spent[name]) for name, each in changed.items()}
         kept = {name for name in ended if _is_as_long(configs[name], changed[name])}
         return cls(path, changed, kept)
+
+    def train_shown(self, names: list[str]) -> Listing:
+        """Train those of the runs `names` that are left and show their progress; return the listing of their ends."""
+        displays, errors, console = ExitStack(), list[str](), LineConsole()
+
+        def display_of(name: str) -> ProgressDisplay:
+            console.print_line(f"[{names.index(name) + 1}/{len(names)}] {name}")
+            return displays.enter_context(ProgressDisplay(console))
+
+        left = [name for name in names if name in self.left]
+        with resumable(self.path), displays, closing(self.train(left, display_of)) as outcomes:
+            for ended in outcomes:
+                displays.close()
+                if ended.error is not None:
+                    errors.append(f"{ended.name} failed: {ended.error}")
+                    console.print_line(errors[-1])
+        found = shlex.quote(str(self.path))
+        parts = [
+            f"Done: {len(names)} runs, one in each folder below {found}.",
+            f"Next: shes plot {found} · shes list {found} · shes evaluate {shlex.quote(str(self.path / names[0]))}",
+        ]
+        if errors:
+            parts = []
+            errors.append(f"{len(errors)} of {len(names)} runs failed. To go on with them: shes resume {found}")
+        return Listing({"runs": names, "errors": errors}, parts, errors)
 
     def train(self, names: list[str], listener: Callable[[str], AnyListener]) -> Generator[Ended]:
         """Train the runs `names` to their ends, in order, and yield each when it has ended.

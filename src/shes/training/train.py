@@ -14,6 +14,7 @@ import numpy as np
 
 from shes.algorithms.contract import Algorithm
 from shes.errors import ConfigError, RunFolderError
+from shes.listing import Listing
 from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, restore, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
@@ -23,10 +24,11 @@ from shes.runs.rooms import execution_settings, known_settings
 from shes.runs.tables import Records, check_tables, read_csv
 from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
-from shes.training.interruption import Interruption
+from shes.training.interruption import Interruption, resumable
 from shes.training.limits import Workload, check_limits
 from shes.training.listening import AnyListener, Audience
 from shes.training.presets import make_config
+from shes.training.progress_display import shown_beside
 from shes.training.session import Session
 from shes.training.transfer import check_robot, transfer
 from shes.types import F64Array
@@ -43,6 +45,17 @@ class Run:
     """Number of finished generations."""
     best: Best
     """The best evaluation."""
+
+    def listing(self) -> Listing:
+        """Return the listing of what it has reached and what can be done next."""
+        best, found = "no evaluation yet", shlex.quote(str(self.path))
+        if self.best.generation >= 0:
+            best = f"best evaluation score {self.best.score:.2f} (generation {self.best.generation})"
+        parts = (
+            f"Done: {self.generation} generations, {best}.",
+            f"Next: shes evaluate {found} · shes render {found} · shes plot {found}",
+        )
+        return Listing({"run": str(self.path), "generation": self.generation, "best_score": self.best.score}, parts)
 
     def __fspath__(self) -> str:
         """Return the run folder, so that a run can be given wherever its path can."""
@@ -70,10 +83,33 @@ def train(
     preset: str = "laptop",
     out: Path | str | None = None,
     listener: AnyListener = None,
+    progress: bool | None = None,
     **settings: Any,
 ) -> Run:
-    """Train on `env` and return the run; see `shes.train`, which also shows the progress."""
-    return start_run(make_config(env, preset, settings), out, listener)
+    """Train on `env` and return the run.
+
+    Args:
+        env: Environment, e.g. `ant-gather`.
+        preset: `paper`, `laptop` or `smoke`.
+        out: The run folder, which must not hold a run; a new one below `runs/` if none.
+        listener: Receives the progress: a function of a row of `progress.csv`, an object with any of the methods
+            `on_start`, `on_generation`, `on_evaluation` and `on_event`, or a list of these. It ends the run by
+            returning True or raising `shes.StopTraining`.
+        progress: Whether to show the progress; only in a terminal or a notebook if None.
+        settings: Any setting by name, e.g. `seed=0, num_workers=4`.
+
+    Raises:
+        UnknownNameError: The environment, the preset or another name is unknown.
+        ConfigError: A setting is unknown or out of range, the run does not fit this machine, or `listener` cannot be
+            called.
+        RunFolderError: `out` already holds a run.
+        StorageError: A file cannot be written.
+        WorkerError: A worker failed, or workers keep dying.
+        PolicyError: A policy returned NaN.
+        DivergenceError: Every episode of `max_diverged_generations` generations in a row diverged.
+    """
+    with shown_beside(listener, progress) as heard:
+        return start_run(make_config(env, preset, settings), out, heard)
 
 
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyListener = None) -> Run:
@@ -92,7 +128,8 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyL
             save_checkpoint(folder.checkpoint_path(name), checkpoint)
         # From here on the run can be resumed.
         folder.record_start(config, origins)
-        return _go_on(folder, algorithm, state, checkpoint, audience)
+        with resumable(folder.path):
+            return _go_on(folder, algorithm, state, checkpoint, audience)
 
 
 def _path(out: Path | str) -> Path:
@@ -102,8 +139,27 @@ def _path(out: Path | str) -> Path:
     return Path(out)
 
 
-def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -> Run:
-    """Continue the run at `path` from its last checkpoint; see `shes.resume`, which also shows the progress."""
+def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | None = None, **settings: Any) -> Run:
+    """Continue the run at `path` from its last checkpoint, as if it had never stopped.
+
+    Args:
+        path: The run folder.
+        listener: Receives the progress, as in `train`.
+        progress: Whether to show the progress; only in a terminal or a notebook if None.
+        settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
+
+    Raises:
+        RunFolderError: `path` is not a run folder, or belongs to a shipped agent.
+        CheckpointError: The last checkpoint is damaged or from another run.
+        ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
+        MissingExtraError: The device needs a package that is not installed.
+    """
+    with shown_beside(listener, progress) as heard:
+        return resume_run(path, heard, **settings)
+
+
+def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) -> Run:
+    """Continue the run at `path`; see `resume`."""
     audience = Audience(listener)
     folder = RunFolder.open(path)
     stored = folder.read_config()
@@ -111,7 +167,7 @@ def resume(path: Path | str, *, listener: AnyListener = None, **settings: Any) -
     config = stored.having(**{"minutes": None, **settings})
     check_asked_device(config, settings)
     check_device(config)
-    with folder.lock():
+    with folder.lock(), resumable(folder.path):
         algorithm = build_algorithm(config)
         check_limits(Workload.of(config), algorithm.design)
         checkpoint = folder.load("last", algorithm.check_headers)
@@ -154,7 +210,7 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
         return Run(path=path, config=stored, generation=last.generation, best=last.best)
     now = {name: config.settings[name] for name in resumable_settings()}
     changed = {name: value for name, value in now.items() if value != stored.settings[name]}
-    return resume(path, listener=listener, **{**changed, "minutes": config.run.minutes})
+    return resume_run(path, listener, **{**changed, "minutes": config.run.minutes})
 
 
 def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:

@@ -56,6 +56,8 @@ def plot(
     runs. A single run shows its evaluation's mean plus or minus two standard errors over episodes instead. Runs with
     the same seed are no repetitions: if they differ in the machine or the workers, each is drawn.
 
+    shes plot runs/seeds runs/other --out mean.pdf --x generation
+
     Args:
         runs: Run folders, folders of runs, or names of shipped agents.
         out: Path of the picture; the suffix (.png, .pdf, .svg) selects the format.

@@ -40,7 +40,11 @@ def render(
     """Write a video of an episode and return its path.
 
     The episode is one of those that `evaluate` runs. Poses between control steps are interpolated. An external
-    environment draws itself, with its own camera and without goals.
+    environment draws itself, with its own camera and without goals. Needs no screen: EGL or OSMesa draws, whichever
+    works (MUJOCO_GL decides if it is set); without either the pictures are flat. Without a graphics card 500 control
+    steps take a minute or two.
+
+    shes render runs/first --checkpoint 0 best --camera follow
 
     Args:
         run: The run folder, or the name of a shipped agent.

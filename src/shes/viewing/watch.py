@@ -10,7 +10,7 @@ from shes.viewing.playback import Playback
 
 
 def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None) -> None:
-    """Show the episodes that `evaluate` runs, in real time, until the window is closed.
+    """Show the episodes that `evaluate` runs in a window, in real time, until it is closed. It needs a display.
 
     Args:
         run: The run folder, or the name of a shipped agent.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -13,14 +15,15 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from shes.cli.streams import showable
+from shes.console import LineConsole
 from shes.runs.config import TrainConfig
+from shes.training.listening import AnyListener
 
-__all__ = ["ProgressDisplay", "format_duration"]
+__all__ = ["ProgressDisplay", "format_duration", "shown_beside"]
 
 Row = dict[str, Any]
 
-_BLOCKS = "▁▂▃▄▅▆▇█"
+_BLOCKS, _ASCII_BLOCKS = "▁▂▃▄▅▆▇█", "_.-:=+*#"
 _LINE_EVERY_S = 10.0  # if not in a terminal; in one that cannot redraw, every generation is a line
 _REMEMBERED = 20  # generations from which the time left is estimated
 
@@ -35,15 +38,15 @@ def format_duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
-def _sparkline(values: list[float], width: int) -> str:
-    """Return a line chart of `values` of at most `width` characters."""
+def _sparkline(values: list[float], width: int, blocks: str) -> str:
+    """Return a line chart of `values` of at most `width` characters, drawn with `blocks` of rising height."""
     if len(values) < 2:
         return ""
     step = max(1, -(-len(values) // width))
     shown = [sum(values[i : i + step]) / len(values[i : i + step]) for i in range(0, len(values), step)]
     low, high = min(shown), max(shown)
-    scale = (len(_BLOCKS) - 1) / (high - low) if high > low else 0
-    return "".join(_BLOCKS[round((value - low) * scale)] for value in shown)
+    scale = (len(blocks) - 1) / (high - low) if high > low else 0
+    return "".join(blocks[round((value - low) * scale)] for value in shown)
 
 
 class ProgressDisplay:
@@ -54,6 +57,7 @@ class ProgressDisplay:
         self.path: Path | None = None
         """The run folder, once there is one."""
         self._console = console
+        self._is_ascii = console.options.ascii_only
         can_redraw = console.is_terminal and not console.is_dumb_terminal
         self._live = Live(console=console, auto_refresh=False, transient=False) if can_redraw else None
         self._line_every_s = 0.0 if console.is_terminal else _LINE_EVERY_S
@@ -138,7 +142,8 @@ class ProgressDisplay:
         left = self._seconds_left()
         score = "-"
         if evaluation:
-            score = self._shown(f"{evaluation['score_mean']:.2f} ± {evaluation['score_std']:.2f}")
+            plus_minus = "+/-" if self._is_ascii else "±"
+            score = f"{evaluation['score_mean']:.2f} {plus_minus} {evaluation['score_std']:.2f}"
         total = self._config.run.generations if self._config else 0
         names = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
         return [
@@ -151,9 +156,6 @@ class ProgressDisplay:
             ("env steps/s", f"{row['env_steps_per_s']:,.0f} ({row['env_steps'] / 1e6:,.1f} M so far)"),
             ("time left", "-" if left is None else format_duration(left)),
         ]
-
-    def _shown(self, text: str) -> str:
-        return showable(text, self._console.encoding)
 
     def _line(self) -> Text:
         return Text("  ".join(f"{name} {value}" for name, value in self._facts()))
@@ -169,9 +171,9 @@ class ProgressDisplay:
         table.add_column(no_wrap=True, overflow="ellipsis")
         for name, value in self._facts():
             table.add_row(Text(name), Text(value))
-        course = _sparkline(self._scores, max(10, width - 22))
+        course = _sparkline(self._scores, max(10, width - 22), _ASCII_BLOCKS if self._is_ascii else _BLOCKS)
         if course:
-            table.add_row("score so far", Text(self._shown(course), style="green"))
+            table.add_row("score so far", Text(course, style="green"))
         total = self._config.run.generations if self._config else 1
         done = self._row["generation"]
         if self._config is not None:
@@ -184,3 +186,14 @@ class ProgressDisplay:
         bar = Table.grid()  # ends the line, which the bar alone does not
         bar.add_row(ProgressBar(total=total, completed=done, width=width))
         return Group(bar, table, *events)
+
+
+@contextmanager
+def shown_beside(listener: AnyListener, progress: bool | None) -> Iterator[AnyListener]:
+    """Yield `listener`, beside a progress display if `progress` is True, or None in a terminal or a notebook."""
+    console = LineConsole()
+    if not (console.is_terminal or console.is_jupyter if progress is None else progress):
+        yield listener
+        return
+    with ProgressDisplay(console) as display:
+        yield [display, *(listener if isinstance(listener, list | tuple) else () if listener is None else (listener,))]

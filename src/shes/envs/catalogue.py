@@ -1,43 +1,37 @@
-"""`shes envs`: the environments with their dimensions, rewards and scores."""
+"""The catalogue of the environments with a name: dimensions, rewards and scores."""
 
 from __future__ import annotations
 
-import json as json_text
 from typing import Any
 
-from shes.cli.output import print_line, print_table
-from shes.cli.parsing import Json
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, Environment, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import ShesError
+from shes.listing import Listing, Table
 
 
-def envs(*, json: Json = False) -> int:
-    """List the environments."""
-    rows = [_row(name, environment) for name, environment in ENVIRONMENTS.items()]
-    rows += map(_external_row, EXTERNAL_ENVIRONMENTS.values())
-    if json:
-        print(json_text.dumps(rows, indent=2))
-        return 0
+def list_environments() -> Listing:
+    """List the environments with their dimensions, rewards and scores."""
+    rows = [_describe(name, environment) for name, environment in ENVIRONMENTS.items()]
+    rows += map(_describe_external, EXTERNAL_ENVIRONMENTS.values())
     shown: list[tuple[str, ...]] = []
     for row in rows:
         sizes = [*row["observation"].values(), "", ""]
         shown.append((row["name"], row["task"], str(sizes[0]), str(sizes[1]), str(row["action"] or "")))
-    print_table(("environment", "task", "observation", "hiro", "action"), shown)
     tasks = {(row["task"], row["score"]): (row["task"], row["reward"], row["ends"], row["score"]) for row in rows}
-    print_table(("task", "reward of a step", "ends early", "score of an episode"), list(tasks.values()))
-    for row in rows:
-        if not row["observation"]:
-            print_line(row["about"])
-    print("In Gymnasium: shes/AntGather-v0, and shes/AntGatherHiro-v0 for --spec hiro. More: --json, and `make docs`.")
-    return 0
+    parts = (
+        Table(("environment", "task", "observation", "hiro", "action"), shown),
+        Table(("task", "reward of a step", "ends early", "score of an episode"), list(tasks.values())),
+        *(row["about"] for row in rows if not row["observation"]),
+        "In Gymnasium: shes/AntGather-v0, and shes/AntGatherHiro-v0 for --spec hiro. More: --json, and `make docs`.",
+    )
+    return Listing(rows, parts)
 
 
-def _row(name: str, environment: Environment) -> dict[str, Any]:
-    """Return the description of an environment."""
+def _describe(name: str, environment: Environment) -> dict[str, Any]:
     task, text = environment.task, environment.task.description
     sizes = {spec: make_task(name, 1, TaskOptions(spec=spec)) for spec in task.specs}
     return {
@@ -53,7 +47,7 @@ def _row(name: str, environment: Environment) -> dict[str, Any]:
     }
 
 
-def _external_row(environment: ExternalEnvironment) -> dict[str, Any]:
+def _describe_external(environment: ExternalEnvironment) -> dict[str, Any]:
     """Return the description of an external environment, without dimensions if it cannot be made."""
     env_id = environment.source if isinstance(environment.source, str) else "made by a function"
     about, sizes, action = f"Gymnasium's {env_id}", {}, None

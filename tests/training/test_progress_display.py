@@ -8,9 +8,9 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from shes.cli import progress_display as module
-from shes.cli.progress_display import ProgressDisplay, format_duration
+from shes.training import progress_display as module
 from shes.training.presets import make_config
+from shes.training.progress_display import ProgressDisplay, format_duration
 
 CONFIG = make_config("point-gather", "smoke", {"generations": 40})
 

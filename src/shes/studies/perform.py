@@ -1,20 +1,18 @@
-"""`shes experiment`: studies of many runs, with their tables and figures."""
+"""A study from the forecast to its tables and figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
+from shlex import quote
 from time import monotonic
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
-
-from shes.cli.output import print_error, print_facts, print_line, print_table, quote
-from shes.cli.parsing import Json
-from shes.cli.progress_display import format_duration
+from shes.console import LineConsole
+from shes.listing import Listing, Table
 from shes.runs.rooms import WorkerSettings
 from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
@@ -23,18 +21,18 @@ from shes.studies.index import STUDIES
 from shes.studies.running import Outcome, cells_left, check_study, read_summaries, run_study
 from shes.studies.study import Study, cell_steps, choose
 from shes.studies.tables import write_csv, write_tables
+from shes.training.progress_display import format_duration
 
 
 def experiment(
     name: Literal["ablation", "learning"],
     *,
     out: Path | None = None,
-    workers: int = 0,
+    num_workers: int = 0,
     scale: Literal["laptop", "smoke"] = "laptop",
     seeds: int | None = None,
-    only: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="GROUP [GROUP ...]")] = None,
-    json: Json = False,
-) -> int:
+    groups: Sequence[str] | None = None,
+) -> Listing:
     """Run a study of many runs and draw its figures. The same command continues a study that was stopped.
 
     shes experiment ablation --out results/ablation --workers 2
@@ -43,58 +41,63 @@ def experiment(
         name: ablation: the paper's choices, a sweep of the settings, transfer and horizon, on Point Gather and Maze;
             learning: the worth of each part of the walker's learning, on Ant Flagrun.
         out: Folder of its runs, tables and figures; finished runs in it are kept. runs/ and its name if none.
-        workers: Runs at a time; 0 is one for every core.
+        num_workers: Runs at a time; 0 is one for every core.
         scale: laptop: hours on two cores; smoke: a minute, as a test.
         seeds: Seeds of every variant; if none 10, and 5 in a sweep and in learning (smoke: 2).
-        only: Groups to run beside the base; all if none. ablation: choices, horizon, sweep, transfer; learning:
+        groups: Groups to run beside the base; all if none. ablation: choices, horizon, sweep, transfer; learning:
             alternatives, form, pieces, sweep.
+
+    Raises:
+        ShesError: Raised by `choose` or `run_study`.
     """
-    study, out = STUDIES[name](scale, seeds), out or Path("runs") / name
-    chosen, workers = choose(study, only), WorkerSettings(num_workers=workers).count
+    study, out, say = STUDIES[name](scale, seeds), out or Path("runs") / name, LineConsole().print_line
+    num_workers = WorkerSettings(num_workers=num_workers).count
+    chosen = choose(study, groups)
     check_study(study, out)
-    say = _say_nothing if json else print_line
     left = {cell.name for cell in cells_left(chosen, out)}
     failed: dict[str, str] = {}
     try:
-        with closing(run_study(chosen, out, num_workers=workers)) as outcomes:
-            for outcome in _with_progress(chosen, outcomes, left, workers, say):
+        with closing(run_study(chosen, out, num_workers=num_workers)) as outcomes:
+            for outcome in with_progress(chosen, outcomes, left, num_workers, say):
                 if outcome.summary is None:
                     failed[outcome.cell.name] = outcome.error
                 else:
                     write_tables(study.ordered(), read_summaries(study, out), out)
-    except KeyboardInterrupt:
-        say("Stopped; finished runs are kept. Continue with the same command.")
+    except KeyboardInterrupt as stop:
+        stop.add_note("Stopped; finished runs are kept. Continue with the same command.")
         raise
     summaries = read_summaries(study, out)
     comparisons = compare(study, summaries)
-    rows = [each.row() for each in comparisons]
     write_tables(study.ordered(), summaries, out)
+    rows = [each.row() for each in comparisons]
     write_csv(out / "comparison.csv", rows)
     figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
-    if json:
-        facts = {"out": str(out), "cells": len(chosen.cells), "failed": failed, "figures": figures}
-        print_facts({**facts, "comparisons": rows}, as_json=True)
-    else:
-        _print_comparisons(study.design, comparisons)
-        print_line(f"Tables: runs.csv, curves.csv, comparison.csv in {quote(out)}")
-        print_line(f"Figures: {' '.join(map(quote, figures)) or 'none'}")
-    for cell, error in failed.items():
-        print_error(f"{cell} failed: {error}")
+    facts = {"out": str(out), "cells": len(chosen.cells), "failed": failed, "figures": figures, "comparisons": rows}
+    files = (
+        f"Tables: runs.csv, curves.csv, comparison.csv in {quote(str(out))}",
+        f"Figures: {' '.join(map(quote, figures)) or 'none'}",
+    )
+    errors = [f"{cell} failed: {error}" for cell, error in failed.items()]
     if failed:
-        print_error(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
-    return 1 if failed else 0
+        errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
+    return Listing(facts, [*_parts(study.design, comparisons), *files], errors)
 
 
-def _say_nothing(_text: str) -> None: ...
+def _parts(design: StudyDesign, comparisons: Iterable[Comparison]) -> Iterator[Table | str]:
+    """Yield a table for each environment, with a row for each variant."""
+    for env, found in groupby(comparisons, attrgetter("env")):
+        yield env
+        yield Table(("group", "variant", "seeds", "mean [95 %]", "p"), [each.texts(design) for each in found])
+        yield f"mean: {design.metrics[env].words}, over seeds; p: against the base, permutation test with Holm."
 
 
-def _with_progress(
-    study: Study, outcomes: Iterable[Outcome], left: Collection[str], workers: int, say: Callable[[str], None]
+def with_progress(
+    study: Study, outcomes: Iterable[Outcome], left: Collection[str], num_workers: int, say: Callable[[str], None]
 ) -> Iterator[Outcome]:
     """Yield the outcomes of the cells that are `left`; say a forecast, and after each its result and the time left."""
     steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
     to_make, made, start = {name: steps[name] for name in left}, 0, monotonic()
-    at_once = max(1, min(workers, len(left)))
+    at_once = max(1, min(num_workers, len(left)))
     expected = format_duration(sum(to_make.values()) / study.design.steps_per_s / at_once)
     done = f"; {len(steps) - len(left)} are done" if len(left) < len(steps) else ""
     say(
@@ -113,19 +116,3 @@ def _with_progress(
         time_left = format_duration(sum(to_make.values()) * (monotonic() - start) / made)
         say(f"[{len(steps) - len(to_make)}/{len(steps)}] {outcome.cell.name}: {result}; {time_left} left")
         yield outcome
-
-
-def _print_comparisons(design: StudyDesign, comparisons: Iterable[Comparison]) -> None:
-    """Print a table for each environment, with a row for each variant."""
-    for env, found in groupby(comparisons, attrgetter("env")):
-        print_line(env)
-        print_table(("group", "variant", "seeds", "mean [95 %]", "p"), [_row(design, each) for each in found])
-        print_line(f"mean: {design.metrics[env].words}, over seeds; p: against the base, permutation test with Holm.")
-
-
-def _row(design: StudyDesign, found: Comparison) -> tuple[str, ...]:
-    """Return the cells of a variant's row."""
-    other = "" if found.against in (None, design.base[1]) else f" (to {design.label(found.against)})"
-    score = f"{found.score_mean:.2f} [{found.score_low:.2f}, {found.score_high:.2f}]"
-    p = "-" if found.p_holm is None else f"{found.p_holm:.4f}"
-    return found.group, design.label(found.variant) + other, str(found.seeds), score, p

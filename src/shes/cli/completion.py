@@ -1,0 +1,82 @@
+"""`shes completion`: shells ask `shes --complete` for the words that may stand at the cursor: those of the help."""
+
+from __future__ import annotations
+
+import glob
+import io
+import os
+import re
+from collections.abc import Iterable
+from contextlib import redirect_stdout, suppress
+from pathlib import Path
+from typing import Literal
+from unittest.mock import patch
+
+from shes.cli.parsing import call
+from shes.cli.program import COMMANDS, find_command
+from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
+from shes.envs.registry import ENVIRONMENTS
+from shes.errors import ShesError
+from shes.runs.shipped import shipped_names
+
+_BASH = "complete -o default -C 'shes --complete' shes"
+_SCRIPTS = {
+    "bash": _BASH,
+    "zsh": f"autoload -Uz compinit bashcompinit && compinit && bashcompinit\n{_BASH}",
+    "fish": "complete --command shes --arguments '(COMP_LINE=(commandline --cut-at-cursor) shes --complete)'",
+    "tcsh": "complete shes 'p@*@`shes --complete`@'",
+}
+"""Script of each shell. It puts the line into COMP_LINE; tcsh, into COMMAND_LINE."""
+_EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
+
+
+def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
+    """Print a script by which a shell completes commands, flags, environments, runs and other names.
+
+    For bash: shes completion bash >> ~/.bashrc
+    """
+    print(_SCRIPTS[shell])
+    return 0
+
+
+def print_completions() -> int:
+    """Print what may stand at the cursor of the line that a shell completes. If nothing, the shell completes files."""
+    line = os.environ.get("COMP_LINE") or os.environ.get("COMMAND_LINE") or "shes "
+    line = line[: int(os.environ.get("COMP_POINT", len(line)))]
+    *before, typed = (f"{line}|").split()[1:]
+    typed = typed.removesuffix("|")
+    if typed.startswith("-") and "=" in typed:  # bash replaces what follows =
+        name, _, typed = typed.partition("=")
+        before.append(name)
+    possible: Iterable[str] = [*COMMANDS, *_EVERYWHERE, "--version"]
+    if before:
+        possible = _words_after(before, typed) if before[0] in COMMANDS else ()
+    for word in possible:
+        if word.startswith(typed):
+            print(word)
+    return 0
+
+
+def _words_after(before: list[str], typed: str) -> list[str]:
+    """Return the words that may follow `before`; the last one begins with `typed`."""
+    text = io.TextIOWrapper(io.BytesIO(), "utf-8")
+    with redirect_stdout(text), patch.dict(os.environ, COLUMNS="9999"), suppress(ShesError):
+        call(before[0], find_command(before[0]), [*before[1:], "--help-all"])
+    text.seek(0)
+    places: list[str] = []
+    flags: dict[str, list[str]] = {name: [] for name in _EVERYWHERE}
+    for cell in re.split(r"│\s*", text.read())[1:]:  # the usage comes first
+        entry, *_ = re.split(r"\s{2,}", cell)  # --camera {both,follow,top}   Camera.
+        words = re.findall(r"--[\w-]+", entry) if entry.startswith("-") else None
+        values = [name for names in re.findall(r"\{(.*?)\}", entry) for name in names.split(",")]
+        if entry == "ENV":
+            values = [*ENVIRONMENTS, *EXTERNAL_ENVIRONMENTS]
+        elif re.match(r"RUN|FIRST|SECOND|--.*\bRUN$", entry):
+            start = glob.escape(typed if "/" in typed else "runs/")
+            runs = (glob.iglob(f"{start}*/{end}config.json") for end in ("", "*/"))  # noqa: PTH207 - may be absolute
+            values = [*shipped_names(), *sorted(str(Path(file).parent) for files in runs for file in files)]
+        if words is None:
+            places += values
+        else:
+            flags |= dict.fromkeys(words, values)
+    return list(flags) if typed.startswith("-") else flags.get(before[-1]) or places

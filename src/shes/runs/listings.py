@@ -1,0 +1,64 @@
+"""Listings of runs and shipped agents: those below a folder, and the settings and the state of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from shes.listing import Listing, Table, facts_listing
+from shes.runs.folder import RunFolder
+from shes.runs.shipped import read_agent, shipped_names
+from shes.runs.state import RunState, run_state, states_below
+
+
+def list_runs(folder: Path | str = "runs") -> Listing:
+    """List the runs below a folder, and the shipped agents. The name of an agent can be given instead of a run.
+
+    Args:
+        folder: The folder.
+    """
+    runs, agents = states_below(Path(folder)), {name: read_agent(name) for name in shipped_names()}
+    parts: list[Table | str] = [f"There is no run below {folder}."]
+    if runs:
+        parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
+    parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
+    rows: list[tuple[str, ...]] = []
+    for name, agent in agents.items():
+        score = f"{agent.evaluation.score_mean:.2f} ± {agent.evaluation.score_std:.2f}"
+        rows.append((name, agent.env, score, f"{agent.env_steps:,}", agent.description))
+    if rows:
+        parts += [
+            Table(("agent", "environment", "score", "steps", "description"), rows),
+            "Score: mean and standard deviation over fresh episodes. Steps: environment steps of training.",
+        ]
+    shown = {name: agent.to_dict() for name, agent in agents.items()}
+    return Listing({"runs": [run.to_dict() for run in runs], "agents": shown}, parts)
+
+
+def _row(run: RunState) -> tuple[str, ...]:
+    """Return the cells of a run's row."""
+    done, total = ("-" if each is None else each for each in (run.generation, run.generations))
+    score = "-" if run.best_score is None else f"{run.best_score:.2f}"
+    return run.run, run.env or "-", f"{done} / {total}", score, run.state
+
+
+def describe_run(run: Path | str, *, full: bool = False) -> Listing:
+    """Show the settings and the state of a run.
+
+    Args:
+        run: The run folder, or the name of a shipped agent.
+        full: Show all settings. JSON always has them.
+
+    Raises:
+        RunFolderError: `run` is neither a run folder nor a shipped agent.
+    """
+    folder = RunFolder.open(run)
+    record, config = folder.read_record(), folder.read_config()
+    facts: dict[str, Any] = {
+        **run_state(folder).to_dict(),
+        "levels": ", ".join(config.level_names),
+        "started": record.get("started"),
+        "command": " ".join(record.get("command", [])),
+    }
+    settings = {name: value for room in config.to_dict().values() for name, value in room.items()}
+    return facts_listing(facts | settings if full else facts)._replace(facts={**facts, "config": record["config"]})
