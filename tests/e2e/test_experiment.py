@@ -76,14 +76,19 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["learning", "--only", "choices"], r"unknown group 'choices'\. Did you mean 'pieces'"),
+        (["learning", "--only", "choices"], r"unknown group or environment 'choices'\. Did you mean 'pieces'"),
         (
             ["ablation", "--only", "sweeps"],
-            r"unknown group 'sweeps'\. Did you mean 'sweep'\? Known: sweep, choices, hor",
+            r"unknown group or environment 'sweeps'\. Did you mean 'sweep'\? Known: sweep, choices, hor",
         ),
-        (["learning", "--only"], "--only needs at least one group: alternatives, form, pieces, sweep"),
-        (["ablation", "--only"], "--only needs at least one group: choices, horizon, sweep, transfer"),
+        (["learning", "--only"], "--only needs at least one of pieces, form, alternatives, sweep, ant-flagrun"),
+        (
+            ["ablation", "--only"],
+            "--only needs at least one of choices, sweep, transfer, horizon, point-flagrun, point-gather, point-maze",
+        ),
         (["ablation", "--seeds", "0"], r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."),
+        (["ablation", "--scale", "paper"], r"unknown scale 'paper'\. Known: laptop, smoke\. Set --scale\."),
+        (["fig3", "--scale", "smoke", "--budget", "0"], r"budget must be a number of hours above 0, got 0\.0\."),
         (["ablation", "--workers", "-1"], r"workers must be a whole number of at least 0, got -1\. Set --workers\."),
     ],
 )
@@ -102,7 +107,7 @@ def test_flags_that_make_no_sense_are_refused(words, message, tmp_path, capsys):
         (["ablatoin"], r"unknown name 'ablatoin'\. Did you mean 'ablation'"),
         (
             ["ablation", "--scale", "large"],
-            r"Error parsing --scale: unknown name 'large'\. Known: laptop, smoke",
+            r"Error parsing --scale: unknown name 'large'\. Known: laptop, paper, smoke",
         ),
         (["ablation", "--seeds", "many"], r"Error parsing --seeds: .*'many'"),
     ],

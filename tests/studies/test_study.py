@@ -6,6 +6,7 @@ import math
 import shutil
 import signal
 import sys
+import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,8 +17,10 @@ import pytest
 
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
+from shes.runs.folder import RunFolder
 from shes.studies import ablation as ablations
 from shes.studies import learning as lessons
+from shes.studies import paper as papers
 from shes.studies import running
 from shes.studies.comparison import compare
 from shes.studies.design import Curves, sweep_name
@@ -237,12 +240,40 @@ def test_a_cell_that_fails_is_named_and_stops_only_what_begins_with_it(tmp_path,
     assert list(read_summaries(study, tmp_path)) == [good.name]
 
 
+def test_a_study_whose_time_is_over_stops_and_goes_on_as_if_it_had_not(tmp_path, finished, in_this_process):
+    follower = cell("follower", primitive=cell().name, settings={**TINY, "freeze_primitive": True})
+    study = Study(cells=(cell(), follower), episodes=3)
+    outcomes = list(run_study(study, tmp_path, num_workers=1, until=time.time()))
+    assert [(outcome.cell.name, outcome.summary, outcome.error) for outcome in outcomes] == [
+        (cell().name, None, ""),
+        (follower.name, None, ""),
+    ]
+    assert not (tmp_path / cell().name).exists()
+    (outcome,) = run_study(Study(cells=(cell(),)), tmp_path, num_workers=1, until=time.time() + 0.2)
+    assert outcome.summary is None  # stopped in the middle
+    assert runs.state(tmp_path / cell().name, "last").generation < TINY["generations"]
+    assert run_cell(cell(), tmp_path, 3, until=0) is None
+    assert without_seconds(run_cell(cell(), tmp_path, 3)) == without_seconds(finished[1])
+
+
+def test_a_run_with_a_time_limit_of_its_own_is_finished_when_it_is_over(tmp_path):
+    limited = cell(settings={**TINY, "minutes": 1e-3, "generations": 100_000})
+    assert 1 <= run_cell(limited, tmp_path, 3).row["generations"] < 100
+
+
+def test_large_runs_have_all_workers_and_the_same_numbers(tmp_path, finished):
+    study = Study(cells=(cell(),), episodes=3, has_large_runs=True)
+    (outcome,) = run_study(study, tmp_path, num_workers=2)
+    assert without_seconds(outcome.summary) == without_seconds(finished[1])
+    assert RunFolder(tmp_path / cell().name).read_config().settings["num_workers"] == 2
+
+
 def test_an_error_nobody_expected_is_an_outcome_with_its_traceback(monkeypatch, tmp_path, in_this_process):
-    def fail(*arguments):
+    def fail(*arguments, **options):
         raise ZeroDivisionError("nothing to divide by")
 
     monkeypatch.setattr(running, "run_cell", fail)
-    ((number, outcome),) = running.StudyWorker(tmp_path, 3).run(iter([(4, cell())]), 1)
+    ((number, outcome),) = running.StudyWorker(tmp_path, 3, math.inf).run(iter([(4, cell())]), 1)
     assert (number, outcome.summary) == (4, None)
     assert outcome.error.endswith("ZeroDivisionError: nothing to divide by\n")
 
@@ -439,7 +470,13 @@ def test_some_groups_alone_come_with_the_base_and_the_primitives():
     longer = [("point-maze", "horizon", f"horizon-{steps}") for steps in ablations.SCALES["smoke"].horizons]
     assert found == {*both, *transfers, *longer, ("point-flagrun", "transfer", "base")}
     assert choose(ablation("smoke"), None) == ablation("smoke")
-    with pytest.raises(UnknownNameError, match=r"unknown group 'choice'\. Did you mean 'choices'"):
+    assert {(c.env, c.group) for c in choose(ablation("smoke"), ["point-maze", "choices"]).cells} == {
+        ("point-maze", "choices")
+    }
+    alone = choose(STUDIES["fig5"]("smoke"), ["ant-push"])
+    assert {c.env for c in alone.cells} == {"ant-push", "ant-flagrun"}
+    assert {c.group for c in alone.cells} == {"methods", "transfer"}
+    with pytest.raises(UnknownNameError, match=r"unknown group or environment 'choice'\. Did you mean 'choices'"):
         choose(ablation("smoke"), ["choice"])
 
 
@@ -447,8 +484,9 @@ def test_some_groups_alone_come_with_the_base_and_the_primitives():
 def test_the_command_offers_the_studies_the_scales_and_the_groups_there_are(name):
     offered = get_type_hints(experiment)
     assert get_args(offered["name"]) == tuple(STUDIES)
-    assert set(get_args(offered["scale"])) == set(ablations.SCALES) == set(lessons.SCALES)
-    help_of_only = " ".join(experiment.__doc__.split()).partition("groups: ")[2]
+    assert set(get_args(offered["scale"])) == set(papers.SCALES)
+    assert set(ablations.SCALES) == set(lessons.SCALES) == set(papers.SCALES) - {"paper"}
+    help_of_only = " ".join(experiment.__doc__.split()).partition("only: ")[2]
     assert f"{name}: {', '.join(sorted(MADE[name]('smoke').design.groups))}" in help_of_only
 
 

@@ -37,7 +37,7 @@ DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
 _HELP_ALL = "--help-all"
 
-_OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint", "groups": "only"}
+_OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
 """Flags of parameters that have another name in Python, which is a flag, too."""
 _WRITES = {"plot": "Learning curves", "render": "Video", "export": "Policy"}
 """What the files are whose paths a command returns."""

@@ -178,7 +178,12 @@ def _study(figure: str, scale: str, seeds: int | None, groups: tuple[str, ...]) 
         for form in (PUBLISHED, PIECES)
         for cell in _cells(size, body, group, form, seed)
     )
-    return Study(cells=cells, episodes=size.episodes, design=_design(figure, size, groups))
+    return Study(
+        cells=cells,
+        episodes=size.episodes,
+        design=_design(figure, size, groups),
+        has_large_runs=size.preset == "paper",
+    )
 
 
 def _cells(size: _Scale, body: str, group: str, form: str, seed: int) -> Iterator[Cell]:

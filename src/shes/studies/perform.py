@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
 from shlex import quote
-from time import monotonic
+from time import monotonic, time
 from typing import Literal
 
 from shes.console import LineConsole
+from shes.errors import ConfigError
 from shes.listing import Listing, Table
 from shes.runs.rooms import WorkerSettings
 from shes.studies.comparison import Comparison, compare
@@ -25,13 +27,15 @@ from shes.training.progress_display import format_duration
 
 
 def experiment(
-    name: Literal["ablation", "learning"],
+    name: Literal["ablation", "learning", "fig3", "fig5"],
     *,
     out: Path | None = None,
     num_workers: int = 0,
-    scale: Literal["laptop", "smoke"] = "laptop",
+    backend: str = "processes",
+    scale: Literal["paper", "laptop", "smoke"] = "laptop",
     seeds: int | None = None,
-    groups: Sequence[str] | None = None,
+    only: Sequence[str] | None = None,
+    budget: float | None = None,
 ) -> Listing:
     """Run a study of many runs and draw its figures. The same command continues a study that was stopped.
 
@@ -39,28 +43,40 @@ def experiment(
 
     Args:
         name: ablation: the paper's choices, a sweep of the settings, transfer and horizon, on Point Gather and Maze;
-            learning: the worth of each part of the walker's learning, on Ant Flagrun.
-        out: Folder of its runs, tables and figures; finished runs in it are kept. runs/ and its name if none.
-        num_workers: Runs at a time; 0 is one for every core.
-        scale: laptop: hours on two cores; smoke: a minute, as a test.
-        seeds: Seeds of every variant; if none 10, and 5 in a sweep and in learning (smoke: 2).
-        groups: Groups to run beside the base; all if none. ablation: choices, horizon, sweep, transfer; learning:
-            alternatives, form, pieces, sweep.
+            learning: the worth of each part of the walker's learning, on Ant Flagrun; fig3 and fig5: those figures of
+            the paper, each with SHES as published and with the pieces of the learning study.
+        out: Folder of its runs, tables and figures; finished runs in it are kept. If none, below runs/ its name, and
+            paper for figures, which share runs.
+        num_workers: Runs at a time, or the workers of each run of scale paper; 0 is one for every core.
+        backend: Backend of the runs of scale paper, such as ray.
+        scale: paper: Table I, ten runs of up to ten hours, for figures only; laptop: hours on two cores; smoke:
+            minutes, as a test.
+        seeds: Seeds of every variant; if none 10, and 5 in a sweep, in learning and for the ant (smoke: 2).
+        only: Groups or environments to run, groups beside the base; all if none. ablation: choices, horizon, sweep,
+            transfer; learning: alternatives, form, pieces, sweep; fig3: methods; fig5: methods, transfer.
+        budget: Hours after which all runs stop; the same command continues them.
 
     Raises:
         ShesError: Raised by `choose` or `run_study`.
     """
-    study, out, say = STUDIES[name](scale, seeds), out or Path("runs") / name, LineConsole().print_line
+    study, say = STUDIES[name](scale, seeds), LineConsole().print_line
+    out = out or Path("runs") / ("paper" if name.startswith("fig") else name)
+    if budget is not None and not budget > 0:
+        raise ConfigError(f"budget must be a number of hours above 0, got {budget}. Set --budget.")
+    until = math.inf if budget is None else time() + 3600 * budget
     num_workers = WorkerSettings(num_workers=num_workers).count
-    chosen = choose(study, groups)
+    chosen = choose(study, only)
     check_study(study, out)
     left = {cell.name for cell in cells_left(chosen, out)}
     failed: dict[str, str] = {}
+    stopped: list[str] = []
     try:
-        with closing(run_study(chosen, out, num_workers=num_workers)) as outcomes:
+        with closing(run_study(chosen, out, num_workers=num_workers, backend=backend, until=until)) as outcomes:
             for outcome in with_progress(chosen, outcomes, left, num_workers, say):
-                if outcome.summary is None:
+                if outcome.error:
                     failed[outcome.cell.name] = outcome.error
+                elif outcome.summary is None:
+                    stopped.append(outcome.cell.name)
                 else:
                     write_tables(study.ordered(), read_summaries(study, out), out)
     except KeyboardInterrupt as stop:
@@ -72,8 +88,16 @@ def experiment(
     rows = [each.row() for each in comparisons]
     write_csv(out / "comparison.csv", rows)
     figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
-    facts = {"out": str(out), "cells": len(chosen.cells), "failed": failed, "figures": figures, "comparisons": rows}
+    facts = {
+        "out": str(out),
+        "cells": len(chosen.cells),
+        "failed": failed,
+        "stopped": stopped,
+        "figures": figures,
+        "comparisons": rows,
+    }
     files = (
+        *([f"The time is over: {len(stopped)} runs are left. The same command continues them."] if stopped else ()),
         f"Tables: runs.csv, curves.csv, comparison.csv in {quote(str(out))}",
         f"Figures: {' '.join(map(quote, figures)) or 'none'}",
     )
@@ -109,7 +133,7 @@ def with_progress(
         for event in outcome.events:
             say(event)
         made += to_make.pop(outcome.cell.name)
-        result = "FAILED"
+        result = "FAILED" if outcome.error else "stopped"
         if outcome.summary is not None:
             row, measure = outcome.summary.row, study.design.metric(outcome.cell.env)
             result = f"{measure.words} {row[measure.column]:.2f} in {row['seconds']:.0f} s"

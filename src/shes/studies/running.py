@@ -7,12 +7,15 @@ ones continue as `shes resume` does: a study that was stopped has the same numbe
 from __future__ import annotations
 
 import json
+import math
 import signal
 import traceback
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from time import time
 from typing import Any
 
 from shes.backends.backend import Backend
@@ -20,10 +23,10 @@ from shes.backends.processes import ProcessesBackend
 from shes.errors import RunFolderError, ShesError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
-from shes.runs.tables import Row, read_csv
+from shes.runs.tables import Row, read_csv, read_wall_time
 from shes.storage import storage_errors, write_atomically
 from shes.studies.significance import check_scipy
-from shes.studies.study import CHECKPOINTS, Study, cell_config
+from shes.studies.study import ALONE, CHECKPOINTS, Study, cell_config
 from shes.studies.tables import Cell, Summary, read_tables
 from shes.training.build import open_run
 from shes.training.evaluate import evaluate
@@ -35,7 +38,7 @@ _CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_r
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """The summary of a finished cell, or the error of one that failed."""
+    """The summary of a finished cell, the error of one that failed, or neither: the time for it was over."""
 
     cell: Cell
     summary: Summary | None = None
@@ -46,29 +49,59 @@ class Outcome:
 # One cell, in a worker process.
 
 
-def run_cell(cell: Cell, out: Path, episodes: int) -> Summary:
+def run_cell(
+    cell: Cell, out: Path, episodes: int, *, until: float = math.inf, workers: Mapping[str, Any] = ALONE
+) -> Summary | None:
     """Train a cell to its end from its last checkpoint, if it has one; evaluate it and return its summary.
 
+    Args:
+        cell: The cell.
+        out: Folder of the study.
+        episodes: Number of episodes of each evaluation.
+        until: Time, as of `time.time`, at which training stops; the summary is None if that is before its end.
+        workers: Backend and number of workers of the run.
+
     Raises:
-        ShesError: Raised by `start_run`, `resume_run` or `evaluate`; its folder may hold a run with other settings.
+        ShesError: Raised by `start_run`, `resume` or `evaluate`; its folder may hold a run with other settings.
     """
     path = out / cell.name
     summary = _read_summary(path)
     if summary is not None:
         return summary
-    config = cell_config(cell, out)
+    config = cell_config(cell, out, workers)
     folder = RunFolder(path)
-    if not folder.config.is_file():
-        start_run(config, path)
-    else:
+    if folder.config.is_file():
         _check_settings(cell, folder, config)
-        last = folder.load("last")
-        if not config.run.is_over(last.generation, last.env_steps):
-            resume_run(path)
+    if not _is_over(config, folder):
+        own = math.inf if config.run.minutes is None else config.run.minutes - _minutes(folder)
+        left = min(own, (until - time()) / 60)
+        if left <= 0:
+            return None
+        minutes = None if math.isinf(left) else left
+        if folder.config.is_file():
+            resume_run(path, **workers, minutes=minutes)
+        else:
+            start_run(config.having(minutes=minutes), path)
+        is_late = left == own < math.inf  # its own limit: the last generation may have ended just before
+        if not (is_late or _is_over(config, folder)):
+            return None
     summary = _summarise(cell, folder, episodes)
     text = json.dumps({"row": summary.row, "curve": summary.curve})
     write_atomically(path / _SUMMARY, lambda file: file.write(text.encode()))
     return summary
+
+
+def _is_over(config: TrainConfig, folder: RunFolder) -> bool:
+    """Return whether the run of a cell with these settings has ended: by its length, or by its own time limit."""
+    if not folder.config.is_file():
+        return False
+    last, limit = folder.load("last"), config.run.minutes
+    return config.run.is_over(last.generation, last.env_steps) or (limit is not None and _minutes(folder) >= limit)
+
+
+def _minutes(folder: RunFolder) -> float:
+    """Return for how many minutes the run in `folder` has been trained."""
+    return read_wall_time(folder.progress) / 60
 
 
 def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
@@ -128,10 +161,10 @@ def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
 class StudyWorker:
     """The `Worker` of a study's processes: runs one cell after another."""
 
-    def __init__(self, out: Path, episodes: int) -> None:
+    def __init__(self, out: Path, episodes: int, until: float) -> None:
         """Block Ctrl-C, which reaches the whole process group: the parent handles it."""
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        self._out, self._episodes = out, episodes
+        self._run = partial(run_cell, out=out, episodes=episodes, until=until)
 
     def receive(self, state: Any) -> None:
         """Do nothing: cells share no state."""
@@ -139,22 +172,33 @@ class StudyWorker:
     def run(self, work: Iterator[tuple[int, Cell]], share: int) -> Iterator[tuple[int, Outcome]]:
         """Yield the outcome of each cell; a failed cell has one, too."""
         for number, cell in work:
-            yield number, self._outcome(cell)
+            yield number, _outcome(cell, self._run)
 
-    def _outcome(self, cell: Cell) -> Outcome:
-        try:
-            return Outcome(cell=cell, summary=run_cell(cell, self._out, self._episodes))
-        except ShesError as error:
-            return Outcome(cell=cell, error=str(error))
-        except Exception:  # noqa: BLE001 - no error may stop the other cells
-            return Outcome(cell=cell, error=traceback.format_exc())
+
+def _outcome(cell: Cell, run: Callable[[Cell], Summary | None]) -> Outcome:
+    """Return the outcome of `run` for a cell."""
+    try:
+        return Outcome(cell=cell, summary=run(cell))
+    except ShesError as error:
+        return Outcome(cell=cell, error=str(error))
+    except Exception:  # noqa: BLE001 - no error may stop the other cells
+        return Outcome(cell=cell, error=traceback.format_exc())
 
 
 # All cells.
 
 
-def run_study(study: Study, out: Path, *, num_workers: int) -> Generator[Outcome]:
-    """Run the unfinished cells of `study`, `num_workers` at a time, and yield their outcomes in order.
+def run_study(
+    study: Study, out: Path, *, num_workers: int, backend: str = "processes", until: float = math.inf
+) -> Generator[Outcome]:
+    """Run the unfinished cells of `study`, and yield their outcomes in order.
+
+    Args:
+        study: The study.
+        out: Its folder.
+        num_workers: Number of cells that run at a time; of a study with large runs, the number of workers of each.
+        backend: Backend of large runs.
+        until: Time, as of `time.time`, at which all runs stop.
 
     Raises:
         RunFolderError: `out` is in use, or a folder below it holds a run with other settings.
@@ -164,7 +208,7 @@ def run_study(study: Study, out: Path, *, num_workers: int) -> Generator[Outcome
     """
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-    failed: set[str] = set()
+    unfinished: dict[str, Outcome] = {}
     with RunFolder(out).lock():
         check_study(study, out)
         names = {cell.name for cell in cells_left(study, out)}
@@ -172,24 +216,46 @@ def run_study(study: Study, out: Path, *, num_workers: int) -> Generator[Outcome
         size = min(num_workers, max(map(len, left), default=0))
         if not size:
             return
-        with ProcessesBackend(partial(StudyWorker, out, study.episodes), size) as backend:
+        with ExitStack() as stack:
+            run: Callable[[Sequence[Cell]], Iterator[Outcome]]
+            if study.has_large_runs:
+                workers = {"backend": backend, "num_workers": num_workers}
+                one = partial(run_cell, out=out, episodes=study.episodes, until=until, workers=workers)
+                run = partial(_run_in_turn, one)
+            else:
+                factory = partial(StudyWorker, out, study.episodes, until)
+                run = partial(_run_side_by_side, stack.enter_context(ProcessesBackend(factory, size)))
             for stage in left:
-                for outcome in _run_stage(stage, failed, backend):
+                for outcome in _run_stage(stage, unfinished, run):
                     if outcome.summary is None:
-                        failed.add(outcome.cell.name)
+                        unfinished[outcome.cell.name] = outcome
                     yield outcome
 
 
-def _run_stage(stage: Sequence[Cell], failed: set[str], backend: Backend) -> Iterator[Outcome]:
-    """Yield the outcomes of a stage; cells whose primitive failed are not run."""
+def _run_stage(
+    stage: Sequence[Cell], unfinished: Mapping[str, Outcome], run: Callable[[Sequence[Cell]], Iterator[Outcome]]
+) -> Iterator[Outcome]:
+    """Yield the outcomes of a stage; cells whose primitive is unfinished are not run."""
     for cell in stage:
-        if cell.primitive in failed:
-            yield Outcome(cell=cell, error=f"not run: it begins with the primitive of {cell.primitive}, which failed.")
+        before = unfinished.get(cell.primitive or "")
+        if before is not None:
+            error = f"not run: it begins with the primitive of {cell.primitive}, which failed." if before.error else ""
+            yield Outcome(cell=cell, error=error)
+    yield from run([cell for cell in stage if cell.primitive not in unfinished])
+
+
+def _run_side_by_side(backend: Backend, cells: Sequence[Cell]) -> Iterator[Outcome]:
+    """Yield the outcomes of `cells`, each run by a worker of `backend`."""
     events: list[str] = []
     backend.on_event = events.append
-    for outcome in backend.map([cell for cell in stage if cell.primitive not in failed]):
+    for outcome in backend.map(cells):
         yield replace(outcome, events=tuple(events))
         events.clear()
+
+
+def _run_in_turn(run: Callable[[Cell], Summary | None], cells: Sequence[Cell]) -> Iterator[Outcome]:
+    """Yield the outcomes of `cells`, run one after another."""
+    yield from (_outcome(cell, run) for cell in cells)
 
 
 def check_study(study: Study, out: Path) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
@@ -26,6 +28,8 @@ class Study:
     episodes: int = 100
     """Number of fresh episodes on which the checkpoints of a finished run are evaluated."""
     design: StudyDesign = field(default_factory=StudyDesign)
+    has_large_runs: bool = False
+    """Whether every run has all workers for itself; otherwise each has one, and several run at a time."""
 
     def __post_init__(self) -> None:
         """Raise ConfigError if two cells have the same name, or a primitive comes from no cell."""
@@ -60,27 +64,38 @@ class Study:
         return [cell for stage in self.stages() for cell in stage]
 
 
-def choose(study: Study, groups: Sequence[str] | None) -> Study:
-    """Return `study` with the cells of `groups`, at least one, and of the base alone; with all cells if None."""
-    if groups is None:
+def choose(study: Study, parts: Sequence[str] | None) -> Study:
+    """Return `study` with the cells of `parts`, which are groups or environments, at least one; with all if None.
+
+    Groups come with the base, and cells with those whose primitive they take.
+    """
+    if parts is None:
         return study
-    if not groups:
-        known = ", ".join(sorted(study.design.groups))
-        raise ConfigError(f"--only needs at least one group: {known}. Omit it to run all.")
-    for group in groups:
-        if group not in study.design.groups:
-            raise UnknownNameError("group", group, study.design.groups, "Set --only.")
+    known = {**study.design.groups, **dict.fromkeys(sorted({cell.env for cell in study.cells}))}
+    if not parts:
+        raise ConfigError(f"--only needs at least one of {', '.join(known)}. Omit it to run all.")
+    for part in parts:
+        if part not in known:
+            raise UnknownNameError("group or environment", part, known, "Set --only.")
+    groups, envs = set(parts) & study.design.groups.keys(), set(parts) - study.design.groups.keys()
     chosen = {
-        cell.name for cell in study.cells if cell.group in groups or (cell.group, cell.variant) == study.design.base
+        name
+        for cell in study.cells
+        if (not envs or cell.env in envs)
+        and (not groups or cell.group in groups or (cell.group, cell.variant) == study.design.base)
+        for name in (cell.name, cell.primitive)
     }
     return replace(study, cells=tuple(cell for cell in study.cells if cell.name in chosen))
 
 
-def cell_config(cell: Cell, out: Path) -> TrainConfig:
+ALONE: Mapping[str, Any] = MappingProxyType({"backend": "serial", "num_workers": 1})
+"""Settings of a run that is its own worker."""
+
+
+def cell_config(cell: Cell, out: Path, workers: Mapping[str, Any] = ALONE) -> TrainConfig:
     """Return the settings of the run of `cell` in the study at `out`, in which the run of its primitive exists."""
     transfer = {} if cell.primitive is None else {"primitive": out / cell.primitive}
-    alone = {"seed": cell.seed, "backend": "serial", "num_workers": 1}
-    return make_config(cell.env, cell.preset, {**cell.settings, **transfer, **alone})
+    return make_config(cell.env, cell.preset, {**cell.settings, **transfer, "seed": cell.seed, **workers})
 
 
 def cell_steps(cell: Cell, episodes: int) -> int:
