@@ -10,6 +10,8 @@ import pytest
 
 from shes.cli import main, parsing
 from shes.cli.program import COMMANDS, find_command
+from shes.console import LineConsole
+from shes.listing import Listing
 from shes.runs.rooms import execution_settings
 from shes.studies import run_comparison
 from shes.training import evaluate, export
@@ -74,6 +76,22 @@ def test_a_command_has_the_flags_and_the_help_of_the_function_behind_it(shes):
     assert "Checkpoints: best, last or numbers of generations." in text
     for word in ("on_step", "on-step", "`", "Raises"):
         assert word not in text
+
+
+def test_several_runs_are_shown_as_required(shes):
+    assert "names of shipped agents. (required)" in " ".join(shes("plot", "--help").replace("│", "").split())
+
+
+def test_with_json_a_command_prints_nothing_but_its_facts(capsys):
+    def count(first: int = 1) -> Listing:
+        """Count."""
+        LineConsole().print_line("counting ...")
+        return Listing({"first": first}, ["counted"], errors=["one is left"])
+
+    assert parsing.call("count", count, ["2", "--json"]) == 1
+    assert capsys.readouterr() == ('{"first": 2}\n', "Error: one is left\n")
+    assert parsing.call("count", count, []) == 1
+    assert capsys.readouterr().out == "counting ...\ncounted\n"
 
 
 # The settings of a run.

@@ -209,6 +209,10 @@ WORDS = {
     "plot_of_a_missing_run": (["plot", "gone"], r"gone does not exist\. Give the folder"),
     "render_without_a_run": (["render"], r"Missing from shes render: RUN The run folder"),
     "unknown_shell": (["completion", "bsh"], r"unknown name 'bsh'\. Did you mean 'bash'"),
+    "negative_seconds": (
+        ["bench", "update", "point-gather", "--preset", "smoke", "--seconds", "-1"],
+        r"seconds must be zero or a positive number, got -1\.0\. Set --seconds",
+    ),
     "unknown_bench": (["bench", "rolout"], r"unknown name 'rolout'\. Did you mean 'rollout'"),
 }
 

@@ -88,7 +88,7 @@ def test_a_folder_that_was_stopped_goes_on_with_what_is_missing(tmp_path, whole,
         patch.setattr(ProgressDisplay, "on_generation", interrupt)
         assert train(path, *words, generations=3) == 130
     assert generations(path) == {"seed-4": 3, "seed-5": 2}
-    assert f"Go on: shes resume {path}" in capsys.readouterr().out
+    assert f"Go on: shes resume {path}\n" in capsys.readouterr().out
     first = (path / "seed-4" / "log.txt").read_bytes()
     assert (train(path, *words, generations=3) if again == "the same command" else main(["resume", str(path)])) == 0
     assert (path / "seed-4" / "log.txt").read_bytes() == first
