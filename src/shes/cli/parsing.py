@@ -193,7 +193,9 @@ def asked_config(words: Sequence[str]) -> TrainConfig:
     given = {name: choosing[name].checked(value) for name, value in found if value is not None}
     place = _find_environment(words)
     env = DEFAULT_ENV if place is None else words[place]
-    return make_config(env, given.get("preset", "laptop"), {"algorithm": given.get("algorithm", "shes")})
+    return make_config(
+        env, given.get("preset", "laptop"), {name: given[name] for name in ("algorithm",) if name in given}
+    )
 
 
 def _find_environment(words: Sequence[str]) -> int | None:

@@ -46,13 +46,9 @@ def hiro_design(problem: Problem) -> HiroDesign:
     """Return the design of HIRO's agent.
 
     Raises:
-        ConfigError: TD3 cannot learn in this problem, the environment sets the goals, or the position is unknown.
+        ConfigError: TD3 cannot learn in this problem, or the robot's position is unknown.
     """
     task, own, goals = check_problem(problem), problem.settings.learner, problem.settings.goals
-    if task.goal is not None:
-        raise ConfigError(
-            f"{problem.name} sets the goals, but with hiro a controller does. Set --algorithm td3 or shes."
-        )
     space, view = GoalSpace.of(task, goals.goal_distance), ColumnsView(primitive_columns(task))
     return HiroDesign(
         controller=RectifiedMLP(task.observation_size, own.hidden, space.size),
