@@ -27,6 +27,10 @@ def check_problem(problem: Problem) -> EpisodeBatch:
             f"device is {problem.device!r}, but {problem.settings.run.algorithm} collects its experience on the CPU. "
             "Set --device cpu."
         )
+    if not problem.settings.learner.hidden:
+        raise ConfigError(
+            "hidden must be at least one layer, because a linear critic cannot rank actions. Set --hidden."
+        )
     task = problem.sample()
     if np.issubdtype(task.reader.to_action(np.zeros((1, task.action_size))).dtype, np.integer):
         raise ConfigError(
