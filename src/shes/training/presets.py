@@ -55,7 +55,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "noise_table_size": 250_000_000,
     },
     # Learns visibly on a few cores: the default settings.
-    "laptop": {"evaluation_horizon": 500},
+    "laptop": {"evaluation_horizon": 500, "controller_update_interval": 2},
     # Takes seconds: a test that does not learn.
     "smoke": {
         "population_size": 16,

@@ -200,7 +200,8 @@ def test_a_run_that_was_killed_goes_on_with_equal_numbers(tmp_path):
     process = runs.start("train", "point-gather", *words, "--out", path)
     runs.stop_inside_generation(process, path, 3)
     process.send_signal(signal.SIGKILL)
-    process.wait()
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
     assert shes.resume(path).generation == 12
     assert runs.differences(whole, path) == []
 

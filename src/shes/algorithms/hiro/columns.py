@@ -1,4 +1,4 @@
-"""Columns of `progress.csv` for a generation of HIRO or TD3. `docs/hiro.md` explains them."""
+"""Columns of `progress.csv` for a generation of HIRO or TD3. `docs/algorithm.md` explains them."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from shes.settings import Example, Ge, Gt, Le, Lt, Settings, Shown
 class LearnerSettings(Settings):
     """TD3, of both levels."""
 
-    hidden: Annotated[tuple[int, ...], Ge(1), Example("300 300"), Shown(everyday=True)] = (128, 128)
+    hidden: Annotated[tuple[int, ...], Ge(1), Example("300 300"), Shown(everyday=True)] = (64, 64)
     """Sizes of the hidden layers of actors and critics (HIRO: 300 300)."""
     actor_learning_rate: Annotated[float, Gt(0), Shown(everyday=True)] = 3e-4
     """Learning rate of Adam for the actors (HIRO: 0.0001; Table I: 0.001)."""
