@@ -6,7 +6,7 @@ import inspect
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import shes
 from shes.cli import main
 from shes.cli.program import COMMANDS
 from shes.envs.registry import ENVIRONMENTS
+from shes.runs.config import TrainConfig
 from shes.settings import Unasked, setting_fields
 from shes.training.presets import PRESETS, make_config
 
@@ -52,19 +53,28 @@ def _help(*words: str) -> str:
 
 def settings() -> str:
     """Return a table of the flags of `train` for each room: meaning, and value in every preset."""
-    configs = [make_config("ant-gather", preset) for preset in PRESETS]
-    parts = []
-    for name, room in configs[0].rooms.items():
-        if name == "environment":
+    evolved = [preset for preset, values in PRESETS.items() if "algorithm" not in values]
+    configs = {preset: make_config("ant-gather", preset) for preset in evolved}
+    by_gradients = {preset: make_config("ant-gather", preset, {"algorithm": "hiro"}) for preset in PRESETS}
+    of_every_run = {"environment", *(configs["laptop"].rooms.keys() & by_gradients["laptop"].rooms.keys())}
+    parts = [*_rooms(configs, {"environment"}), *_rooms(by_gradients, of_every_run)]
+    return "\n\n".join([*parts, "### Environment", _task_options()])
+
+
+def _rooms(configs: Mapping[str, TrainConfig], without: Collection[str]) -> Iterator[str]:
+    """Yield a section for each room of `configs`, which are given by preset, but for those in `without`."""
+    first = next(iter(configs.values()))
+    for name, room in first.rooms.items():
+        if name in without:
             continue
         rows = [
-            (f"`{each.flag}`", each.text, *(_shown(config.settings[each.name]) for config in configs))
+            (f"`{each.flag}`", each.text, *(_shown(config.settings[each.name]) for config in configs.values()))
             for each in setting_fields(type(room)).values()
             if each.name not in ("env", "preset")
         ]
         title = (type(room).__doc__ or "").partition(".")[0]
-        parts += [f"### {title}", table(["flag", "meaning", *(f"`{preset}`" for preset in PRESETS)], rows)]
-    return "\n\n".join([*parts, "### Environment", _task_options()])
+        yield f"### {title}"
+        yield table(["flag", "meaning", *(f"`{preset}`" for preset in configs)], rows)
 
 
 def _task_options() -> str:

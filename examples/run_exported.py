@@ -28,6 +28,8 @@ class ExportedAgent:
     def act(self, observation, pose=None, goal=None):
         """Return the controls in [-1, 1]; `pose` (x, y, heading) if the file has none, `goal` (x, y) of a primitive."""
         spec, seen, frame, features = self.spec, np.array(observation, np.float64), {}, []
+        if "state_goals" in spec:
+            features, seen = self.pursue(seen, pose)
         if "primitive" in spec:
             features, seen, frame = self.reach(seen, pose or pose_in(seen, **spec["pose"]), goal)
         clock = [2 * np.pi * rate["frequency_hz"] * rate["step_s"] * self.step for rate in spec["clock"]]
@@ -63,6 +65,14 @@ class ExportedAgent:
         }
         return features[skill["goal_encoding"]], own[frame["view_index"]] * frame["view_sign"], frame
 
+    def pursue(self, seen, pose):
+        """HIRO: the goal is a change of the robot's own coordinates."""
+        goals = self.spec["state_goals"]
+        at = np.array(pose[:2]) if goals["columns"] is None else seen[goals["columns"]]
+        if self.step % self.spec["controller_interval"] == 0:
+            self.goal = at + self.network("controller", seen) * np.array(goals["half_range"])
+        return self.goal - at, seen[goals["view"]]
+
     def decide(self, seen, heading):
         boss = self.spec["controller"]
         out = self.network("controller", view_of(seen, boss["view"], heading)[0]).astype(np.float64)
@@ -76,10 +86,13 @@ class ExportedAgent:
         return complex(*(x if abs(x) >= least else -least if x < 0 else least for x in (to.real, to.imag)))
 
     def network(self, level, inputs):
-        layer = np.clip((inputs - self.arrays[f"{level}/mean"]) * self.arrays[f"{level}/inverse_std"], -5, 5)
+        clip, last = self.spec["input_clip"] or np.inf, self.spec["num_layers"][level] - 1
+        layer = np.clip((inputs - self.arrays[f"{level}/mean"]) * self.arrays[f"{level}/inverse_std"], -clip, clip)
         layer = layer.astype(np.float32)[None]
-        for i in range(self.spec["num_layers"][level]):
-            layer = np.tanh(layer @ self.arrays[f"{level}/weights_{i}"] + self.arrays[f"{level}/biases_{i}"])
+        for i in range(last + 1):
+            layer = layer @ self.arrays[f"{level}/weights_{i}"] + self.arrays[f"{level}/biases_{i}"]
+            is_relu = i < last and self.spec["hidden_activation"] == "relu"
+            layer = np.maximum(layer, 0) if is_relu else np.tanh(layer)
         return layer[0]
 
 

@@ -20,6 +20,7 @@ from tests.e2e import runs
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "random_search.py"
 BRANCHED = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 3}
+SMALL_REPLAY = {"warmup_steps": 50, "generation_steps": 50, "batch_size": 4, "replay_size": 130, "update_interval": 5}
 LEARNERS = {
     # what is tried: (algorithm, environment, settings)
     "shes": ("shes", "point-gather", {}),
@@ -28,7 +29,12 @@ LEARNERS = {
     "primitive": ("shes", "point-flagrun", {}),
     "primitive, branched": ("shes", "point-flagrun", {**BRANCHED, "primitive_view": "egocentric"}),
     "random-search": ("random-search", "point-gather", {}),
+    "hiro": ("hiro", "point-gather", {**SMALL_REPLAY, "controller_update_interval": 5}),
+    "td3": ("td3", "point-flagrun", {**SMALL_REPLAY, "num_envs": 3}),
 }
+OVER_LEARNERS = [
+    pytest.param(name, marks=[pytest.mark.hiro] if LEARNERS[name][0] in ("hiro", "td3") else []) for name in LEARNERS
+]
 OF_THE_RUN = {"generation", "env_steps", "wall_time_s", "env_steps_per_s", "evaluation_s"}
 
 
@@ -48,7 +54,7 @@ def tiny(name):
     return env, {**sizes, **settings, "algorithm": algorithm}
 
 
-@pytest.fixture(params=LEARNERS)
+@pytest.fixture(params=OVER_LEARNERS)
 def learner(request, registered):
     """A learner of a tiny run."""
     env, settings = tiny(request.param)
@@ -72,7 +78,7 @@ def no_times(columns):
 def test_every_learner_is_tried_here():
     tried = {find_algorithm(algorithm, sets_goals="flagrun" in env) for algorithm, env, _ in LEARNERS.values()}
     assert {ALGORITHMS[name] for name in ALGORITHMS} <= tried
-    assert len(tried) == 4
+    assert len(tried) == 6
 
 
 def test_it_starts_by_the_seed_alone(learner):
@@ -118,7 +124,7 @@ def test_its_state_is_arrays_without_objects(learner):
             restore(broken, learner.from_arrays, Path("a.npz"))
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", OVER_LEARNERS)
 def test_a_run_of_it_goes_on_and_its_agent_acts(name, tmp_path):
     env, settings = tiny(name)
     whole = shes.train(env, out=tmp_path / "whole", **{**settings, "generations": 2}).path

@@ -62,12 +62,40 @@ def test_the_paper_preset_evaluates_over_the_horizon_of_table_one():
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("env", ENVIRONMENTS)
 def test_every_preset_suits_every_environment(env, preset):
+    if "hiro" in preset and "flagrun" in env:
+        with pytest.raises(ConfigError, match=f"{env} sets the goals itself, which the controller of hiro is to learn"):
+            make_config(env, preset)
+        return
     config = make_config(env, preset)
     assert (config.run.env, config.run.preset) == (env, preset)
 
 
+def test_a_preset_of_hiro_brings_its_algorithm():
+    assert make_config("ant-maze", "hiro-paper").run.algorithm == "hiro"
+    assert make_config("ant-maze", "hiro-paper", {"algorithm": "td3"}).learner.hidden == (300, 300)
+    message = r"preset 'hiro-paper' is for the algorithms hiro and td3, got algorithm 'es'\. Set --preset"
+    with pytest.raises(ConfigError, match=message):
+        make_config("ant-maze", "hiro-paper", {"algorithm": "es"})
+
+
+def test_the_presets_of_hiro_have_the_published_numbers():
+    config = make_config("ant-maze", "hiro-paper")
+    learner, goals = config.learner, config.goals
+    assert (learner.hidden, learner.batch_size, learner.replay_size) == ((300, 300), 100, 200_000)
+    assert (learner.actor_learning_rate, learner.critic_learning_rate) == (1e-4, 1e-3)
+    assert (learner.discount, learner.target_rate, learner.policy_delay) == (0.99, 0.005, 2)
+    assert (learner.exploration_noise, goals.goal_noise, learner.noise_unit) == (1.0, 1.0, "raw")
+    assert (learner.target_noise, learner.target_noise_clip, learner.reward_scale) == (0.2, 0.5, 0.1)
+    assert (goals.controller_interval, goals.goal_distance, goals.goal_candidates) == (10, 10.0, 10)
+    assert (config.environment.spec, config.episodes.horizon, config.run.env_steps) == ("hiro", 500, 10_000_000)
+    assert learner.generation_steps * config.evaluation.evaluation_interval == 50_000
+    assert make_config("point-maze", "hiro-paper").learner.exploration_noise == 0.1
+    table = make_config("ant-maze", "hiro-table1")
+    assert (table.learner.actor_learning_rate, table.environment.spec) == (0.001, "shes")
+
+
 def test_the_presets_are_those_of_the_design():
-    assert set(PRESETS) == {"paper", "laptop", "smoke"}
+    assert set(PRESETS) == {"paper", "laptop", "smoke", "hiro-paper", "hiro-table1"}
 
 
 def test_the_smoke_preset_is_small():

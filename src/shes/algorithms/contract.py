@@ -127,6 +127,13 @@ class Algorithm(ABC, Generic[StateT]):
         """Return `state` without the data that only further training needs, as stored in a shipped agent."""
         return state
 
+    def kept(self, state: StateT) -> StateT:
+        """Return `state` as the checkpoints beside `last` store it. By default they store all of it.
+
+        An algorithm with a large state leaves out what a resumed run can do without.
+        """
+        return state
+
     @property
     def episodes_in_lockstep(self) -> int:
         """Number of episodes of a policy that share a matmul, in training and evaluation. It affects rounding."""

@@ -6,11 +6,12 @@ from typing import Any
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.learners import SES, SHES, PrimitiveES
+from shes.algorithms.hiro.algorithm import HIRO, TD3
 from shes.registry import Registry, subclass_of
 
 ALGORITHMS: Registry[type[Algorithm[Any]]] = Registry(
     "algorithm",
-    {"shes": SHES, "es": SES},
+    {"shes": SHES, "es": SES, "hiro": HIRO, "td3": TD3},
     fix="Set --algorithm; register your own first: shes.register_algorithm, or --import MODULE.",
     check=subclass_of(Algorithm, num_arguments=1),
 )

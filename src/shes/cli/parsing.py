@@ -129,7 +129,9 @@ def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
     pairs = [*pairwise(words), *(word.split("=", 1) for word in words if "=" in word)]
     found = {choosing[name]: value for name, value in pairs if name in choosing and not value.startswith("-")}
     given = {each.name: each.checked(value) for each, value in found.items()}
-    return make_config(env, given.get("preset", "laptop"), {"algorithm": given.get("algorithm", "shes")})
+    return make_config(
+        env, given.get("preset", "laptop"), {name: given[name] for name in ("algorithm",) if name in given}
+    )
 
 
 def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequence[str] | None) -> Any:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shes.types import F32Array, F64Array
+from shes.types import F32Array, F64Array, FloatArray
 
 MIN_VARIANCE = 0.01
 """Lower limit of the variance: normalisation magnifies no input more than tenfold."""
@@ -52,10 +52,10 @@ class ObservationStatistics:
         )
 
 
-def normalise(observation: F64Array, mean: F64Array, inverse_std: F64Array) -> F32Array:
-    """Return `clip((observation - mean) * inverse_std, -5, 5)` [..., O] as float32."""
+def normalise(observation: FloatArray, mean: F64Array, inverse_std: F64Array, clip: float = CLIP) -> F32Array:
+    """Return `(observation - mean) * inverse_std` [..., O], clipped to [-clip, clip], as float32."""
     scaled = observation - mean
     scaled *= inverse_std
-    np.maximum(scaled, -CLIP, out=scaled)  # two ufuncs are faster than np.clip
-    np.minimum(scaled, CLIP, out=scaled)
+    np.maximum(scaled, -clip, out=scaled)  # two ufuncs are faster than np.clip
+    np.minimum(scaled, clip, out=scaled)
     return scaled.astype(np.float32)

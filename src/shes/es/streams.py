@@ -19,6 +19,8 @@ class Purpose(IntEnum):
     NOVELTY_EPISODES = 6
     SNAPSHOTS = 7
     BRANCHES = 8
+    EXPLORATION = 9
+    REPLAY = 10
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:

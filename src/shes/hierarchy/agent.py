@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from shes.es.level import LevelParameters
-from shes.es.statistics import normalise
+from shes.es.statistics import CLIP, normalise
 from shes.hierarchy.clock import Clock
 from shes.hierarchy.moments import Moments
 from shes.policies.mlp import MLP, Layers, Rows, aligned_rows
@@ -37,6 +37,8 @@ class AgentDesign(ABC):
     """Clock that the acting level observes, if any."""
     controller_interval: int = 1
     """Control steps for which a goal is held (c); 1 without goals."""
+    input_clip: float = CLIP
+    """Largest absolute value of a normalised input; infinity for no limit."""
 
     @property
     def policies(self) -> tuple[MLP, ...]:
@@ -237,7 +239,7 @@ class AgentBatch(ABC, Generic[Design]):
         """Return the controls [N, A] of the acting level for its `inputs` [N, O]."""
         if self.is_recording:
             self.moments[-1].add(slice(None), inputs)
-        scaled = normalise(inputs, *self._normalisation[-1])
+        scaled = normalise(inputs, *self._normalisation[-1], self.design.input_clip)
         control = self._forward(-1, self._by_lane(scaled))
         control *= self._control_limit
         if noise is not None:

@@ -65,7 +65,7 @@ class HierarchicalAgent(GoalReachingAgent[HierarchicalDesign]):
         self._controller_view.write(observation, self._controller_view.angle(observation, heading), seen)
         if self.is_recording:
             self.moments[CONTROLLER].add(rows, seen)
-        scaled = normalise(seen, *self._normalisation[CONTROLLER])
+        scaled = normalise(seen, *self._normalisation[CONTROLLER], design.input_clip)
         output = self._forward(CONTROLLER, self._by_lane(scaled), due)
         if noise is not None:
             output += noise[due]

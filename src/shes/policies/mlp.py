@@ -8,7 +8,7 @@ its number of rows stays the same. Callers therefore never change the row count 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -42,6 +42,9 @@ def aligned_rows(rows: int, columns: int) -> F32Array:
 
 class MLP:
     """A network's layer sizes. Its parameters are a flat vector [D]: weights [in, out] and biases, layer by layer."""
+
+    hidden_activation: ClassVar[str] = "tanh"
+    """Activation of the hidden layers, for an exported agent. That of the output is tanh."""
 
     def __init__(self, num_inputs: int, hidden: tuple[int, ...], num_outputs: int) -> None:
         """Create a network with layers of these sizes; raise ConfigError unless all are positive."""
@@ -80,17 +83,21 @@ class MLP:
         return self.forward(self.layers(theta), observation)
 
     @staticmethod
-    def forward(layers: Layers, observation: F32Array) -> F32Array:
+    def activate(layer: F32Array) -> None:
+        """Apply the activation of the hidden layers to `layer`, in place."""
+        np.tanh(layer, out=layer)
+
+    def forward(self, layers: Layers, observation: F32Array) -> F32Array:
         """Return the outputs [P, R, A] of policies with these `layers`; see `act`."""
-        layer = observation
-        for weights, biases in layers:
+        layer, last = observation, len(layers) - 1
+        for i, (weights, biases) in enumerate(layers):
             layer = layer @ weights
             layer += biases
-            np.tanh(layer, out=layer)
-        return layer
+            if i < last:
+                self.activate(layer)
+        return np.tanh(layer, out=layer)
 
-    @staticmethod
-    def forward_around(mean: Layers, noise: Layers, rows: Rows, observation: F32Array) -> F32Array:
+    def forward_around(self, mean: Layers, noise: Layers, rows: Rows, observation: F32Array) -> F32Array:
         """Return the outputs [P, R, A] of policies `mean + scale * noise` on normalised `observation` [P, R, O].
 
         The R rows of a lane share a noise vector, which is read once for all of them: `x (W + s N) = x W + s (x N)`.
@@ -102,11 +109,24 @@ class MLP:
             rows: Scale and biases of each row.
             observation: Normalised observation of each row.
         """
-        layer = observation
-        for (weights, _), (noise_weights, _), (scale, biases) in zip(mean, noise, rows, strict=True):
+        layer, last = observation, len(mean) - 1
+        for i, ((weights, _), (noise_weights, _), (scale, biases)) in enumerate(zip(mean, noise, rows, strict=True)):
             perturbed = layer @ noise_weights
             perturbed *= scale
             perturbed += layer @ weights
             perturbed += biases
-            layer = np.tanh(perturbed, out=perturbed)
-        return layer
+            layer = perturbed
+            if i < last:
+                self.activate(layer)
+        return np.tanh(layer, out=layer)
+
+
+class RectifiedMLP(MLP):
+    """A network with rectified linear units (ReLU) in its hidden layers. Source: Fujimoto et al. 2018 (TD3)."""
+
+    hidden_activation = "relu"
+
+    @staticmethod
+    def activate(layer: F32Array) -> None:
+        """Replace negative values of `layer` by 0, in place."""
+        np.maximum(layer, 0, out=layer)

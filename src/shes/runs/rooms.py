@@ -34,9 +34,12 @@ class RunSettings(Settings):
         Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE."),
         Shown(everyday=True),
     ] = "shes"
-    """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES."""
-    preset: Annotated[Literal["paper", "laptop", "smoke"], Execution(), Shown(everyday=True)] = "laptop"
-    """Preset of the other settings: paper, laptop or smoke."""
+    """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES; hiro and
+    td3: the same by gradients."""
+    preset: Annotated[
+        Literal["paper", "laptop", "smoke", "hiro-paper", "hiro-table1"], Execution(), Shown(everyday=True)
+    ] = "laptop"
+    """Preset of the other settings: paper, laptop or smoke; of HIRO hiro-paper or hiro-table1."""
     seed: Annotated[int, Ge(0), Lt(2**63), Shown(everyday=True)] = 1
     """Seed of every random draw."""
     generations: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] = 1000
@@ -110,8 +113,15 @@ _OF_EVERY_RUN: dict[str, type[Settings]] = {
 
 
 def learner(run: RunSettings) -> type[Algorithm[Any]]:
-    """Return the algorithm of a run."""
-    return find_algorithm(run.algorithm, sets_goals=find_environment(run.env).sets_goals)
+    """Return the algorithm of a run; raise ConfigError if it sets goals where the environment does."""
+    sets_goals = find_environment(run.env).sets_goals
+    found = find_algorithm(run.algorithm, sets_goals=sets_goals)
+    if sets_goals and "controller" in found.level_names:
+        raise ConfigError(
+            f"{run.env} sets the goals itself, which the controller of {run.algorithm} is to learn. Set --algorithm "
+            "shes, which trains the primitive alone there, or one without goals: es or td3."
+        )
+    return found
 
 
 def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from shes.algorithms.hiro.agent import HiroDesign
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.episode_batch import EpisodeBatch
@@ -91,9 +92,20 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         },
         "observation": list(task.observation_names),
         "action": _action(task),
+        "hidden_activation": design.policies[-1].hidden_activation,
+        "input_clip": design.input_clip if np.isfinite(design.input_clip) else None,
         "control_limit": design.control_limit,
         "clock": [] if clock is None else [{"frequency_hz": clock.frequency_hz, "step_s": clock.step_s}],
     }
+    if isinstance(design, HiroDesign):
+        return found | {
+            "controller_interval": design.controller_interval,
+            "state_goals": {
+                "columns": design.goals.columns,
+                "half_range": design.goals.half_range,
+                "view": design.primitive_view.indices,
+            },
+        }
     if "primitive" in design.level_names:
         found |= {
             "controller_interval": design.controller_interval,
@@ -175,8 +187,9 @@ def _write_npz(path: Path, description: Mapping[str, Any], networks: Networks) -
 def _write_onnx(path: Path, description: Mapping[str, Any], networks: Networks) -> tuple[Path, ...]:
     """Write a file with the description and the graph for each network."""
     notes = {"description": json.dumps(description)}
+    clip = description["input_clip"]
     models = {
-        path if len(networks) == 1 else path.with_stem(f"{path.stem}-{name}"): onnx_model(name, *network, notes)
+        path if len(networks) == 1 else path.with_stem(f"{path.stem}-{name}"): onnx_model(name, *network, clip, notes)
         for name, network in networks.items()
     }
     for own, model in models.items():

@@ -10,21 +10,21 @@ import numpy as np
 
 from shes.errors import MissingExtraError
 from shes.es.level import LevelParameters
-from shes.es.statistics import CLIP
 from shes.policies.mlp import MLP
 
 _OPERATORS, _IR_VERSION = 17, 8  # onnxruntime 1.13 (2022) or newer
 
 
-def onnx_model(name: str, policy: MLP, level: LevelParameters, notes: Mapping[str, str]) -> bytes:
-    """Return the serialised model of one level, with `notes` as its metadata.
+def onnx_model(name: str, policy: MLP, level: LevelParameters, clip: float | None, notes: Mapping[str, str]) -> bytes:
+    """Return the serialised model of one level, with `notes` as its metadata. Normalised inputs are clipped to `clip`.
 
     Input `observation` [N, O] float64, the level's inputs before normalisation; output `output` [N, A] float32 in
     [-1, 1].
     """
     onnx = _load_onnx()
     helper, kinds = onnx.helper, onnx.TensorProto
-    bounds = {"low": np.array(-CLIP), "high": np.array(CLIP)}
+    limit = np.inf if clip is None else clip
+    bounds = {"low": np.array(-limit), "high": np.array(limit)}
     constants = {"mean": level.mean, "inverse_std": level.inverse_std, **bounds}
     nodes = [
         helper.make_node("Sub", ["observation", "mean"], ["centred"]),
@@ -33,14 +33,14 @@ def onnx_model(name: str, policy: MLP, level: LevelParameters, notes: Mapping[st
         helper.make_node("Min", ["above", "high"], ["clipped"]),
         helper.make_node("Cast", ["clipped"], ["layer_0"], to=kinds.FLOAT),
     ]
-    layers = policy.layers(level.theta[None])
+    layers, hidden = policy.layers(level.theta[None]), {"tanh": "Tanh", "relu": "Relu"}[policy.hidden_activation]
     for i, (weights, biases) in enumerate(layers):
         constants |= {f"weights_{i}": weights[0], f"biases_{i}": biases[0, 0]}
-        end = "output" if i == len(layers) - 1 else f"layer_{i + 1}"
+        end, activation = ("output", "Tanh") if i == len(layers) - 1 else (f"layer_{i + 1}", hidden)
         nodes += [
             helper.make_node("MatMul", [f"layer_{i}", f"weights_{i}"], [f"product_{i}"]),
             helper.make_node("Add", [f"product_{i}", f"biases_{i}"], [f"sum_{i}"]),
-            helper.make_node("Tanh", [f"sum_{i}"], [end]),
+            helper.make_node(activation, [f"sum_{i}"], [end]),
         ]
     graph = helper.make_graph(
         nodes,

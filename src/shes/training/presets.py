@@ -1,4 +1,7 @@
-"""Presets: starting values of a run's settings. Source: SHES paper, Table I; docs/differences.md."""
+"""Presets: starting values of a run's settings.
+
+Source: SHES paper, Table I; Nachum et al. 2018 (HIRO), appendix C, and its code; docs/differences.md.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from shes.envs.registry import find_environment
+from shes.envs.registry import ENVIRONMENTS, find_environment
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
@@ -14,6 +17,24 @@ from shes.runs.rooms import RunSettings, check_names, rooms_of
 from shes.runs.shipped import run_text
 from shes.settings import Needs, setting_fields
 from shes.training.transfer import TRANSFERRED, brought_settings
+
+_HIRO: dict[str, Any] = {
+    "algorithm": "hiro",
+    "hidden": (300, 300),
+    "actor_learning_rate": 1e-4,
+    "critic_learning_rate": 1e-3,
+    "noise_unit": "raw",
+    "exploration_noise": 1.0,
+    "goal_noise": 1.0,
+    "normalise_inputs": False,
+    "update_interval": 1,
+    "horizon": 500,
+    "evaluation_horizon": 500,
+    "env_steps": 10_000_000,
+    "generations": 1_000_000,
+    "generation_steps": 10_000,
+    "evaluation_interval": 5,
+}
 
 PRESETS: dict[str, dict[str, Any]] = {
     # Table I exactly; what it leaves open is as in the authors' code.
@@ -34,7 +55,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "noise_table_size": 250_000_000,
     },
     # Learns visibly on a few cores: the default settings.
-    "laptop": {"evaluation_horizon": 500},
+    "laptop": {"evaluation_horizon": 500, "controller_update_interval": 2},
     # Takes seconds: a test that does not learn.
     "smoke": {
         "population_size": 16,
@@ -44,7 +65,13 @@ PRESETS: dict[str, dict[str, Any]] = {
         "evaluation_interval": 2,
         "evaluation_episodes": 4,
         "noise_table_size": 1_000_000,
+        "warmup_steps": 1000,
+        "generation_steps": 500,
     },
+    # The values of the HIRO paper, and of its code where it says nothing.
+    "hiro-paper": _HIRO,
+    # The same with the values of HIRO in Table I, in the environments of the SHES authors.
+    "hiro-table1": {**_HIRO, "actor_learning_rate": 0.001},
 }
 
 # With these an ant learns in minutes; docs/learning.md measures each of them.
@@ -96,6 +123,12 @@ _WALKERS: dict[str, dict[str, Any]] = {
 }
 """Changes to `laptop` where a primitive learns to walk, which `--algorithm es` does not have."""
 
+
+def _hiro_noise(env: str) -> dict[str, Any]:
+    """Return the exploration noise in raw units where it is not that of the ant: the point's controls are 1 at most."""
+    return {"exploration_noise": 0.1} if env.startswith("point-") else {}
+
+
 _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
     # The authors' pre-training of a primitive.
     ("paper", "ant-flagrun"): {"population_size": 256},
@@ -104,6 +137,8 @@ _PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
     ("laptop", "point-gather"): {"controller_interval": 10, "learning_rate": 0.04, "horizon": 500, "generations": 80},
     # Cells of the point's maze are 1 m wide, those of the ant's 4 m.
     ("laptop", "robotics-point-maze"): {"goal_distance": 1.0, "minimum_goal_distance": False},
+    **{("hiro-paper", env): {"spec": "hiro", **_hiro_noise(env)} for env in ENVIRONMENTS},
+    **{("hiro-table1", env): _hiro_noise(env) for env in ENVIRONMENTS},
 }
 """Changes to a preset for an environment: (preset, environment) -> settings."""
 
@@ -142,9 +177,15 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
 
 def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that `preset` gives to settings of a run of `env`."""
-    run = {name: asked[name] for name in ("algorithm",) if name in asked}
+    own_algorithm = PRESETS[preset].get("algorithm")
+    run = {"algorithm": asked.get("algorithm", own_algorithm or "shes")}
     classes = rooms_of(RunSettings.of({"env": env, **run}))
-    has_walker = preset == "laptop" and run.get("algorithm", "shes") == "shes"
+    if own_algorithm is not None and "learner" not in classes:
+        raise ConfigError(
+            f"preset {preset!r} is for the algorithms hiro and td3, got algorithm {run['algorithm']!r}. Set --preset "
+            "paper, laptop or smoke, or omit --algorithm."
+        )
+    has_walker = preset == "laptop" and run["algorithm"] == "shes"
     own = _WALKERS.get(env, {}) if has_walker else {}
     limit = find_environment(env).max_episode_steps
     limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}

@@ -101,11 +101,18 @@ class Session:
         if state.generation % self._config.evaluation.keep_checkpoints == 0:
             paths.insert(0, self._folder.checkpoint_path(str(state.generation)))
         self._records.add("progress", row)
-        arrays = self._algorithm.to_arrays(state)
-        self.checkpoint = Checkpoint(arrays=arrays, best=best, numbers=self.checkpoint.numbers)
+        self.checkpoint = self._checkpoint(state, best)
+        kept = self._algorithm.kept(state)
+        if kept is not state and paths[:-1]:
+            self._writer.write(paths[:-1], self._checkpoint(kept, best))
+            paths = paths[-1:]
         self._writer.write(paths, self.checkpoint)
         self._tell("on_generation", row)
         self._divergence.check(is_over=self.is_over())
+
+    def _checkpoint(self, state: Any, best: Best) -> Checkpoint:
+        """Return the checkpoint of `state`."""
+        return Checkpoint(arrays=self._algorithm.to_arrays(state), best=best, numbers=self.checkpoint.numbers)
 
     def _evaluate(self, state: Any) -> Row:
         """Return the row of `evaluation.csv` for the agent of `state`."""

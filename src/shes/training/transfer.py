@@ -41,6 +41,11 @@ def _read(level: str, path: str, checkpoint: str) -> tuple[OpenedRun, LevelState
         raise CheckpointError(f"{path} has no checkpoint {checkpoint!r}; it has {', '.join(there) or 'none'}. {fix}")
     opened = open_run(path, checkpoint)
     levels = {each.name: each for each in getattr(opened.state, "levels", ())}  # an algorithm other than ES has none
+    if level not in levels and level in opened.algorithm.level_names:
+        raise ConfigError(
+            f"the {level} of {path} was trained by {opened.config.run.algorithm}; only levels that evolution "
+            f"strategies trained can be transferred. Name another run with --{level}."
+        )
     if level not in levels:
         trained_by = {
             "primitive": "shes train ant-flagrun, or a run of two levels with --primitive-view proprioception",

@@ -1,0 +1,97 @@
+"""Runs of HIRO and flat TD3, to stand beside those of SHES: `python benchmarks/hiro_runs.py --out runs/hiro`.
+
+Every run can be interrupted at any time: the same command goes on. A run ends after its environment steps or minutes,
+whichever are first; the minutes of earlier calls count. `--only td3-point-maze` makes some of the groups, `--results
+FOLDER` also writes the tables: `runs.csv` (best checkpoint of each run on fresh episodes) and `curves.csv` (every
+evaluation). One process per run; two at a time suit two cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from run import write_csv
+
+import shes
+from shes.runs.folder import RunFolder
+from shes.runs.tables import read_csv, read_wall_time
+from shes.training.presets import make_config
+from shes.training.train import finish_run
+
+EPISODES = 50
+"""Fresh episodes on which the best checkpoint of a run is evaluated."""
+
+
+class Group(NamedTuple):
+    """Runs that differ in their seeds."""
+
+    env: str
+    seeds: range
+    settings: dict[str, Any]
+    preset: str = "laptop"
+
+
+GROUPS = {
+    "td3-point-maze": Group("point-maze", range(1, 6), {"algorithm": "td3", "env_steps": 300_000}),
+    "hiro-point-maze": Group("point-maze", range(1, 6), {"algorithm": "hiro", "env_steps": 500_000}),
+    "hiro-point-push": Group("point-push", range(1, 6), {"algorithm": "hiro", "env_steps": 1_000_000}),
+    "hiro-ant-gather": Group("ant-gather", range(1, 4), {"minutes": 120.0}, "hiro-paper"),
+    "hiro-ant-maze": Group("ant-maze", range(1, 4), {"minutes": 120.0}, "hiro-paper"),
+}
+
+
+def train(group: Group, seed: int, path: Path) -> None:
+    """Begin the run at `path`, or go on with it, unless it has ended."""
+    config = make_config(group.env, group.preset, {**group.settings, "seed": seed, "num_workers": 1})
+    if config.run.minutes is not None:
+        left = config.run.minutes - read_wall_time(RunFolder(path).progress) / 60
+        if left <= 0:
+            return
+        config = config.having(minutes=left)
+    finish_run(config, path)
+
+
+def results(name: str, seed: int, path: Path) -> tuple[dict[str, Any], Iterator[dict[str, Any]]]:
+    """Return a row about the best checkpoint of a run, and a row for each of its evaluations."""
+    found, last = shes.evaluate(path, episodes=EPISODES).summary(), read_csv(path / "progress.csv")
+    keys = ("score_mean", "return_mean", "success_rate")
+    row = {
+        "group": name,
+        "seed": seed,
+        "env_steps": int(last["env_steps"][-1]),
+        "wall_time_s": round(last["wall_time_s"][-1]),
+        **{key: found[key] for key in keys},
+    }
+    table = read_csv(path / "evaluation.csv")
+    names = ("env_steps", "wall_time_s", *keys)
+    rows = zip(*(table[key] for key in names), strict=True)
+    return row, ({"group": name, "seed": seed, **dict(zip(names, values, strict=True))} for values in rows)
+
+
+def main() -> None:
+    """Train what is left of the runs asked for, then write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("runs/hiro"), help="folder of the runs")
+    parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="groups of runs")
+    parser.add_argument("--seeds", nargs="+", type=int, help="seeds, of those of the group")
+    parser.add_argument("--results", type=Path, help="folder of the tables")
+    asked = parser.parse_args()
+    made = []
+    for name in asked.only:
+        for seed in asked.seeds or GROUPS[name].seeds:
+            path = asked.out / name / f"seed_{seed}"
+            train(GROUPS[name], seed, path)
+            made.append((name, seed, path))
+            print(f"{name}, seed {seed}: ended", flush=True)
+    if asked.results is not None:
+        asked.results.mkdir(parents=True, exist_ok=True)
+        rows = [results(*each) for each in made]
+        write_csv(asked.results / "runs.csv", [row for row, _ in rows])
+        write_csv(asked.results / "curves.csv", [row for _, curve in rows for row in curve])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""HIRO's agent: a controller sets a goal in the robot's own coordinates every c steps, and a primitive pursues it.
+
+It acts by NumPy alone, so that a run can be evaluated and drawn without JAX.
+
+Source: Nachum et al. 2018, section 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from shes.algorithms.hiro.goals import GoalSpace
+from shes.es.statistics import normalise
+from shes.hierarchy.agent import AgentBatch, AgentDesign
+from shes.hierarchy.views import ColumnsView
+from shes.policies.mlp import MLP
+from shes.types import CONTROLLER, F32Array, F64Array, IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class HiroDesign(AgentDesign):
+    """Design of HIRO's agent. The primitive observes the goal, seen from the current state, and then its view.
+
+    `decision_size` is 0, because a roll-out gives no exploration noise to this agent: it explores where it learns.
+    """
+
+    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
+    controller: MLP
+    primitive: MLP
+    primitive_view: ColumnsView
+    goals: GoalSpace
+
+    @property
+    def intrinsic_level(self) -> None:
+        """None: a roll-out does not compute the intrinsic reward, which depends on all coordinates of a goal."""
+        return
+
+    @property
+    def agent(self) -> type[HiroAgent]:
+        """The class of the agents."""
+        return HiroAgent
+
+
+class HiroAgent(AgentBatch[HiroDesign]):
+    """HIRO's agents, in P lanes of R episodes each.
+
+    The goal is stored as the coordinates that it leads to, s_t + g_t. Subtracting the current coordinates is the goal
+    transition h(s, g, s') = s + g - s'.
+    """
+
+    def allocate(self) -> None:
+        """Allocate the goals and the inputs of the levels."""
+        design, rows, xp = self.design, self.num_rows, self.xp
+        self._limit = xp.asarray(design.goals.half_range)
+        self._target: F64Array = xp.zeros((rows, design.goals.size))
+        self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
+        self._view = design.primitive_view.on(xp)
+
+    @property
+    def goal(self) -> F64Array:
+        """Current goals in the world frame [N, 2] in metres: the first two of their coordinates."""
+        return self._target[:, :2]
+
+    def act(
+        self,
+        observation: F64Array,
+        position: F64Array,
+        heading: F64Array,
+        *,
+        goal: F64Array | None = None,
+        decision_noise: F32Array | None = None,
+        control_noise: F32Array | None = None,
+    ) -> F32Array:
+        """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
+        design, size = self.design, self.design.goals.size
+        coordinates = design.goals.coordinates(observation, position)
+        is_due = self.clock % design.controller_interval == 0
+        if is_due.any():
+            due = slice(None) if is_due.all() else np.flatnonzero(is_due)
+            rows = self._rows(due)
+            self._target[rows] = coordinates[rows] + self._decide(due, observation[rows])
+        self.clock += 1
+        self._inputs[:, :size] = self._target - coordinates
+        self._view.write(observation, heading, self._inputs[:, size:])
+        return self._control(self._inputs, control_noise)
+
+    def _decide(self, due: slice | IntArray, observation: F64Array) -> F64Array:
+        """Return the goals [rows, G] that the controllers of lanes `due` set for their `observation` [rows, O]."""
+        scaled = normalise(observation, *self._normalisation[CONTROLLER], self.design.input_clip)
+        output = self._forward(CONTROLLER, self._by_lane(scaled), due)
+        return output.reshape(len(scaled), -1) * self._limit

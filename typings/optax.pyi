@@ -1,0 +1,5 @@
+"""Optax is installed only with the extra `hiro`."""
+
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
