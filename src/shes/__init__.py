@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from shes.training.train import Run
     from shes.viewing.plot import plot
     from shes.viewing.render import render
+    from shes.viewing.report.report import report
 
 __all__ = [
     "Agent",
@@ -52,6 +53,7 @@ __all__ = [
     "register_goal_encoding",
     "register_primitive_reward",
     "render",
+    "report",
     "resume",
     "train",
 ]
@@ -73,6 +75,7 @@ _HOMES = {
     "register_goal_encoding": "shes.hierarchy.goals",
     "register_primitive_reward": "shes.hierarchy.rewards",
     "render": "shes.viewing.render",
+    "report": "shes.viewing.report.report",
     "resume": "shes.cli.python",
     "train": "shes.cli.python",
 }

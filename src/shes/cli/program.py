@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "resume": ("training", "continue a run"),
     "evaluate": ("training", "evaluate a checkpoint of a run on fresh episodes"),
     "plot": ("viewing", "plot the learning curves of runs"),
+    "report": ("report", "make one HTML page of runs: curves, results, maps, videos, settings"),
     "compare": ("comparison", "compare two runs, or groups of runs, with an interval and a p value"),
     "render": ("viewing", "make a video of a run's policy"),
     "watch": ("viewing", "watch a run's policy in a window"),
