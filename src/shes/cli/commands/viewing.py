@@ -26,13 +26,15 @@ def plot(runs: _Runs, **options: Annotated[Any, "shes.viewing.plot.plot"]) -> in
     return 0
 
 
-def render(**options: Annotated[Any, "shes.viewing.render.render"]) -> int:
-    """Make a video of a run's policy.
+def render(runs: _Runs, **options: Annotated[Any, "shes.viewing.render.render"]) -> int:
+    """Make a video of a run's policy, or of several policies side by side.
 
     Needs no screen: EGL or OSMesa draws, whichever works (MUJOCO_GL decides if it is set); without either the pictures
     are flat. Without a graphics card 500 control steps take a minute or two.
 
     shes render runs/first --checkpoint 0 best --camera follow
+
+    shes render runs/first ant-gather --labels "my ant" shipped
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))  # so that ffmpeg and its files are removed
     console = make_console(stderr=True)
@@ -43,7 +45,7 @@ def render(**options: Annotated[Any, "shes.viewing.render.render"]) -> int:
         def show(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total)
 
-        video = shes.render(**options, on_step=show)
+        video = shes.render(runs, **options, on_step=show)
     print_line(f"Video: {video}")
     return 0
 

@@ -92,9 +92,9 @@ class Sections:
         some = f" Shown are the first {_MOST_SHOWN} groups." if len(self.read.groups) > _MOST_SHOWN else ""
         where = (
             f"Paths and goals of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of "
-            f"the first run of each group.{some} A dot is the end of a path, a cross a goal."
+            f"one run of each group.{some} A dot is the end of a path, a cross a goal."
         )
-        flat = "" if find_opengl() else " Drawn flat, from above: there is no OpenGL here."
+        flat = " Drawn flat, from above: there is no OpenGL here." if videos and find_opengl() is None else ""
         what = f"The beginning of the first of these episodes.{some}{flat}"
         return "\n".join(
             [
