@@ -50,7 +50,7 @@ function draw(box) {
   const figure = figures[name].data ? figures[name] : figures[name][state.x];
   const traces = figure.data.filter((trace) => isShown(trace, state.episode[name]));
   drawn.add(box);
-  if (figure.layout.height) box.style.height = `${figure.layout.height + 2}px`;  // with its border
+  if (figure.layout.height) box.style.height = `${figure.layout.height}px`;
   const config = {displaylogo: false, responsive: true, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]]};
   return Plotly.react(box, themed(traces), layout(figure.layout), config);
 }

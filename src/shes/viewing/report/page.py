@@ -99,21 +99,24 @@ def toolbar() -> str:
     return f'<div class="bar"><fieldset>{choices}</fieldset><div id="legend"></div></div>'
 
 
-def map_card(name: str, title: str, episodes: Sequence[str]) -> str:
+def map_card(name: str, title: str, subtitle: str, episodes: Sequence[str]) -> str:
     """Return the place of map `name`, with a choice of one of its `episodes`."""
     options = "".join(f'<option value="{number}">{escape(each)}</option>' for number, each in enumerate(episodes))
     choice = f'<select data-map="{name}" autocomplete="off"><option value="">all episodes</option>{options}</select>'
     return (
-        f'<div class="card"><h3>{escape(title)}</h3><label>Show {choice}</label>'
+        f'<div class="card">{_heading(title, subtitle)}<label>Show {choice}</label>'
         f'<div class="plot map" data-figure="{name}"></div></div>'
     )
 
 
-def video_card(title: str, uri: str) -> str:
+def video_card(title: str, subtitle: str, uri: str) -> str:
     """Return a video."""
-    return (
-        f'<div class="card"><h3>{escape(title)}</h3><video controls loop muted playsinline src="{uri}"></video></div>'
-    )
+    video = f'<video controls loop muted playsinline src="{uri}"></video>'
+    return f'<div class="card">{_heading(title, subtitle)}{video}</div>'
+
+
+def _heading(title: str, subtitle: str) -> str:
+    return f"<h3>{escape(title)}</h3>" + (paragraph(subtitle, "hint") if subtitle else "")
 
 
 def cards(each: Iterable[str]) -> str:

@@ -49,8 +49,13 @@ class ReportedGroup:
 
     @property
     def label(self) -> str:
-        """The name of the group."""
+        """How it differs from the other groups."""
         return self.group.label
+
+    @property
+    def title(self) -> str:
+        """The name of its run if it has one alone, else its label."""
+        return self.runs[0].name if len(self.runs) == 1 else self.label
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,17 +42,16 @@ def result_rows(groups: Sequence[ReportedGroup], found: dict[str, Evaluation]) -
         evaluated = [run for run in group.runs if run.name in found]
         if len(evaluated) > 1:
             rows.append(_group_row(group.label, [found[run.name] for run in evaluated]))
-        is_alone = len(group.runs) == 1
-        rows += [_run_row(group.label if is_alone else run.name, run, found[run.name]) for run in evaluated]
+        rows += [_run_row(run, found[run.name]) for run in evaluated]
     return rows
 
 
-def _run_row(name: str, run: ReportedRun, found: Evaluation) -> tuple[str, ...]:
+def _run_row(run: ReportedRun, found: Evaluation) -> tuple[str, ...]:
     """Return the row of a run: its sample are the episodes."""
     successes, episodes = int(found.successes.sum()), len(found.scores)
     low, high = wilson(successes, episodes)
     return (
-        name,
+        run.name,
         str(_best_generation(run)),
         estimate(found.scores),
         estimate(found.returns),

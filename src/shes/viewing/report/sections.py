@@ -78,17 +78,17 @@ class Sections:
         videos: list[str] = []
         for number, group in enumerate(self.read.groups[:_MOST_SHOWN]):
             run = next((run for run in group.runs if run.name in self._evaluated), group.runs[0])
-            title = group.label
+            subtitle = group.label if len(self.read.groups) > 1 else ""
             self._on_stage(f"playing episodes of {run.name}")
             journeys = _attempt(run, "map", lambda run=run: play_episodes(run.folder.path, episodes, seed))
             if journeys is not None:
                 name = f"map {number}"
                 self.figures[name] = map_figure(journeys)
-                maps.append(map_card(name, title, episode_names(journeys)))
+                maps.append(map_card(name, run.name, subtitle, episode_names(journeys)))
             if has_videos:
                 self._on_stage(f"drawing {run.name}")
                 uri = _attempt(run, "video", lambda run=run: video_uri(run, seed))
-                videos += [] if uri is None else [video_card(title, uri)]
+                videos += [] if uri is None else [video_card(run.name, subtitle, uri)]
         some = f" Shown are the first {_MOST_SHOWN} groups." if len(self.read.groups) > _MOST_SHOWN else ""
         where = (
             f"Paths and goals of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of "
@@ -160,7 +160,10 @@ class Sections:
     def origins(self) -> str:
         """Return command, hardware, versions and commit of each run."""
         parts = [
-            details(run.name, table(("fact", "value"), [row for row in _origin(run) if row[1] not in (None, "")]))
+            details(
+                run.name,
+                table(("fact", "value"), [row for row in _origin(run) if row[1] not in (None, "")], "settings"),
+            )
             for run in self.read.runs
         ]
         return section("Hardware, versions and commands", *parts)

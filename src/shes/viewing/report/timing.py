@@ -42,7 +42,7 @@ def time_figures(groups: Sequence[ReportedGroup]) -> list[Figure]:
     """Return the shares of the wall-clock time and of the workers' time, with a bar for each group that has any."""
     found: list[Figure] = []
     for title, parts_of in (("wall-clock time", wall_parts), ("workers' time in rollouts", worker_parts)):
-        bars = {group.label: _sum([parts_of(run.tables["progress"]) for run in group.runs]) for group in groups}
+        bars = {group.title: _sum([parts_of(run.tables["progress"]) for run in group.runs]) for group in groups}
         bars = {label: parts for label, parts in bars.items() if sum(parts.values()) > 0}
         if bars:
             found.append(_figure(title, bars))
