@@ -130,8 +130,9 @@ def _shown(
         )
     if not texts:
         texts = _names(given) if len(given) > 1 else [""] * count
-    given, names = (each * count if len(each) == 1 else each for each in (given, names))
-    return list(zip(given, names, texts, strict=True))
+    one_each = given * count if len(given) == 1 else given
+    name_each = names * count if len(names) == 1 else names
+    return list(zip(one_each, name_each, texts, strict=True))
 
 
 def _names(runs: Sequence[Path | str]) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from shes.types import F64Array
+from shes.types import F64Array, FloatArray, IntArray
 from shes.viewing.curves import interpolate, interval
 from shes.viewing.report.reading import ReportedGroup, ReportedRun, Table
 
@@ -145,7 +145,7 @@ def line_look(group: ReportedGroup) -> tuple[str, str]:
     return f"--curve-{group.group.color[1:]}", _DASHES[group.group.style]
 
 
-def _errors(table: Table, column: str, mean: F64Array, kept: F64Array) -> tuple[F64Array, F64Array] | None:
+def _errors(table: Table, column: str, mean: F64Array, kept: IntArray) -> tuple[F64Array, F64Array] | None:
     """Return mean minus and plus two standard errors over the episodes of each evaluation, if the table has them."""
     spread = column.replace("_mean", "_std")
     if spread == column or not {spread, "episodes"} <= table.keys():
@@ -154,6 +154,6 @@ def _errors(table: Table, column: str, mean: F64Array, kept: F64Array) -> tuple[
     return mean - error, mean + error
 
 
-def numbers(values: F64Array) -> list[float | None]:
+def numbers(values: FloatArray) -> list[float | None]:
     """Return `values` with six digits for JSON, which has neither NaN nor infinity."""
     return [float(f"{value:.{_SIGNIFICANT}g}") if np.isfinite(value) else None for value in values.tolist()]

@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from shes.arrays import to_host
 from shes.drawing.plan import Outline, Plan, plan_of
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import Marker
 from shes.training.build import build_task, open_run
 from shes.training.evaluate import fresh_seeds
 from shes.training.play import Agent
-from shes.types import F64Array
+from shes.types import F64Array, IntArray
 from shes.viewing.report.curves import Figure, numbers
 
 MOST_EPISODES = 20
@@ -74,9 +73,9 @@ def play_episodes(run: Path, episodes: int, seed: int | None = None) -> Journeys
 
 def _play(task: EpisodeBatch, agent: Agent, most_steps: int) -> list[PlayedEpisode]:
     """Play the episodes that were reset in `task` to their ends, in lockstep."""
-    active = np.arange(task.num_episodes)
-    markers = [task.markers(episode) for episode in active]
-    steps = np.zeros(task.num_episodes, dtype=np.int64)
+    active: IntArray = np.arange(task.num_episodes)
+    markers = [task.markers(episode) for episode in range(task.num_episodes)]
+    steps, score = np.zeros(task.num_episodes, dtype=np.int64), np.zeros(task.num_episodes)
     paths, goals = [task.position.copy()], list[F64Array]()
     for _ in range(most_steps):
         control = agent.control(task.observe(), task.position, task.heading, task.goal)
@@ -86,10 +85,10 @@ def _play(task: EpisodeBatch, agent: Agent, most_steps: int) -> list[PlayedEpiso
         task.step(active, control)
         paths.append(task.position.copy())
         steps[active] += 1
+        score[active] = task.score[active]
         active = active[~(task.terminated | task.diverged)[active]]
         if not len(active):
             break
-    score = to_host(task.score)
     held_goals = np.stack(goals) if goals else np.empty((0, task.num_episodes, 2))
     return [
         _episode(np.stack(paths)[: end + 1, i], held_goals[:end, i], float(score[i]), markers[i])

@@ -9,6 +9,7 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
+import shes.viewing.report
 from shes.errors import MissingExtraError
 from shes.viewing.report.curves import X_AXES, Figure
 
@@ -52,7 +53,7 @@ def page(
 
 
 def _resource(name: str) -> str:
-    return (files(__package__) / name).read_text(encoding="utf-8")
+    return (files(shes.viewing.report) / name).read_text(encoding="utf-8")
 
 
 def section(title: str, *parts: str) -> str:
@@ -83,9 +84,9 @@ def details(summary: str, content: str) -> str:
     return f"<details><summary>{escape(summary)}</summary>\n{content}</details>" if content else ""
 
 
-def plots(names: Iterable[str], kind: str = "") -> str:
+def plots(names: Iterable[str]) -> str:
     """Return places for figures, in a grid; empty without `names`."""
-    places = [f'<div class="plot {kind}" data-figure="{escape(name)}"></div>' for name in names]
+    places = [f'<div class="plot" data-figure="{escape(name)}"></div>' for name in names]
     return f'<div class="plots">{"".join(places)}</div>' if places else ""
 
 

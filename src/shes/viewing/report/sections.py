@@ -24,6 +24,8 @@ _T = TypeVar("_T")
 _MOST_SHOWN = 6
 """Groups that have a map and a video."""
 _SPEED = len(SECTIONS) - 1
+_ORIGIN = ("environment", "algorithm", "preset", "seed")
+_STATE_HEADINGS = (*_ORIGIN, "generation", "steps", "time", "best evaluation", "state")
 _BANDS = (
     "A curve of several runs is their mean, its band a 95 % bootstrap interval over runs. The band of a single run's "
     "evaluation is two standard errors over episodes wide on either side."
@@ -132,30 +134,14 @@ class Sections:
 
     def runs(self) -> str:
         """Return the runs, and the notes on what could not be done so far."""
-        rows: list[tuple[Any, ...]] = []
-        for group in self.read.groups:
-            for run in group.runs:
-                state, times = run.state, run.tables["progress"].get("wall_time_s", ())
-                rows.append(
-                    (
-                        run.name,
-                        *([group.label] if len(self.read.groups) > 1 else []),
-                        state.env,
-                        state.algorithm,
-                        state.preset,
-                        state.seed,
-                        f"{state.generation} of {state.generations}",
-                        f"{state.env_steps:,}",
-                        _duration(float(times[-1])) if len(times) else "-",
-                        state.shown_score,
-                        state.state,
-                    )
-                )
-        group = ("group",) if len(self.read.groups) > 1 else ()
-        headings = ("run", *group, "environment", "algorithm", "preset", "seed", "generation", "steps", "time")
+        groups = self.read.groups
+        has_groups = len(groups) > 1
+        rows = [
+            (run.name, *([group.label] if has_groups else []), *_state(run)) for group in groups for run in group.runs
+        ]
+        headings = ("run", *(["group"] if has_groups else []), *_STATE_HEADINGS)
         notes = [*self.read.left_out, *(f"{run.name}: {note}" for run in self.read.runs for note in run.notes)]
-        shown = table((*headings, "best evaluation", "state"), rows)
-        return section("Runs", shown, *(paragraph(note, "note") for note in notes))
+        return section("Runs", table(headings, rows), *(paragraph(note, "note") for note in notes))
 
     def origins(self) -> str:
         """Return command, hardware, versions and commit of each run."""
@@ -176,6 +162,14 @@ def _attempt(run: ReportedRun, what: str, make: Callable[[], _T]) -> _T | None:
     except ShesError as error:
         run.notes.append(f"There is no {what}: {error}")
         return None
+
+
+def _state(run: ReportedRun) -> tuple[Any, ...]:
+    """Return the cells of `_STATE_HEADINGS` for a run."""
+    state, times = run.state, run.tables["progress"].get("wall_time_s")
+    made, end = f"{state.generation} of {state.generations}", "-" if times is None else _duration(float(times[-1]))
+    origin = (state.env, state.algorithm, state.preset, state.seed)
+    return (*origin, made, f"{state.env_steps:,}", end, state.shown_score, state.state)
 
 
 def _duration(seconds: float) -> str:
