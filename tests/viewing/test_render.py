@@ -12,7 +12,7 @@ from shes.drawing import opengl
 from shes.errors import CheckpointError, ConfigError, RunFolderError, StorageError, UnknownNameError
 from shes.training.evaluate import evaluate
 from shes.viewing.playback import Playback
-from shes.viewing.render import render
+from shes.viewing.render import _shown, _stacked, render
 from shes.viewing.video import FRAMES_PER_SECOND, write_video
 from tests.e2e import runs
 
@@ -60,6 +60,59 @@ def test_several_checkpoints_are_side_by_side_in_the_same_episode(tiny_run, tmp_
     assert frames.shape[1:] == (192, 288, 3)
     start = frames[0][96:].astype(int)  # from above: the same food, poison and robot for all
     assert np.abs(start[:, :96] - start[:, 96:192]).mean() < 12
+
+
+def test_runs_are_side_by_side_each_with_its_checkpoint_and_its_name(tiny_run, tmp_path, monkeypatch):
+    flat, captions = runs.train_tiny(tmp_path / "flat", algorithm="es", generations=1), []
+    monkeypatch.setattr("shes.viewing.render._captioned", lambda view, text: captions.append(text) or view)
+    given = [tiny_run, tiny_run, flat]
+    frames = read(render(given, tmp_path / "walk.mp4", checkpoints=["0", "last", "best"], steps=1, size=64))
+    assert frames.shape[1:] == (128, 192, 3)
+    assert [text.split(" · ")[:2] for text in dict.fromkeys(captions)][:3] == [
+        ["run", "untrained"],
+        ["run", "after 4 generations"],
+        ["flat", "after 1 generation"],
+    ]
+    captions.clear()
+    render([tiny_run, flat], tmp_path / "b.mp4", labels=["two levels", "one"], steps=1, size=64)
+    assert [text.split(" · ")[0] for text in dict.fromkeys(captions)][:2] == ["two levels", "one"]
+
+
+def test_runs_whose_folders_have_the_same_name_are_called_by_their_paths(tiny_run, run_copy, tmp_path):
+    other = run_copy.rename(tmp_path / tiny_run.name)
+    shown = _shown([tiny_run, other], ["best"], [])
+    assert shown == [(run, "best", str(run)) for run in (tiny_run, other)]
+    assert [label for *_, label in _shown([tiny_run], ["0", "best"], [])] == ["", ""]
+
+
+@pytest.mark.parametrize(
+    ("count", "arguments", "message"),
+    [
+        (0, {}, r"render needs at least one run: shes render RUN"),
+        (3, {"checkpoints": ["0", "best"]}, r"3 runs need one checkpoint for all or one for each, got 2: 0, best\."),
+        (2, {"checkpoints": ["0", "best", "last"]}, r"2 runs need one checkpoint .* got 3"),
+        (2, {"labels": ["A"]}, r"one label for each of the 2 agents in the video, got 1: A\. Set --labels"),
+        (1, {"labels": "A", "checkpoints": ["0", "best"]}, r"one label for each of the 2 agents"),
+    ],
+)
+def test_numbers_of_runs_and_checkpoints_that_do_not_fit_are_refused(tiny_run, tmp_path, count, arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        render([tiny_run] * count, tmp_path / "walk.mp4", **arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_views_are_stacked_to_one_height():
+    view = np.full((4, 6, 3), 9, np.uint8)
+    assert _stacked([view, view], 2).shape == _stacked([view], 2).shape == (8, 6, 3)
+    assert _stacked([view], 2)[4:].max() == 0
+
+
+def test_what_the_sensors_read_is_shown_if_asked_for(tiny_run):
+    plain, seen = (Playback(tiny_run, "best", steps=2, sensors=sensors) for sensors in (False, True))
+    for without, with_them in zip(plain.play(3), seen.play(3), strict=True):
+        lines = len(with_them.markers) - len(without.markers)
+        assert lines > 0
+        assert with_them.markers[-1] == without.markers[-1]
 
 
 @pytest.mark.parametrize("camera", ["follow", "top"])

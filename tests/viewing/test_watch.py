@@ -32,10 +32,11 @@ def test_episodes_follow_each_other_until_the_window_is_closed(tiny_run, monkeyp
     assert window.is_closed
     assert len(window.shown) == 45
     assert [number for number, (_, _, is_new) in enumerate(window.shown) if is_new] == [0, 21, 42]
-    playback = Playback(tiny_run, "best")
+    playback = Playback(tiny_run, "best", sensors=True)
     for episode, start in ((0, 0), (1, 21)):
         first = next(iter(playback.play(playback.seed_of(episode))))
         assert (first.pose == window.shown[start][0]).all()
+        assert len(first.markers) == window.shown[start][1]  # with what the sensors read
 
 
 def test_the_window_is_closed_after_an_error(tiny_run, monkeypatch):

@@ -39,7 +39,7 @@ _HELP_ALL = "--help-all"
 
 _OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
 """Flags of parameters that have another name in Python, which is a flag, too."""
-_WRITES = {"plot": "Learning curves", "render": "Video", "export": "Policy"}
+_WRITES = {"plot": "Learning curves", "report": "Report", "render": "Video", "export": "Policy"}
 """What the files are whose paths a command returns."""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import filterfalse
 
 import mujoco
@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from shes.drawing.drawer import Picture
+from shes.drawing.plan import box_corners, box_kind
 from shes.drawing.renderer import Renderer, check_camera
 from shes.envs.markers import ROBOT, Marker
 from shes.types import F64Array
@@ -20,7 +21,7 @@ _OVERSAMPLING = 2  # pictures are drawn larger and then reduced, which smooths e
 _FOLLOW_HALF_M = 7.0
 _GROUND, _GROUND_LINE = (216, 221, 214), (198, 205, 197)
 _CHASM = (164, 170, 166)
-_WALL, _BLOCK = (122, 130, 143), (199, 158, 107)
+_BOX_COLORS = {"platform": _GROUND, "wall": (122, 130, 143), "block": (199, 158, 107)}
 _ROBOT = tuple(round(255 * part) for part in ROBOT[:3])
 _LINE_EVERY_M = 2.0
 
@@ -62,10 +63,7 @@ class FlatRenderer(Renderer):
         kind, size = int(self.model.geom_type[geom]), self.model.geom_size[geom]
         place, axes = self.data.geom_xpos[geom], self.data.geom_xmat[geom].reshape(3, 3)
         if kind == _BOX:
-            is_static = self.model.body_weldid[self.model.geom_bodyid[geom]] == 0
-            corners = [place + axes @ (size * [i, j, 0]) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-            is_platform = self.model.geom(geom).name.startswith("platform")
-            sheet.polygon(corners, _GROUND if is_platform else _WALL if is_static else _BLOCK)
+            sheet.polygon(box_corners(self.model, self.data, geom), _BOX_COLORS[box_kind(self.model, geom)])
         elif kind == _SPHERE:
             sheet.circle(place, size[0], _ROBOT)
         elif kind in _BARS:
@@ -112,7 +110,7 @@ class _Sheet:
             row = self._pixel(np.array([0.0, y]))[1]
             self._draw.line([(0, row), (self._width, row)], _GROUND_LINE, _OVERSAMPLING)
 
-    def polygon(self, corners: Sequence[F64Array], color: tuple[int, ...]) -> None:
+    def polygon(self, corners: Iterable[F64Array], color: tuple[int, ...]) -> None:
         """Draw a filled polygon."""
         self._draw.polygon([self._pixel(corner) for corner in corners], color)
 

@@ -36,20 +36,7 @@ class Renderer(Drawer):
     @cached_property
     def extent(self) -> tuple[float, float, float, float]:
         """Area shown from above, with the rim of the outer walls: least x and y, greatest x and y, in metres."""
-        data = mujoco.MjData(self.model)  # keeps the pose in self.data
-        mujoco.mj_kinematics(self.model, data)
-        boxes = self.model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
-        if not boxes.any():
-            return (-_OPEN_HALF_M, -_OPEN_HALF_M, _OPEN_HALF_M, _OPEN_HALF_M)
-        center, half = data.geom_xpos[boxes, :2], self.model.geom_size[boxes, :2]
-        corners: list[float] = []
-        for sign in (-1, 1):
-            sides = center + sign * half
-            outermost = sign * (sign * sides).max(axis=0)
-            thickness = np.where(np.isclose(sides, outermost), 2 * half, np.inf).min(axis=0)
-            corners += (outermost - sign * np.maximum(thickness - _RIM_M, 0.0)).tolist()
-        left, bottom, right, top = corners
-        return left, bottom, right, top
+        return extent_of(self.model)
 
     @property
     def top_view(self) -> tuple[float, float, float]:
@@ -57,6 +44,24 @@ class Renderer(Drawer):
         left, bottom, right, top = self.extent
         half = max((top - bottom) / 2, (right - left) / 2 * self.height / self.width)
         return (left + right) / 2, (bottom + top) / 2, half
+
+
+def extent_of(model: mujoco.MjModel) -> tuple[float, float, float, float]:
+    """Return the area to show from above: least x and y, greatest x and y, in metres. See `Renderer.extent`."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    boxes = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+    if not boxes.any():
+        return (-_OPEN_HALF_M, -_OPEN_HALF_M, _OPEN_HALF_M, _OPEN_HALF_M)
+    center, half = data.geom_xpos[boxes, :2], model.geom_size[boxes, :2]
+    corners: list[float] = []
+    for sign in (-1, 1):
+        sides = center + sign * half
+        outermost = sign * (sign * sides).max(axis=0)
+        thickness = np.where(np.isclose(sides, outermost), 2 * half, np.inf).min(axis=0)
+        corners += (outermost - sign * np.maximum(thickness - _RIM_M, 0.0)).tolist()
+    left, bottom, right, top = corners
+    return left, bottom, right, top
 
 
 def check_camera(name: str) -> None:

@@ -239,5 +239,9 @@ class EpisodeBatch(ABC):
         """Return the markers to draw in episode `episode`."""
         return []
 
+    def sensor_markers(self, episode: int) -> list[Marker]:
+        """Return markers of what the robot's sensors read in episode `episode`; none without such sensors."""
+        return []
+
     def close(self) -> None:  # noqa: B027 - most environments hold no resources
         """Release the environment's resources."""

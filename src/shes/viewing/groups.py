@@ -42,7 +42,19 @@ def group_runs(folders: Sequence[RunFolder], *, by_time: bool = False) -> list[G
     for group in _divided(folders, _design):
         for part in _divided(group, _execution) if by_time or _has_seed_twice(group) else [group]:
             found += [[folder] for folder in part] if _has_seed_twice(part) else [part]
-    labels = _labels(found)
+    return _named(found, _labels(found))
+
+
+def name_groups(folders: Sequence[RunFolder], labels: Sequence[str]) -> list[Group]:
+    """Return the groups of `folders` that have the same label of `labels`, one for each folder."""
+    found: dict[str, list[RunFolder]] = {}
+    for folder, label in zip(folders, labels, strict=True):
+        found.setdefault(label, []).append(folder)
+    return _named(list(found.values()), list(found))
+
+
+def _named(groups: list[list[RunFolder]], labels: list[str]) -> list[Group]:
+    """Return `groups` with these labels, each with a colour and a style of its own."""
     return [
         Group(
             folders=members,
@@ -50,7 +62,7 @@ def group_runs(folders: Sequence[RunFolder], *, by_time: bool = False) -> list[G
             color=f"C{number % _COLORS}",
             style=_STYLES[number // _COLORS % len(_STYLES)],
         )
-        for number, (members, label) in enumerate(zip(found, labels, strict=True))
+        for number, (members, label) in enumerate(zip(groups, labels, strict=True))
     ]
 
 

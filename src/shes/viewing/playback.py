@@ -34,7 +34,7 @@ class Moment:
     pose: Any
     """The pose to draw: qpos [nq] or a picture."""
     markers: list[Marker]
-    """The task's markers, the goal, and the robot's trail."""
+    """The task's markers, those of the sensors if asked for, the goal, and the robot's trail."""
     caption: str
     """Training so far, time, score, and how the episode ended."""
 
@@ -42,20 +42,29 @@ class Moment:
 class Playback:
     """Episodes of one checkpoint, under evaluation's conditions."""
 
-    def __init__(self, run: Path | str, checkpoint: str, seed: int | None = None, steps: int | None = None) -> None:
-        """Load `checkpoint` of `run`; for the arguments and errors see `render`."""
+    def __init__(
+        self,
+        run: Path | str,
+        checkpoint: str,
+        seed: int | None = None,
+        steps: int | None = None,
+        *,
+        label: str = "",
+        sensors: bool = False,
+    ) -> None:
+        """Load `checkpoint` of `run`, called `label`; for the other arguments and errors see `render`."""
         if seed is not None and seed < 0:
             raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
         if steps is not None and (not isinstance(steps, int) or not 1 <= steps < _MOST):
             raise out_of_range("steps", steps, f"a whole number of at least 1 and less than {_MOST}")
         opened = open_run(run, checkpoint)
         config, state = opened.config, opened.state
-        self.name = _age(state.generation)
+        self.name = f"{label} · {_age(state.generation)}" if label else _age(state.generation)
         self.steps = steps or config.evaluation_steps
         self._agent = Agent(opened)
         self.task = opened.algorithm.problem.make_task(is_evaluation=True)
         """The environment; whoever plays it closes it."""
-        self._state, self._seed = state, seed
+        self._state, self._seed, self._has_sensors = state, seed, sensors
 
     def seed_of(self, episode: int) -> int:
         """Return the seed of episode `episode` of those that `evaluate` runs; raise ConfigError if out of range."""
@@ -81,10 +90,11 @@ class Playback:
 
     def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
         task = self.task
+        sensed = task.sensor_markers(0) if self._has_sensors else []
         parts = [self.name, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending]
         return Moment(
             pose=task.pose(0),
-            markers=[*task.markers(0), *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
+            markers=[*task.markers(0), *sensed, *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
             caption=" · ".join(part for part in parts if part),
         )
 

@@ -1,7 +1,8 @@
-"""`shes render`: a video of one episode, of one checkpoint or of several side by side."""
+"""`shes render`: a video of one episode, of one agent or of several side by side."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -26,63 +27,74 @@ _HELD_S = 0.7  # time for which the last frame is held
 
 
 def render(
-    run: Path | str,
+    runs: Path | str | Sequence[Path | str],
     out: Path | str = "walk.mp4",
     *,
     checkpoints: str | Sequence[str] = ("best",),
+    labels: str | Sequence[str] = (),
     camera: Literal["both", "follow", "top"] = "both",
     episode: int = 0,
     seed: int | None = None,
     size: int = 480,
     steps: int | None = None,
+    sensors: bool = False,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a video of an episode and return its path.
+    """Write a video of an episode and return its path. Several runs or checkpoints are shown side by side.
 
-    The episode is one of those that `evaluate` runs. Poses between control steps are interpolated. An external
-    environment draws itself, with its own camera and without goals. Needs no screen: EGL or OSMesa draws, whichever
-    works (MUJOCO_GL decides if it is set); without either the pictures are flat. Without a graphics card 500 control
-    steps take a minute or two.
+    The episode is one of those that `evaluate` runs; it has the same seed for all. Poses between control steps are
+    interpolated. An external environment draws itself, with its own camera and without goals. Needs no screen: EGL or
+    OSMesa draws, whichever works (MUJOCO_GL decides if it is set); without either the pictures are flat. Without a
+    graphics card 500 control steps take a minute or two.
 
     shes render runs/first --checkpoint 0 best --camera follow
 
+    shes render runs/first ant-gather --labels "my ant" shipped
+
     Args:
-        run: The run folder, or the name of a shipped agent.
+        runs: Run folders, or names of shipped agents. A run may be given several times.
         out: Path of the video, .mp4 or .gif.
-        checkpoints: Checkpoints: `best`, `last` or numbers of generations. Several are shown side by side.
+        checkpoints: Checkpoints: `best`, `last` or numbers of generations. For one run, any number; for several, one
+            for all or one for each.
+        labels: Label of each run or checkpoint that is shown; by default several runs have their names.
         camera: Camera.
         episode: Index of the episode among those of `evaluate`.
         seed: Seed of the episodes, as for `evaluate`.
         size: Height and width of a view in pixels; even.
         steps: Maximum number of control steps; those of an evaluation if None.
+        sensors: Whether to show what the agent's sensors read, if the environment has any (Gather).
         on_step: Called with the number of control steps drawn and their maximum.
 
     Raises:
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
+        RunFolderError: One of `runs` is neither a run folder nor a shipped agent.
         CheckpointError: A checkpoint is missing or damaged.
         UnknownNameError: `camera` is not one of `VIEWS`.
-        ConfigError: Another argument is out of range, or the environment has no pictures.
+        ConfigError: There is no run, the numbers of runs, checkpoints and labels do not go together, another argument
+            is out of range, or the environment has no pictures.
         StorageError: The video cannot be written.
     """
     target = Path(out)
-    names = (checkpoints,) if isinstance(checkpoints, str) else checkpoints
     check_video_path(target)
-    _check_arguments(names, camera, size)
-    playbacks = [Playback(run, str(name), seed, steps) for name in names]
-    episode_seed = playbacks[0].seed_of(episode)
+    _check_arguments(camera, size)
+    shown = _shown(runs, checkpoints, labels)
+    playbacks = [Playback(run, name, seed, steps, label=label, sensors=sensors) for run, name, label in shown]
     drawers: list[Drawer] = []
     try:
+        episode_seed = playbacks[0].seed_of(episode)
         drawers.extend(make_drawer(each.task, size, size) for each in playbacks)
-        cameras = _cameras(drawers[0], camera)
+        cameras = [_cameras(drawer, camera) for drawer in drawers]
         episodes = [each.play(episode_seed) for each in playbacks]
         if on_step is not None:
             episodes[0] = _counted(episodes[0], playbacks[0].steps, on_step)
-        rate = FRAMES_PER_SECOND * playbacks[0].task.step_s
-        columns = [_frames(moments, drawer, cameras, rate) for moments, drawer in zip(episodes, drawers, strict=True)]
+        columns = [
+            _frames(moments, drawer, names, FRAMES_PER_SECOND * playback.task.step_s)
+            for moments, drawer, names, playback in zip(episodes, drawers, cameras, playbacks, strict=True)
+        ]
         if len(columns) == 1:
             frames = (np.hstack(views) for views in columns[0])
         else:
-            frames = _side_by_side([(np.vstack(views) for views in column) for column in columns])
+            most = max(map(len, cameras))
+            frames = _side_by_side([(_stacked(views, most) for views in column) for column in columns])
         write_video(target, _held(frames, round(_HELD_S * FRAMES_PER_SECOND)))
     finally:
         for each in (*drawers, *(playback.task for playback in playbacks)):
@@ -90,16 +102,49 @@ def render(
     return target
 
 
-def _check_arguments(checkpoints: Sequence[str], camera: str, size: int) -> None:
+def _check_arguments(camera: str, size: int) -> None:
     """Check the arguments of `render` that need no run."""
     if camera not in VIEWS:
         raise UnknownNameError("camera", camera, VIEWS, "Set --camera.")
-    if not checkpoints:
+    if size % 2 or not 64 <= size <= 1080:
+        raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
+
+
+def _shown(
+    runs: Path | str | Sequence[Path | str], checkpoints: str | Sequence[str], labels: str | Sequence[str]
+) -> list[tuple[Path | str, str, str]]:
+    """Return run, checkpoint and label of each column of the video; raise ConfigError if their numbers do not fit."""
+    given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
+    names = [checkpoints] if isinstance(checkpoints, str) else list(map(str, checkpoints))
+    texts = [labels] if isinstance(labels, str) else list(labels)
+    if not given:
+        raise ConfigError("render needs at least one run: shes render RUN... --out walk.mp4")
+    if not names:
         raise ConfigError(
             "render needs at least one checkpoint: best, last or the number of a generation. Set --checkpoint."
         )
-    if size % 2 or not 64 <= size <= 1080:
-        raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
+    count = max(len(given), len(names))
+    if len(given) not in (1, count) or len(names) not in (1, count):
+        raise ConfigError(
+            f"{len(given)} runs need one checkpoint for all or one for each, got {len(names)}: {', '.join(names)}. "
+            "Set --checkpoint."
+        )
+    if texts and len(texts) != count:
+        raise ConfigError(
+            f"there must be one label for each of the {count} agents in the video, got {len(texts)}: "
+            f"{', '.join(texts)}. Set --labels."
+        )
+    if not texts:
+        texts = _names(given) if len(given) > 1 else [""] * count
+    one_each = given * count if len(given) == 1 else given
+    name_each = names * count if len(names) == 1 else names
+    return list(zip(one_each, name_each, texts, strict=True))
+
+
+def _names(runs: Sequence[Path | str]) -> list[str]:
+    """Return the names of the runs' folders, or their paths if different runs have the same name."""
+    names = [Path(run).name for run in runs]
+    return names if len(set(names)) == len(set(map(str, runs))) else list(map(str, runs))
 
 
 def _counted(moments: Iterator[Moment], steps: int, on_step: Callable[[int, int], None]) -> Iterator[Moment]:
@@ -153,6 +198,11 @@ def _side_by_side(columns: Sequence[Iterator[Picture]]) -> Iterator[Picture]:
     for frames in zip_longest(*columns):
         shown = [frame if frame is not None else shown[i] for i, frame in enumerate(frames)]
         yield np.hstack(shown)
+
+
+def _stacked(views: Sequence[Picture], count: int) -> Picture:
+    """Return `views` above each other, with black ones below them up to `count`."""
+    return np.vstack([*views, *[np.zeros_like(views[0])] * (count - len(views))])
 
 
 def _held(frames: Iterator[Picture], count: int) -> Iterator[Picture]:

@@ -1,4 +1,4 @@
-"""`shes watch`: shows an agent's episodes in a window, one after another, with its goals."""
+"""`shes watch`: shows an agent's episodes in a window, one after another, with its goals and what its sensors read."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from shes.drawing.rendering import open_window
 from shes.viewing.playback import Playback
 
 
-def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None) -> None:
+def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None, sensors: bool = True) -> None:
     """Show the episodes that `evaluate` runs in a window, in real time, until it is closed. It needs a display.
 
     Args:
         run: The run folder, or the name of a shipped agent.
         checkpoint: Checkpoint: `best`, `last` or the number of a generation.
         seed: Seed of the episodes, as for `evaluate`.
+        sensors: Whether to show what the agent's sensors read, if the environment has any (Gather).
 
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: There is no screen, the environment has no window, or `seed` is negative.
     """
-    playback = Playback(run, checkpoint, seed)
+    playback = Playback(run, checkpoint, seed, sensors=sensors)
     window = open_window(playback.task)
     try:
         for episode in count():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar
 
 import mujoco
@@ -14,7 +15,7 @@ import numpy as np
 
 from shes.arrays import to_host
 from shes.envs.bodies.body import Body
-from shes.envs.markers import FOOD, POISON, Marker, ball
+from shes.envs.markers import FOOD, POISON, Marker, Rgba, ball, line
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
@@ -41,6 +42,10 @@ NUM_BINS = 10
 """Sensor bins of each kind, over the full circle; bin 0 starts behind the robot."""
 MARKER_RADIUS_M = 0.4
 """Radius of objects in pictures; they have no body."""
+_BIN_RAD = 2 * np.pi / NUM_BINS
+_ARC_LINES = 6
+"""Lines of which the arc of a reading is drawn; even, so that the ray ends at a joint."""
+_RAY_HEIGHT_M, _RAY_RADIUS_M, _RAY_OPACITY = 0.1, 0.03, 0.7
 FOOD_REWARD, POISON_REWARD = 1.0, -1.0
 """Reward of an object of each kind."""
 
@@ -156,6 +161,28 @@ class Gather(Task):
             for kind, color in enumerate((FOOD, POISON))
             for place in objects[kind][present[kind]]
         ]
+
+    def sensor_markers(self, episode: int) -> list[Marker]:
+        """Return a ray and an arc for each reading that is not 0: its sector, and the distance that it tells."""
+        readings = to_host(self._readings()[episode]).reshape(2, NUM_BINS)
+        return [
+            marker
+            for kind, color in enumerate((FOOD, POISON))
+            for number in np.flatnonzero(readings[kind]).tolist()
+            for marker in self._sector_markers(episode, number, float(readings[kind, number]), color)
+        ]
+
+    def _sector_markers(self, episode: int, number: int, reading: float, color: Rgba) -> list[Marker]:
+        """Return the ray and the arc of a `reading` of bin `number`."""
+        left = 1 - reading
+        distance = SENSOR_RANGE_M[self.options.spec] * (left if self.options.spec == "hiro" else left**0.5)
+        first = float(self.heading[episode]) - np.pi + number * _BIN_RAD
+        bearings = first + np.linspace(0, _BIN_RAD, _ARC_LINES + 1)
+        x, y = to_host(self.position[episode])
+        arc = [(x + distance * np.cos(each), y + distance * np.sin(each), _RAY_HEIGHT_M) for each in bearings]
+        faint = (*color[:3], _RAY_OPACITY)
+        ends = [((x, y, _RAY_HEIGHT_M), arc[_ARC_LINES // 2]), *pairwise(arc)]
+        return [line(start, end, _RAY_RADIUS_M, faint) for start, end in ends]
 
     @property
     def objects(self) -> F64Array:

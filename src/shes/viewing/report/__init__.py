@@ -1,0 +1,1 @@
+"""`shes report`: runs as one page of HTML that needs no network."""

@@ -1,0 +1,159 @@
+"""Learning curves and diagnostics as figures of plotly: a panel for each column of the tables, on three axes.
+
+Figures are plain dictionaries. A colour that begins with `--` is a variable of the style sheet, with an opacity after a
+slash; the page fills it in. Plotly reads texts as HTML, so those from files are escaped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from shes.types import F64Array, FloatArray, IntArray
+from shes.viewing.curves import interpolate, interval
+from shes.viewing.report.reading import ReportedGroup, ReportedRun, Table
+
+X_AXES = {
+    "env_steps": ("environment steps", 1.0, "~s"),
+    "wall_time_s": ("wall-clock minutes", 1 / 60, ""),
+    "generation": ("generation", 1.0, ""),
+}
+"""Abscissae: column of the tables -> label, factor of the column's values, and format of the ticks."""
+SECTIONS = ("Returns and scores", "Goals", "Diagnostics", "Speed")
+_MOST_POINTS = 1000
+"""Of a longer curve every k-th point is drawn: a screen has no more pixels."""
+_DASHES = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
+_SIGNIFICANT = 6
+_BAND_OPACITY = 0.18
+
+Figure = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class Panel:
+    """A column of a table to be drawn."""
+
+    section: int
+    """Index in `SECTIONS`."""
+    table: str
+    column: str
+
+    @property
+    def title(self) -> str:
+        """What it shows."""
+        words = self.column.removesuffix("_mean").replace("_", " ").replace("env steps per s", "steps per second")
+        is_of_both = any(
+            name in self.column for name in ("return", "score", "success", "goals_reached", "episode_steps")
+        )
+        return f"{words}, {self.table.replace('progress', 'training')}" if is_of_both else words
+
+
+def panels_of(runs: Sequence[ReportedRun]) -> list[Panel]:
+    """Return the panels of all columns that change in a run, by section; in each, evaluation comes first."""
+    found: dict[Panel, None] = {}
+    for table in ("evaluation", "progress"):
+        for run in runs:
+            for column, values in run.tables[table].items():
+                section = _section(table, column)
+                if section is not None and _changes(values):
+                    found[Panel(section=section, table=table, column=column)] = None
+    return sorted(found, key=lambda panel: panel.section)
+
+
+def constants(runs: Sequence[ReportedRun]) -> dict[str, list[str]]:
+    """Return the columns that change in no run, in words, with their different values as text."""
+    panels = {(panel.table, panel.column) for panel in panels_of(runs)}
+    found: dict[str, list[str]] = {}
+    for run in runs:
+        for column, values in run.tables["progress"].items():
+            if _section("progress", column) is None or ("progress", column) in panels or not len(values):
+                continue
+            text = f"{values[0]:g}" if np.isfinite(values[0]) else "none"
+            texts = found.setdefault(column.replace("_", " "), [])
+            if text not in texts:
+                texts.append(text)
+    return found
+
+
+def _section(table: str, column: str) -> int | None:
+    """Return the section of a column; None if it is an abscissa, or drawn with another one or elsewhere."""
+    if column == "env_steps_per_s":
+        return 3
+    if column in X_AXES or column.endswith(("_s", "_std")) or (table, column) == ("evaluation", "episodes"):
+        return None
+    if "goals_reached" in column or (table == "evaluation" and column == "primitive_return_mean"):
+        return 1
+    is_outcome = column.startswith(("score", "success_rate", "return")) or column.endswith("_return_mean")
+    return 0 if is_outcome else 2
+
+
+def _changes(values: F64Array) -> bool:
+    finite = values[np.isfinite(values)]
+    return len(finite) > 0 and (finite.min() < finite.max() or len(values) == 1)
+
+
+def curve_figure(panel: Panel, groups: Sequence[ReportedGroup], x: str) -> Figure:
+    """Return the figure of a panel: a curve for each group, with its band, over the column `x`."""
+    label, factor, ticks = X_AXES[x]
+    data: list[dict[str, Any]] = []
+    for group in groups:
+        tables = [run.tables[panel.table] for run in group.runs]
+        data += _traces(panel, group, [table for table in tables if panel.column in table and x in table], x, factor)
+    layout = {
+        "title": {"text": escape(panel.title)},
+        "xaxis": {"title": {"text": label}, "tickformat": ticks},
+    }
+    return {"data": data, "layout": layout}
+
+
+def _traces(panel: Panel, group: ReportedGroup, tables: list[Table], x: str, factor: float) -> Iterator[dict[str, Any]]:
+    """Yield the band and the curve of a group, from the `tables` of its runs."""
+    if not tables:
+        return
+    xs, ys = [table[x] * factor for table in tables], [table[panel.column] for table in tables]
+    grid, values = (xs[0], np.stack(ys)) if len(tables) == 1 else interpolate(xs, ys)
+    kept = np.arange(0, len(grid), max(1, -(-len(grid) // _MOST_POINTS)))
+    grid, values = grid[kept], values[:, kept]
+    mean = values.mean(axis=0)
+    color, dash = line_look(group)
+    common = {"type": "scatter", "meta": group.label}
+    band = interval(values) if len(tables) > 1 and len(grid) else _errors(tables[0], panel.column, mean, kept)
+    if band is not None:
+        low, high = band
+        edge = {"mode": "lines", "line": {"width": 0, "color": color}, "hoverinfo": "skip", "showlegend": False}
+        yield {**common, **edge, "x": numbers(grid), "y": numbers(low)}
+        fill = {"fill": "tonexty", "fillcolor": f"{color}/{_BAND_OPACITY}"}
+        yield {**common, **edge, **fill, "x": numbers(grid), "y": numbers(high)}
+    yield {
+        **common,
+        "name": escape(group.label),
+        "x": numbers(grid),
+        "y": numbers(mean),
+        "mode": "lines+markers" if len(grid) < 30 else "lines",
+        "marker": {"size": 5},
+        "line": {"color": color, "dash": dash, "width": 2},
+        "hovertemplate": "%{y:.4~g}",
+    }
+
+
+def line_look(group: ReportedGroup) -> tuple[str, str]:
+    """Return colour and dash of a group's curve."""
+    return f"--curve-{group.group.color[1:]}", _DASHES[group.group.style]
+
+
+def _errors(table: Table, column: str, mean: F64Array, kept: IntArray) -> tuple[F64Array, F64Array] | None:
+    """Return mean minus and plus two standard errors over the episodes of each evaluation, if the table has them."""
+    spread = column.replace("_mean", "_std")
+    if spread == column or not {spread, "episodes"} <= table.keys():
+        return None
+    error = 2 * table[spread][kept] / np.sqrt(table["episodes"][kept])
+    return mean - error, mean + error
+
+
+def numbers(values: FloatArray) -> list[float | None]:
+    """Return `values` with six digits for JSON, which has neither NaN nor infinity."""
+    return [float(f"{value:.{_SIGNIFICANT}g}") if np.isfinite(value) else None for value in values.tolist()]

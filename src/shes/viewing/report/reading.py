@@ -1,0 +1,169 @@
+"""What the files of runs say, as far as they can be read: a damaged table costs its curves alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shes.errors import ConfigError, ShesError
+from shes.runs.config import TrainConfig
+from shes.runs.folder import RunFolder
+from shes.runs.shipped import shipped_name
+from shes.runs.state import RunState, run_state
+from shes.runs.tables import read_csv
+from shes.training.runs_folder import find_runs
+from shes.types import F64Array
+from shes.viewing.groups import Group, group_runs, name_groups
+
+Table = dict[str, F64Array]
+"""Columns by name, with a value per row."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportedRun:
+    """A run, as its files describe it."""
+
+    folder: RunFolder
+    name: str
+    """Its path, or its name as a shipped agent."""
+    config: TrainConfig
+    record: dict[str, Any]
+    """Content of `config.json`."""
+    state: RunState
+    tables: dict[str, Table]
+    """`progress` and `evaluation`; a table that is missing or damaged is empty."""
+    notes: list[str] = field(default_factory=list)
+    """What could not be read, or done with this run."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportedGroup:
+    """Runs that are drawn as one curve."""
+
+    group: Group
+    runs: list[ReportedRun]
+
+    @property
+    def label(self) -> str:
+        """How it differs from the other groups."""
+        return self.group.label
+
+    @property
+    def title(self) -> str:
+        """The name of its run if it has one alone, else its label."""
+        return self.runs[0].name if len(self.runs) == 1 else self.label
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportedRuns:
+    """The runs of a report, in groups."""
+
+    groups: list[ReportedGroup]
+    groups_over_time: list[ReportedGroup]
+    """Groups of curves over wall-clock time, on which workers and machine have an effect."""
+    left_out: list[str]
+    """Why runs that cannot be read are left out."""
+
+    @property
+    def runs(self) -> list[ReportedRun]:
+        """All runs, by group."""
+        return [run for group in self.groups for run in group.runs]
+
+    def groups_over(self, x: str) -> list[ReportedGroup]:
+        """Return the groups of curves over the column `x`."""
+        return self.groups_over_time if x == "wall_time_s" else self.groups
+
+
+def read_runs(runs: Sequence[Path | str], labels: Sequence[str] = ()) -> ReportedRuns:
+    """Return what the files of `runs` say, in groups.
+
+    Args:
+        runs: Run folders, folders of runs, or names of shipped agents.
+        labels: Label of each of `runs`: those of one label are a group. By default the groups are those of `shes plot`.
+
+    Raises:
+        ConfigError: `runs` is empty, or `labels` has not one label for each of them.
+        RunFolderError: One of `runs` is neither a folder of runs nor a shipped agent, or none can be read.
+    """
+    if not runs:
+        raise ConfigError("report needs at least one run folder: shes report RUN... --out report.html")
+    if labels and len(labels) != len(runs):
+        raise ConfigError(
+            f"there must be one label for each of the {len(runs)} runs, got {len(labels)}: {', '.join(labels)}. "
+            "Set --labels."
+        )
+    read: dict[Path, ReportedRun] = {}  # a run named twice counts once
+    label_of: dict[Path, str] = {}
+    errors: dict[str, ShesError] = {}
+    for number, given in enumerate(runs):
+        for folder in find_runs(given):
+            place = folder.path.resolve()
+            if place in read:
+                continue
+            try:
+                read[place] = read_run(folder)
+            except ShesError as error:
+                errors[run_name(folder)] = error
+            else:
+                label_of[place] = labels[number] if labels else ""
+    if not read:
+        raise next(iter(errors.values()))
+    folders = [run.folder for run in read.values()]
+    if labels:
+        grouped = over_time = name_groups(folders, [label_of[place] for place in read])
+    else:
+        grouped, over_time = group_runs(folders), group_runs(folders, by_time=True)
+
+    def reported(groups: Sequence[Group]) -> list[ReportedGroup]:
+        return [
+            ReportedGroup(group=group, runs=[read[folder.path.resolve()] for folder in group.folders])
+            for group in groups
+        ]
+
+    return ReportedRuns(
+        groups=reported(grouped),
+        groups_over_time=reported(over_time),
+        left_out=[f"{name} is left out: {error}" for name, error in errors.items()],
+    )
+
+
+def run_name(folder: RunFolder) -> str:
+    """Return the path of a run, or its name if it is a shipped agent."""
+    return shipped_name(folder.path) or str(folder.path)
+
+
+def read_run(folder: RunFolder) -> ReportedRun:
+    """Return what the files of a run say; raise ShesError if its record or its state cannot be read."""
+    notes: list[str] = []
+    run = ReportedRun(
+        folder=folder,
+        name=run_name(folder),
+        config=folder.read_config(),
+        record=folder.read_record(),
+        state=run_state(folder),
+        tables={path.stem: _read_table(path, notes) for path in (folder.progress, folder.evaluation)},
+        notes=notes,
+    )
+    if run.state.state in ("damaged", "tables only"):
+        what = "is damaged" if run.state.state == "damaged" else "is missing"
+        notes.append(f"The last checkpoint {what}.")
+    return run
+
+
+def _read_table(path: Path, notes: list[str]) -> Table:
+    """Return the columns of a table; if it cannot be read, none, and add the reason to `notes`."""
+    if not path.exists():
+        notes.append(f"There is no {path.name} yet: curves from it are left out.")
+        return {}
+    try:
+        columns = read_csv(path)
+    except ShesError as error:
+        notes.append(f"Curves are left out: {error}")
+        return {}
+    if not columns:
+        notes.append(f"{path.name} has no row yet: curves from it are left out.")
+    return {name: np.array(values) for name, values in columns.items()}

@@ -1,0 +1,113 @@
+"""`shes report`: one HTML page of runs, with curves, results on fresh episodes, maps, videos and settings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from itertools import count
+from pathlib import Path
+
+from shes.errors import ConfigError
+from shes.runs.shipped import shipped_name
+from shes.settings import out_of_range
+from shes.storage import write_atomically
+from shes.viewing.report.curves import X_AXES, line_look
+from shes.viewing.report.page import check_plotly, page, toolbar
+from shes.viewing.report.reading import ReportedGroup, ReportedRun, read_runs
+from shes.viewing.report.sections import Sections
+
+_NAME = "report.html"
+
+
+def report(
+    runs: Path | str | Sequence[Path | str],
+    out: Path | str | None = None,
+    *,
+    labels: str | Sequence[str] = (),
+    episodes: int = 20,
+    seed: int | None = None,
+    num_workers: int = 0,
+    video: bool = True,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a report of `runs`, one HTML page that needs no network, and return its path.
+
+    What cannot be read, or done with one of the runs, is noted in the report. Runs are grouped as by `plot`. It needs
+    plotly (extra report). Without a graphics card a video takes half a minute; --no-video omits them.
+
+    shes report runs/seeds runs/other --out report.html
+
+    Args:
+        runs: Run folders, folders of runs, or names of shipped agents.
+        out: Path of the page, .html. If none, report.html in the run folder; for several runs or a shipped agent, in
+            the working directory.
+        labels: Label of each of the runs; those with the same label are a group.
+        episodes: Number of fresh episodes on which the best checkpoint of each run is evaluated.
+        seed: Seed of these episodes; derived from that of each run if none.
+        num_workers: Worker processes; 0 is one for every core. Does not change results.
+        video: Whether the report has videos.
+        on_step: Called with the number of parts of the work that have begun, and their total.
+
+    Raises:
+        RunFolderError: A run is neither a folder of runs nor a shipped agent, or none can be read.
+        ConfigError: `runs` is empty, there is not one label for each, or another argument is out of range.
+        MissingExtraError: plotly is not installed.
+        StorageError: The page cannot be written.
+    """
+    for name, value, least in (("episodes", episodes, 1), ("workers", num_workers, 0), ("seed", seed or 0, 0)):
+        if value < least:
+            raise out_of_range(name, value, f"a whole number of at least {least}")
+    check_plotly()
+    given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
+    read = read_runs(given, [labels] if isinstance(labels, str) else list(labels))
+    target = _checked_path(out, read.runs)
+    parts, total = count(1), len(read.runs) * (2 + video)
+    sections = Sections(read, lambda: on_step(min(next(parts), total), total) if on_step else None)
+    learning, goals, diagnostics, speed = sections.curves()
+    results = sections.results(episodes, seed, num_workers)
+    pictures = sections.pictures(episodes, seed, has_videos=video)
+    settings = sections.settings()
+    runs_and_notes = sections.runs()  # after all that may add a note
+    body = [
+        runs_and_notes,
+        results,
+        toolbar(),
+        learning,
+        goals,
+        pictures,
+        diagnostics,
+        speed,
+        settings,
+        sections.origins(),
+    ]
+    axes = {x: [_look(group) for group in read.groups_over(x)] for x in X_AXES}
+    made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
+    text = page(_title(read.runs), made, body, sections.figures, axes)
+    write_atomically(target, lambda file: file.write(text.encode()))
+    return target
+
+
+def _checked_path(out: Path | str | None, runs: Sequence[ReportedRun]) -> Path:
+    """Return the path of the page; raise ConfigError if it cannot be one."""
+    first = runs[0].folder.path
+    home = Path() if len(runs) > 1 or shipped_name(first) else first
+    target = home / _NAME if out is None else Path(out)
+    if target.suffix.lower() != ".html":
+        raise ConfigError(f"out must end in .html, got {str(out)!r}. Set --out.")
+    if target.is_dir():
+        raise ConfigError(f"{target} is a folder. Choose another path with --out.")
+    if not target.parent.is_dir():
+        raise ConfigError(f"there is no folder {target.parent}. Create it, or choose another path with --out.")
+    return target
+
+
+def _title(runs: Sequence[ReportedRun]) -> str:
+    envs = ", ".join(dict.fromkeys(run.config.run.env for run in runs))
+    return f"Report: {runs[0].name}" if len(runs) == 1 else f"Report: {len(runs)} runs of {envs}"
+
+
+def _look(group: ReportedGroup) -> dict[str, str]:
+    """Return how a curve is to be found: label, colour and dash."""
+    color, dash = line_look(group)
+    return {"label": group.label, "color": color, "dash": dash}

@@ -1,0 +1,202 @@
+"""The sections of a report."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from shes.drawing.opengl import find_opengl
+from shes.errors import ShesError
+from shes.runs.shipped import read_agent, shipped_name
+from shes.training.evaluate import Evaluation
+from shes.viewing.report.configuration import changed_settings, differing_settings
+from shes.viewing.report.curves import SECTIONS, X_AXES, Figure, constants, curve_figure, panels_of
+from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes
+from shes.viewing.report.page import cards, details, map_card, paragraph, plots, section, table, video_card
+from shes.viewing.report.reading import ReportedRun, ReportedRuns
+from shes.viewing.report.results import HEADINGS, evaluate_runs, result_rows
+from shes.viewing.report.timing import time_figures
+from shes.viewing.report.videos import video_uri
+
+_T = TypeVar("_T")
+
+_MOST_SHOWN = 6
+"""Groups that have a map and a video."""
+_SPEED = len(SECTIONS) - 1
+_ORIGIN = ("environment", "algorithm", "preset", "seed")
+_STATE_HEADINGS = (*_ORIGIN, "generation", "steps", "time", "best evaluation", "state")
+_BANDS = (
+    "A curve of several runs is their mean, its band a 95 % bootstrap interval over runs. The band of a single run's "
+    "evaluation is two standard errors over episodes wide on either side."
+)
+
+
+class Sections:
+    """Makes the sections, as HTML, and collects their figures."""
+
+    def __init__(self, read: ReportedRuns, on_part: Callable[[], None]) -> None:
+        self.read = read
+        self.figures: dict[str, Figure | dict[str, Figure]] = {}
+        """Figures of the sections made so far; one for each of `X_AXES` if it depends on the horizontal axis."""
+        self._on_part = on_part
+        self._evaluated: dict[str, Evaluation] = {}
+
+    def results(self, episodes: int, seed: int | None, num_workers: int) -> str:
+        """Return the results on fresh episodes."""
+        self._evaluated = evaluate_runs(self.read.runs, episodes, num_workers, seed, self._on_part)
+        rows = result_rows(self.read.groups, self._evaluated)
+        hint = (
+            f"The best checkpoint of each run on {episodes} episodes that its training did not use: mean ± standard "
+            "error over episodes, or over runs in the row of a group, and the 95 % interval of the mean (bootstrap; of "
+            "the success rate of a run: Wilson)."
+        )
+        return section("Fresh episodes", paragraph(hint, "hint"), table(HEADINGS, rows, "figures")) if rows else ""
+
+    def curves(self) -> list[str]:
+        """Return a section for each of `SECTIONS`."""
+        names: dict[int, list[str]] = {number: [] for number in range(len(SECTIONS))}
+        for panel in panels_of(self.read.runs):
+            name = f"{panel.table} {panel.column}"
+            names[panel.section].append(name)
+            self.figures[name] = {x: curve_figure(panel, self.read.groups_over(x), x) for x in X_AXES}
+        shares = {f"time {number}": figure for number, figure in enumerate(time_figures(self.read.groups))}
+        self.figures.update(shares)
+        fixed = ", ".join(f"{name} {' or '.join(values)}" for name, values in constants(self.read.runs).items())
+        hints = {0: _BANDS, 2: f"Constant: {fixed}." if fixed else ""}
+        return [
+            section(
+                title,
+                paragraph(hints[number], "hint") if names[number] and hints.get(number) else "",
+                plots(names[number]),
+                plots(shares) if number == _SPEED else "",
+            )
+            for number, title in enumerate(SECTIONS)
+        ]
+
+    def pictures(self, episodes: int, seed: int | None, *, has_videos: bool) -> str:
+        """Return maps and videos of the first run of each group that could be evaluated, as far as they can be made."""
+        maps: list[str] = []
+        videos: list[str] = []
+        for number, group in enumerate(self.read.groups[:_MOST_SHOWN]):
+            run = next((run for run in group.runs if run.name in self._evaluated), group.runs[0])
+            subtitle = group.label if len(self.read.groups) > 1 else ""
+            self._on_part()
+            journeys = _attempt(run, "map", lambda run=run: play_episodes(run.folder.path, episodes, seed))
+            if journeys is not None:
+                name = f"map {number}"
+                self.figures[name] = map_figure(journeys)
+                maps.append(map_card(name, run.name, subtitle, episode_names(journeys)))
+            if has_videos:
+                self._on_part()
+                uri = _attempt(run, "video", lambda run=run: video_uri(run, seed))
+                videos += [] if uri is None else [video_card(run.name, subtitle, uri)]
+        some = f" Shown are the first {_MOST_SHOWN} groups." if len(self.read.groups) > _MOST_SHOWN else ""
+        where = (
+            f"Paths and goals of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of "
+            f"one run of each group.{some} A dot is the end of a path, a cross a goal."
+        )
+        flat = " Drawn flat, from above: there is no OpenGL here." if videos and find_opengl() is None else ""
+        what = f"The beginning of the first of these episodes.{some}{flat}"
+        return "\n".join(
+            [
+                section("Map", paragraph(where, "hint"), cards(maps)) if maps else "",
+                section("Video", paragraph(what, "hint"), cards(videos)) if videos else "",
+            ]
+        )
+
+    def settings(self) -> str:
+        """Return the settings in which groups differ, and those in which a run differs from its preset."""
+        groups = self.read.groups
+        differing = differing_settings(groups)
+        parts = [
+            table(
+                ("setting", *(group.label for group in groups)),
+                [(name, *row) for name, row in differing.items()],
+                "settings",
+            )
+        ]
+        for group in groups:
+            run = group.runs[0]
+            changed = _attempt(run, "comparison with the preset", lambda run=run: changed_settings(run.config))
+            if changed is None:
+                continue
+            preset = f"preset {run.config.run.preset} for {run.config.run.env}"
+            rows = [(name, *values) for name, values in changed.items()]
+            parts.append(
+                details(
+                    f"{run.name}: {len(rows)} settings differ from {preset}",
+                    table(("setting", "run", "preset"), rows, "settings"),
+                )
+                or paragraph(f"{run.name}: as {preset}.")
+            )
+        return section("Settings", *parts)
+
+    def runs(self) -> str:
+        """Return the runs, and the notes on what could not be done so far."""
+        groups = self.read.groups
+        has_groups = len(groups) > 1
+        rows = [
+            (run.name, *([group.label] if has_groups else []), *_state(run)) for group in groups for run in group.runs
+        ]
+        headings = ("run", *(["group"] if has_groups else []), *_STATE_HEADINGS)
+        notes = [*self.read.left_out, *(f"{run.name}: {note}" for run in self.read.runs for note in run.notes)]
+        return section("Runs", table(headings, rows), *(paragraph(note, "note") for note in notes))
+
+    def origins(self) -> str:
+        """Return command, hardware, versions and commit of each run."""
+        parts = [
+            details(
+                run.name,
+                table(("fact", "value"), [row for row in _origin(run) if row[1] not in (None, "")], "settings"),
+            )
+            for run in self.read.runs
+        ]
+        return section("Hardware, versions and commands", *parts)
+
+
+def _attempt(run: ReportedRun, what: str, make: Callable[[], _T]) -> _T | None:
+    """Return what `make` returns; if it cannot, add the reason to the notes of the run and return None."""
+    try:
+        return make()
+    except ShesError as error:
+        run.notes.append(f"There is no {what}: {error}")
+        return None
+
+
+def _state(run: ReportedRun) -> tuple[Any, ...]:
+    """Return the cells of `_STATE_HEADINGS` for a run."""
+    state, times = run.state, run.tables["progress"].get("wall_time_s")
+    made, end = f"{state.generation} of {state.generations}", "-" if times is None else _duration(float(times[-1]))
+    origin = (state.env, state.algorithm, state.preset, state.seed)
+    score = "-" if state.best_score is None else f"{state.best_score:.2f}"
+    return (*origin, made, f"{state.env_steps:,}", end, score, state.state)
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{seconds:.0f} s" if seconds < 120 else f"{minutes // 60}:{minutes % 60:02} h"
+
+
+def _origin(run: ReportedRun) -> list[tuple[str, Any]]:
+    """Return what is known of the origin of a run."""
+    agent = shipped_name(run.folder.path)
+    commands = read_agent(agent).commands if agent else ()
+    rows: list[tuple[str, Any]] = [("made by", command) for command in commands]
+    parts = [run.record, *run.record.get("resumed", [])]
+    for part in parts:
+        if "generation" in part:
+            rows.append(("resumed after generation", part["generation"]))
+        rows += [
+            ("started", part.get("started")),
+            ("command", shlex.join(part.get("command", []))),
+            ("machine", _facts(part.get("machine", {}))),
+            ("device", _facts(part.get("device", {}))),
+            ("versions", _facts(part.get("versions", {}))),
+            ("commit", part.get("git_commit")),
+        ]
+    return rows
+
+
+def _facts(facts: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in facts.items() if value is not None)

@@ -1,0 +1,132 @@
+"""The figures of a report's curves and of its times."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from shes.runs.tables import read_csv
+from shes.viewing.report.curves import SECTIONS, X_AXES, Panel, constants, curve_figure, numbers, panels_of
+from shes.viewing.report.reading import read_runs
+from shes.viewing.report.timing import time_figures, wall_parts, worker_parts
+
+SCORE = Panel(section=0, table="evaluation", column="score_mean")
+PRIMITIVE = Panel(section=0, table="progress", column="primitive_return_mean")
+
+
+def titles(runs, section):
+    return [panel.title for panel in panels_of(runs) if SECTIONS[panel.section] == section]
+
+
+def test_the_panels_of_a_run_of_two_levels():
+    read = read_runs(["ant-gather"])
+    assert titles(read.runs, "Returns and scores")[:5] == [
+        "score, evaluation",
+        "return, evaluation",
+        "success rate, evaluation",
+        "controller return, training",
+        "primitive return, training",
+    ]
+    assert "goals reached, evaluation" in titles(read.runs, "Goals")
+    diagnostics = titles(read.runs, "Diagnostics")
+    assert {"controller gradient norm", "controller halves cosine", "learning rate"} <= set(diagnostics)
+    assert titles(read.runs, "Speed") == ["steps per second"]
+
+
+def test_what_does_not_change_has_no_panel_and_is_named(kinds):
+    read = read_runs([kinds["first"], kinds["other"]])
+    assert "sigma" not in titles(read.runs, "Diagnostics")
+    assert constants(read.runs)["sigma"] == ["0.07", "0.5"]
+    names = {panel.column.replace("_", " ") for panel in panels_of(read.runs)}
+    assert not names & constants(read.runs).keys()
+
+
+def test_a_flat_run_has_one_level(kinds):
+    read = read_runs([kinds["flat"]])
+    assert "policy return, training" in titles(read.runs, "Returns and scores")
+    assert not [panel for panel in panels_of(read.runs) if "primitive" in panel.column]
+
+
+@pytest.mark.parametrize("x", X_AXES)
+def test_a_curve_of_one_run_is_its_column_with_two_standard_errors(kinds, x):
+    read = read_runs([kinds["first"]])
+    low, high, mean = curve_figure(SCORE, read.groups, x)["data"]
+    table = read_csv(kinds["first"] / "evaluation.csv")
+    np.testing.assert_allclose(mean["y"], table["score_mean"], rtol=1e-5)
+    np.testing.assert_allclose(mean["x"], np.array(table[x]) * X_AXES[x][1], rtol=1e-5)
+    error = 2 * np.array(table["score_std"]) / np.sqrt(3)
+    np.testing.assert_allclose(low["y"], table["score_mean"] - error, atol=1e-5)
+    np.testing.assert_allclose(high["y"], table["score_mean"] + error, atol=1e-5)
+    assert len(curve_figure(PRIMITIVE, read.groups, x)["data"]) == 1
+
+
+def test_a_curve_of_repetitions_is_their_mean_where_all_have_values(kinds):
+    read = read_runs([kinds["first"], kinds["second"]])
+    low, high, mean = curve_figure(PRIMITIVE, read.groups, "generation")["data"]
+    each = [read_csv(kinds[name] / "progress.csv")["primitive_return_mean"][:3] for name in ("first", "second")]
+    assert mean["x"] == [1, 2, 3]
+    np.testing.assert_allclose(mean["y"], np.mean(each, axis=0), rtol=1e-5)
+    assert all(a <= b <= c for a, b, c in zip(low["y"], mean["y"], high["y"], strict=True))
+
+
+def test_runs_without_a_column_have_no_curve(kinds):
+    read = read_runs([kinds["flat"], kinds["first"]])
+    (trace,) = curve_figure(PRIMITIVE, read.groups, "env_steps")["data"]
+    assert trace["meta"] == read.groups[1].label
+
+
+def test_a_value_that_is_not_finite_is_a_gap(run_copy):
+    path = run_copy / "progress.csv"
+    header, first, *rest = path.read_text().splitlines()
+    place = header.split(",").index("primitive_return_mean")
+    cells = first.split(",")
+    cells[place] = "nan"
+    path.write_text("\n".join([header, ",".join(cells), *rest]) + "\n")
+    figure = curve_figure(PRIMITIVE, read_runs([run_copy]).groups, "generation")
+    assert figure["data"][0]["y"][0] is None
+    json.dumps(figure, allow_nan=False)
+    assert numbers(np.array([np.inf, 1 / 3, -np.nan])) == [None, 0.333333, None]
+
+
+def test_a_long_curve_is_thinned(run_copy):
+    path = run_copy / "progress.csv"
+    header, row, *_ = path.read_text().splitlines()
+    rest = row.partition(",")[2]
+    path.write_text("\n".join([header, *(f"{number},{rest}" for number in range(1, 3502))]) + "\n")
+    figure = curve_figure(PRIMITIVE, read_runs([run_copy]).groups, "generation")
+    assert figure["data"][0]["x"] == list(range(1, 3502, 4))
+
+
+def test_texts_of_files_are_escaped(kinds, tmp_path):
+    path = shutil.copytree(kinds["first"], tmp_path / "<b>bold")
+    table = path / "progress.csv"
+    table.write_text(table.read_text().replace("sigma", "<img src=x>", 1))
+    read = read_runs([path, kinds["first"]])
+    figure = curve_figure(SCORE, read.groups, "generation")
+    assert "<b>" in read.groups[0].label
+    assert "&lt;b&gt;" in figure["data"][-4]["name"]
+    strange = Panel(section=2, table="progress", column="<img src=x>")
+    assert curve_figure(strange, read.groups, "generation")["layout"]["title"]["text"] == "&lt;img src=x&gt;"
+
+
+def test_the_parts_of_the_time_are_those_of_the_table():
+    table = {
+        "wall_time_s": np.array([5.0, 10.0]),
+        "env_steps_per_s": np.array([7.0, 7.0]),
+        "rollout_s": np.array([3.0, 4.0]),
+        "update_s": np.array([1.0, np.nan]),
+        "physics_s": np.array([4.0, 8.0]),
+        "policy_s": np.array([1.0, 2.0]),
+    }
+    assert wall_parts(table) == {"rollout": 7, "update": 1, "rest": 2}
+    assert worker_parts(table) == {"physics": 12, "policy": 3}
+    assert wall_parts({}) == worker_parts({}) == {}
+
+
+def test_the_shares_of_a_group_make_up_its_bar(kinds):
+    read = read_runs([kinds["first"], kinds["second"], kinds["flat"]])
+    for figure in time_figures(read.groups):
+        np.testing.assert_allclose(np.sum([trace["x"] for trace in figure["data"]], axis=0), 1, atol=1e-3)
+        assert len(figure["layout"]["yaxis"]["ticktext"]) == 2
+    assert time_figures([]) == []

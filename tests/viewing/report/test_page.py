@@ -1,0 +1,267 @@
+"""The page of a report: whole, self-contained, and as its browser shows it."""
+
+import base64
+import importlib.util
+import json
+import re
+import shutil
+import sys
+from html.parser import HTMLParser
+
+import pytest
+
+import shes
+from shes.drawing import opengl
+from shes.errors import ConfigError, MissingExtraError
+from shes.viewing.report import page
+from shes.viewing.report.report import report
+from tests.browser import Browser, find_browser
+from tests.e2e import runs
+
+needs_plotly = pytest.mark.skipif(importlib.util.find_spec("plotly") is None, reason="needs plotly (extra report)")
+BAD = "<img src=x onerror=fail()>"
+
+
+@pytest.fixture
+def stand_in(monkeypatch):
+    """Stand in for plotly, so that a page can be written without it."""
+    module = type(sys)("plotly")
+    module.offline = type(sys)("plotly.offline")
+    module.offline.get_plotlyjs = lambda: "const text = '</script>'"
+    monkeypatch.setitem(sys.modules, "plotly", module)
+    monkeypatch.setitem(sys.modules, "plotly.offline", module.offline)
+
+
+class Elements(HTMLParser):
+    """Tags and texts of a page, and its data."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.tags, self.texts = [], []
+        self.feed(path.read_text(encoding="utf-8"))
+        self.figures = json.loads(next(text for text in self.texts if text.startswith('{"x":')))
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+def written(given, tmp_path, **arguments):
+    return report(given, tmp_path / "report.html", **{"episodes": 2, "num_workers": 1, "video": False, **arguments})
+
+
+def test_without_plotly_the_error_names_the_extra(tiny_run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'shes\[report\]'"):
+        written(tiny_run, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"out": "report.pdf"}, ConfigError, r"out must end in \.html, got 'report\.pdf'\. Set --out"),
+        ({"out": "none/report.html"}, ConfigError, "there is no folder none"),
+        ({"out": "folder.html"}, ConfigError, "is a folder"),
+        ({"episodes": 0}, ConfigError, r"episodes must be .* at least 1, got 0\. Set --episodes"),
+        ({"seed": -1}, ConfigError, r"seed must be .* at least 0, got -1\. Set --seed"),
+        ({"num_workers": -1}, ConfigError, r"workers must be .* at least 0, got -1\. Set --workers"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_any_work(
+    tiny_run, tmp_path, monkeypatch, stand_in, arguments, error, message
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.html").mkdir()
+    with pytest.raises(error, match=message):
+        report(tiny_run, **arguments, on_step=pytest.fail)
+
+
+def test_the_page_is_in_the_run_folder_or_where_one_works(run_copy, tmp_path, monkeypatch, stand_in):
+    monkeypatch.chdir(tmp_path)
+    assert report(run_copy, episodes=1, num_workers=1, video=False) == run_copy / "report.html"
+    several = [run_copy, shutil.copytree(run_copy, tmp_path / "other")]
+    assert shes.report(several, episodes=1, num_workers=1, video=False).resolve() == tmp_path / "report.html"
+
+
+def test_the_page_has_every_section_and_every_figure_its_place(kinds, tmp_path, stand_in):
+    read = Elements(written([kinds["first"].parent, kinds["other"], kinds["flat"]], tmp_path))
+    text = "".join(read.texts)
+    for title in ("Runs", "Fresh episodes", "Returns and scores", "Goals", "Map", "Diagnostics", "Speed", "Settings"):
+        assert title in text
+    places = [values["data-figure"] for _, values in read.tags if "data-figure" in values]
+    assert sorted(places) == sorted(read.figures["figures"])
+    assert len([name for name in places if name.startswith("map")]) == 3
+    labels = [look["label"] for look in read.figures["axes"]["env_steps"]]
+    assert labels == ["algorithm shes, sigma 0.07 (2 runs)", "algorithm shes, sigma 0.5", "algorithm es, sigma 0.07"]
+
+
+def test_nothing_in_the_files_of_a_run_becomes_part_of_the_page(kinds, tmp_path, stand_in):
+    bad = shutil.copytree(kinds["first"], tmp_path / BAD)
+    record = json.loads((bad / "config.json").read_text())
+    record["command"], record["git_commit"], record["machine"] = ["shes", BAD], BAD, {BAD: "</script>"}
+    (bad / "config.json").write_text(json.dumps(record))
+    for table in ("progress.csv", "evaluation.csv"):
+        text = (bad / table).read_text().splitlines()
+        (bad / table).write_text("\n".join([f"{text[0]},{BAD}", *(f"{row},{n}" for n, row in enumerate(text[1:]))]))
+    (bad / "checkpoints" / "best.npz").write_text(BAD)
+    read = Elements(written([bad, kinds["other"]], tmp_path, labels=[f"{BAD}</script>", "$title"]))
+    assert "img" not in {tag for tag, _ in read.tags}
+    assert [tag for tag, _ in read.tags].count("script") == 3
+    assert sum(BAD in text for text in read.texts) > 5
+
+
+def test_a_run_that_can_do_nothing_leaves_the_others_alone(kinds, run_copy, tmp_path, stand_in):
+    shutil.rmtree(run_copy / "checkpoints")
+    (run_copy / "progress.csv").write_text("what is this")
+    (run_copy / "evaluation.csv").unlink()
+    read = Elements(written([run_copy, kinds["flat"]], tmp_path, video=True))
+    notes = [text for text in read.texts if text.startswith(f"{run_copy}: ")]
+    for what in ("last checkpoint is missing", "no evaluation.csv", "not be evaluated", "no map", "no video"):
+        assert sum(what in note for note in notes) == 1, (what, notes)
+    assert [tag for tag, _ in read.tags].count("video") == 1
+
+
+def test_a_run_of_a_class_that_is_not_registered_here_is_left_out(kinds, run_copy, tmp_path, stand_in):
+    record = json.loads((run_copy / "config.json").read_text())
+    record["config"]["run"]["algorithm"] = "random-search"
+    (run_copy / "config.json").write_text(json.dumps(record))
+    read = Elements(written([run_copy, kinds["flat"]], tmp_path))
+    assert [text for text in read.texts if text.startswith(f"{run_copy} is left out: ") and "random-search" in text]
+
+
+def test_a_video_is_inside_the_page(tiny_run, tmp_path, monkeypatch, stand_in):
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    opengl.find_opengl.cache_clear()
+    read = Elements(written(tiny_run, tmp_path, video=True))
+    opengl.find_opengl.cache_clear()
+    (source,) = (values["src"] for tag, values in read.tags if tag == "video")
+    assert b"ftyp" in base64.b64decode(source.removeprefix("data:video/mp4;base64,"))[:12]
+    assert "there is no OpenGL here" in "".join(read.texts)
+
+
+def test_without_an_encoder_the_report_says_so(tiny_run, tmp_path, monkeypatch, stand_in):
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", lambda: "/nowhere/ffmpeg")
+    read = Elements(written(tiny_run, tmp_path, video=True))
+    assert [text for text in read.texts if "There is no video: there is no ffmpeg" in text]
+
+
+def test_a_young_run_has_a_page(tmp_path, stand_in):
+    young = runs.train_tiny(tmp_path / "run", minutes=1e-9)
+    read = Elements(written(young, tmp_path))
+    assert [name for name in read.figures["figures"] if not name.startswith("map")] == []
+
+
+def test_tables_are_escaped_and_empty_without_rows():
+    assert page.table(["a<"], [["<b>"]]).count("&lt;") == 2
+    assert page.table(["a"], []) == page.plots([]) == page.cards([]) == page.details("a", "") == ""
+    assert page.section("title", "", "") == ""
+
+
+# What needs plotly, and what a browser shows.
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The page of two shipped agents and of a shipped walker."""
+    folder = tmp_path_factory.mktemp("whole")
+    return report(["ant-gather", "ant-gather-coevolved", "ant-walker"], folder / "report.html", episodes=4, video=False)
+
+
+@needs_plotly
+@pytest.mark.extras
+def test_plotly_knows_every_figure(whole):
+    from plotly.graph_objects import Figure
+
+    figures = Elements(whole).figures["figures"]
+    assert len(figures) > 20
+    for each in figures.values():
+        for figure in [each] if "data" in each else each.values():
+            text = re.sub(r'"--[a-z0-9-]+(/[\d.]+)?"', '"red"', json.dumps(figure))
+            Figure(json.loads(text))  # raises for a wrong name or value
+
+
+@pytest.fixture
+def browser(tmp_path):
+    binary = find_browser()
+    if binary is None:
+        pytest.skip("there is no Chromium here")
+    with Browser(binary, tmp_path / "profile") as opened:
+        yield opened
+
+
+FIRST = "document.querySelector('[data-figure]')"
+
+
+def first_plot(browser):
+    """Scroll to the first figure; return the sides of its area: left, top, right and bottom in pixels."""
+    browser.evaluate(f"{FIRST}.scrollIntoView({{block: 'center'}})")
+    browser.wait_for(f"{FIRST}.querySelector('.nsewdrag')")
+    area = f"{FIRST}.querySelector('.nsewdrag').getBoundingClientRect()"
+    return browser.evaluate(f"(() => {{const r = {area}; return [r.left, r.top, r.right, r.bottom]}})()")
+
+
+@needs_plotly
+@pytest.mark.extras
+def test_values_are_shown_below_the_mouse_and_a_drag_zooms(whole, browser):
+    browser.open(whole)
+    left, top, right, bottom = first_plot(browser)
+    middle = (top + bottom) / 2
+    browser.mouse("Moved", left + 10, middle)
+    browser.mouse("Moved", (left + right) / 2, middle)
+    shown = browser.wait_for(f"{FIRST}.querySelector('.hoverlayer').textContent")
+    assert re.search(r"\d\.\d", shown)
+    across = f"{FIRST}._fullLayout.xaxis.range"
+    before = browser.evaluate(across)
+    browser.drag((left + 0.4 * (right - left), middle), (left + 0.6 * (right - left), middle))
+    after = browser.wait_for(f"{FIRST}._fullLayout.xaxis.autorange === false && {across}")
+    assert after[1] - after[0] == pytest.approx(0.2 * (before[1] - before[0]), rel=0.1)
+    assert browser.errors == []
+    assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
+
+
+@needs_plotly
+@pytest.mark.extras
+def test_the_horizontal_axis_the_curves_and_the_episode_can_be_chosen(whole, browser):
+    browser.open(whole)
+    first_plot(browser)
+    title = f"{FIRST}._fullLayout.xaxis.title.text"
+    for x, label in (("generation", "generation"), ("wall_time_s", "wall-clock minutes")):
+        browser.evaluate(f"document.querySelector('input[value={x}]').click()")
+        assert browser.wait_for(f"{title} === '{label}' && {title}")
+    curves = f"{FIRST}.data.filter((trace) => trace.name).length"
+    count = browser.evaluate(curves)
+    browser.evaluate("document.querySelector('#legend button').click()")
+    assert browser.evaluate(curves) == count - 1
+    place = "document.querySelector('[data-figure=\"map 0\"]')"
+    browser.evaluate(f"{place}.scrollIntoView()")
+    browser.wait_for(f"{place}.data")
+    numbers = f"[...new Set({place}.data.map((trace) => trace.meta.episode))]"
+    assert browser.evaluate(numbers) == [0, 1, 2, 3]
+    choice = "document.querySelector('select[data-map=\"map 0\"]')"
+    browser.evaluate(f"{choice}.value = '2'; {choice}.dispatchEvent(new Event('change'))")
+    assert browser.wait_for(f"{place}.data.some((trace) => trace.meta.alone) && {numbers}") == [2]
+    assert browser.errors == []
+
+
+@needs_plotly
+@pytest.mark.extras
+@pytest.mark.parametrize("width", [1600, 400])
+@pytest.mark.parametrize("is_dark", [False, True])
+def test_the_page_fits_its_window_and_follows_its_scheme(whole, browser, width, is_dark):
+    browser.open(whole, width, is_dark=is_dark)
+    count = browser.evaluate("document.querySelectorAll('[data-figure]').length")
+    browser.evaluate("document.querySelectorAll('[data-figure]').forEach(draw)")
+    assert browser.evaluate("document.querySelectorAll('.js-plotly-plot').length") == count
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    assert browser.evaluate(
+        "[...document.querySelectorAll('.js-plotly-plot')].every((p) => p.scrollWidth <= p.clientWidth)"
+    )
+    ink = browser.evaluate("getComputedStyle(document.body).color")
+    text = browser.evaluate(f"getComputedStyle({FIRST}.querySelector('.xtitle')).fill")
+    assert text == ink
+    assert (sum(map(int, re.findall(r"\d+", ink))) > 3 * 128) is is_dark
+    assert browser.errors == []

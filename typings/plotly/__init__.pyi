@@ -1,0 +1,1 @@
+"""What SHES uses of plotly."""
