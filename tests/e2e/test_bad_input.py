@@ -207,6 +207,8 @@ WORDS = {
     "missing_run": (["resume", "gone"], r"gone does not exist\. Give the folder that `shes train` printed"),
     "plot_without_a_run": (["plot"], r"plot needs at least one run folder: shes plot RUN"),
     "plot_of_a_missing_run": (["plot", "gone"], r"gone does not exist\. Give the folder"),
+    "report_without_a_run": (["report"], r"report needs at least one run folder: shes report RUN"),
+    "report_of_a_missing_run": (["report", "gone"], r"gone does not exist\. Give the folder"),
     "render_without_a_run": (["render"], r"render needs at least one run: shes render RUN"),
     "unknown_shell": (["completion", "bsh"], r"unknown name 'bsh'\. Did you mean 'bash'"),
     "negative_seconds": (

@@ -12,7 +12,7 @@ from tests.e2e import runs
 
 
 def results(read, episodes=4):
-    return result_rows(read.groups, evaluate_runs(read.runs, episodes, 1, None, lambda _text: None))
+    return result_rows(read.groups, evaluate_runs(read.runs, episodes, 1, None, lambda: None))
 
 
 def test_a_run_has_the_results_that_evaluate_finds(kinds):

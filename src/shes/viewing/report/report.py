@@ -58,10 +58,10 @@ def report(
     for name, value, least in (("episodes", episodes, 1), ("workers", num_workers, 0), ("seed", seed or 0, 0)):
         if value < least:
             raise out_of_range(name, value, f"a whole number of at least {least}")
-    check_plotly()
     given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
     read = read_runs(given, [labels] if isinstance(labels, str) else list(labels))
     target = _checked_path(out, read.runs)
+    check_plotly()
     parts, total = count(1), len(read.runs) * (2 + video)
     sections = Sections(read, lambda: on_step(min(next(parts), total), total) if on_step else None)
     learning, goals, diagnostics, speed = sections.curves()

@@ -94,7 +94,8 @@ class Sections:
         some = f" Shown are the first {_MOST_SHOWN} groups." if len(self.read.groups) > _MOST_SHOWN else ""
         where = (
             f"Paths and goals of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of "
-            f"one run of each group.{some} A dot is the end of a path, a cross a goal."
+            f"one run of each group.{some} A dot is the end of a path, a cross a goal. "
+            "A single episode is shown with what the task marks, such as food or a target."
         )
         flat = " Drawn flat, from above: there is no OpenGL here." if videos and find_opengl() is None else ""
         what = f"The beginning of the first of these episodes.{some}{flat}"
