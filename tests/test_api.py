@@ -276,7 +276,11 @@ def test_numbers_of_numpy_are_settings_too(tmp_path, run):
     ("settings", "error", "message"),
     [
         ({"env": "point-gathr"}, UnknownNameError, r"unknown environment 'point-gathr'\. Did you mean 'point-gather'"),
-        ({"preset": "big"}, UnknownNameError, r"unknown preset 'big'\. Known: laptop, paper, smoke"),
+        (
+            {"preset": "big"},
+            UnknownNameError,
+            r"unknown preset 'big'\. Known: laptop, hiro-paper, hiro-table1, paper, smoke",
+        ),
         ({"sigmma": 1}, ConfigError, r"unknown setting 'sigmma'\. Did you mean 'sigma'"),
         ({"sigma": -1}, ConfigError, r"sigma must be a positive number, got -1\. Set --sigma"),
     ],

@@ -56,7 +56,7 @@ WORDS = {
     ),
     "unknown_preset": (
         ["train", "point-gather", "--preset", "lapto"],
-        r"unknown preset 'lapto'\. Did you mean 'laptop'\? Known: laptop, paper, smoke\. Set --preset",
+        r"unknown preset 'lapto'\. Did you mean 'laptop'\? Known: laptop, hiro-paper, hiro-table1, paper, smoke\. Set --preset",
     ),
     "preset_without_a_value": (["train", "point-gather", "--preset"], r"Missing value for argument '--preset'"),
     "unknown_flag": (
@@ -117,7 +117,7 @@ WORDS = {
     ),
     "unknown_algorithm": (
         [*TRAIN, "--algorithm", "se"],
-        r"unknown algorithm 'se'\. Did you mean 'shes'\? Known: shes, es\. Set --algorithm",
+        r"unknown algorithm 'se'\. Did you mean 'shes'\? Known: shes, es, hiro, td3\. Set --algorithm",
     ),
     "unknown_perturbation": (
         [*TRAIN, "--perturbation", "one-to-many"],
