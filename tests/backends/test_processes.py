@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 import types
-from multiprocessing.connection import wait
 
 import psutil
 import pytest
@@ -266,15 +265,16 @@ def test_a_worker_that_is_stopped_while_it_sends_a_result_is_replaced(monkeypatc
         (process,) = backend._workers
         pid = process.popen.pid
 
-        def wait_and_stop(*arguments):
+        def wait_and_stop(timeout_s):
             """Stop the worker when it has begun to send its first result, which is larger than what a pipe holds."""
-            ready = wait(*arguments)
-            if ready and process.tasks and runs.is_alive(pid):
+            ready = wait(timeout_s)
+            if ready and process.numbers and runs.is_alive(pid):
                 os.kill(pid, signal.SIGSTOP)
                 runs.wait_until(lambda: psutil.Process(pid).status() == psutil.STATUS_STOPPED, "it is stopped")
             return ready
 
-        monkeypatch.setattr("shes.backends.processes.wait", wait_and_stop)
+        wait = backend._ready
+        monkeypatch.setattr(backend, "_ready", wait_and_stop)
         assert [len(result) for result in backend.map([("repeat", 10_000_000)] * 2)] == [10_000_000] * 2
         assert pid not in backend.pids()
 

@@ -135,8 +135,8 @@ def test_a_node_that_joins_in_mid_generation_gets_work(free_cluster):
 def test_a_node_that_is_lost_in_mid_generation_changes_no_number(free_cluster, tiny_run, tmp_path, monkeypatch):
     answer, nodes = RayBackend._answer, list(free_cluster.worker_nodes)
 
-    def answer_and_end_node(backend, worker, message, run):
-        answer(backend, worker, message, run)
+    def answer_and_end_node(backend, worker, message):
+        answer(backend, worker, message)
         if message[0] == "result" and nodes and runs.log_lines(path)[-1] == "generation 2 begins":
             free_cluster.remove_node(nodes.pop(), allow_graceful=False)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Sequence
-from multiprocessing.connection import wait
+from selectors import EVENT_READ, DefaultSelector
 from typing import ClassVar
 
 from shes.backends.backend import WorkerFactory
@@ -37,6 +37,7 @@ class ProcessesBackend(PullBackend):
         super().__init__(num_workers, worker_warning_s, worker_timeout_s)
         self._factory = pickle_factory(factory)
         self._import_path = os.pathsep.join(import_path())
+        self._selector = DefaultSelector()  # of the workers' connections: asking each in turn would take too long
         self._start_missing()
 
     def close(self) -> None:
@@ -45,7 +46,7 @@ class ProcessesBackend(PullBackend):
         for worker in workers:
             worker.popen.kill()
         for worker in workers:
-            worker.end()
+            self._end(worker)
 
     def pids(self) -> list[int]:
         """Return the process ids of the workers."""
@@ -56,8 +57,7 @@ class ProcessesBackend(PullBackend):
             while len(self._workers) < self.num_workers:
                 worker = WorkerProcess(self._factory, self._import_path, self.worker_timeout_s)
                 self._workers.append(worker)
-                if self._state is not None:
-                    worker.send("state", self._state)
+                self._selector.register(worker.connection, EVENT_READ, worker)
         except OSError as error:
             self.close()
             raise WorkerError(
@@ -66,8 +66,12 @@ class ProcessesBackend(PullBackend):
             ) from error
 
     def _ready(self, timeout_s: float) -> Sequence[RemoteWorker]:
-        workers = {worker.connection: worker for worker in self._workers}
-        return [workers[connection] for connection in wait(list(workers), timeout_s)]
+        return [key.data for key, _ in self._selector.select(timeout_s)]
+
+    def _end(self, worker: RemoteWorker) -> None:
+        assert isinstance(worker, WorkerProcess)
+        self._selector.unregister(worker.connection)
+        super()._end(worker)
 
     def _advice(self, worker: RemoteWorker) -> str:
         if isinstance(worker, WorkerProcess) and worker.popen.returncode == -signal.SIGKILL:
