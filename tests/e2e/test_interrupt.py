@@ -143,8 +143,8 @@ def test_ctrl_c_in_an_evaluation_does_the_generation_again(tmp_path, tiny_run, m
             raise AssertionError("the evaluation went on")
         return original(*arguments)
 
-    original = session.evaluate_state
-    monkeypatch.setattr(session, "evaluate_state", evaluate)
+    original = session.EvaluationBeside
+    monkeypatch.setattr(session, "EvaluationBeside", evaluate)
     interrupted(tmp_path / "run")
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
     monkeypatch.undo()
@@ -178,13 +178,14 @@ def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run)
 
 def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, tiny_run, monkeypatch):
     def save(path, checkpoint):
-        if checkpoint.generation == 1:
+        if checkpoint.generation == 1 and not sent:
+            sent.append(path)
             os.kill(os.getpid(), signal.SIGINT)  # this is another thread: the main one gets the signal
             time.sleep(0.3)
         return original(path, checkpoint)
 
-    original = training.save_checkpoint
-    monkeypatch.setattr("shes.runs.checkpoint.save_checkpoint", save)
+    sent, original = [], training.save_checkpoint
+    monkeypatch.setattr("shes.runs.writer.save_checkpoint", save)
     interrupted(tmp_path / "run")
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
     monkeypatch.undo()

@@ -1,5 +1,7 @@
 """Tasks that workers share: every episode once, and results joined as if a task had been done as a whole."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +14,7 @@ from tests.hierarchy.made_up import make_result, make_task
 def test_parts_have_every_episode_once_and_in_order(episodes, cuts):
     task = make_task(3, range(70, 70 + episodes), snapshot_steps=tuple(range(episodes)))
     borders = [0, *sorted(cut for cut in cuts if cut < episodes), episodes]
-    parts = [task.part(*border) for border in zip(borders, borders[1:], strict=False)]
+    parts = [task.part(*border) for border in pairwise(borders)]
     assert sum(part.num_units for part in parts) == task.num_units == episodes
     for name in ("slots", "seeds", "snapshot_steps"):
         assert sum((getattr(part, name) for part in parts), ()) == getattr(task, name), name

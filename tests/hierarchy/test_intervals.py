@@ -13,7 +13,7 @@ from shes.backends.serial import SerialBackend
 from shes.es.level import RunningEpisodes, UpdateRule, draw_noise_index
 from shes.es.novelty import NSR
 from shes.es.shaping import PairRanks
-from shes.hierarchy.episodes import EpisodeTask, Snapshot
+from shes.hierarchy.episodes import Snapshot
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapshot_steps, next_running
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.results import PopulationResults

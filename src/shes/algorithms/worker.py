@@ -211,7 +211,7 @@ class RolloutWorker:
         if rounds == 1:
             return rows, rows
         rows += -rows % per_lane  # whole tasks
-        return rows, min(rows, _MIN_ROWS) if rounds > 2 else rows  # noqa: PLR2004 - see above
+        return rows, min(rows, _MIN_ROWS) if rounds > 2 else rows
 
     def _rollout(self, generation: Generation, rows: int) -> Rollout:
         """Return the rollout for this generation with lanes for any `rows` successive episodes. Create it if needed."""

@@ -148,7 +148,13 @@ class PullBackend(Backend):
         """Do `tasks`, which refer to `state`, in the next `map` call. Workers begin with them."""
         job = Job(tasks, State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL)), self.num_workers)
         self._beside.append(job)
-        return _Beside(job, self._do)
+        return _Beside(job, self._do_beside)
+
+    def _do_beside(self, job: Job) -> Iterator[Any]:
+        """Do `job` alone, if it still waits for the next `map` call; yield its results in order."""
+        if job not in self._beside:
+            raise WorkerError("this work ended with an error of other work beside it")
+        return self._do([job], job)
 
     def _do(self, jobs: Sequence[Job], wanted: Job) -> Iterator[Any]:
         """Do all `jobs`, the first one first; yield the results of `wanted` in order."""
@@ -308,7 +314,7 @@ class PullBackend(Backend):
 class _Beside:
     """A job that is done in the next `map` call, or when its results are asked for."""
 
-    def __init__(self, job: Job, do: Callable[[Sequence[Job], Job], Iterator[Any]]) -> None:
+    def __init__(self, job: Job, do: Callable[[Job], Iterator[Any]]) -> None:
         self._job, self._do = job, do
         self._results: list[Any] = []
 
@@ -317,8 +323,5 @@ class _Beside:
         return self._job.is_done
 
     def results(self) -> list[Any]:
-        if self._job.is_done:
-            self._results += self._job.finished()
-        else:
-            self._results += self._do([self._job], self._job)
+        self._results += self._job.finished() if self._job.is_done else self._do(self._job)
         return self._results

@@ -1,6 +1,7 @@
 """The tasks of workers: a task is the episodes of members that share their noise vectors. Its results are per episode.
 
-The unit of work is an episode in its slot; workers may share a task. A task is a few integers. The worker reads the perturbations from its own noise table (SHES paper II-G).
+The unit of work is an episode in its slot; workers may share a task. A task is a few integers: the worker reads the
+perturbations from its own noise table (SHES paper II-G).
 """
 
 from __future__ import annotations
@@ -140,9 +141,7 @@ class EpisodeTask:
         A part costs the matmul of the whole task.
         """
         cut = slice(start, stop)
-        return replace(
-            self, slots=self.slots[cut], seeds=self.seeds[cut], snapshot_steps=self.snapshot_steps[cut]
-        )
+        return replace(self, slots=self.slots[cut], seeds=self.seeds[cut], snapshot_steps=self.snapshot_steps[cut])
 
     def join(self, results: Sequence[EpisodeResults]) -> EpisodeResults:
         """Return the results of this task, given those of its parts in order."""
@@ -169,4 +168,3 @@ class EpisodeResults(ByEpisode):
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """Seconds that the worker spent on each of `PARTS` since its previous result."""
     log: tuple[str, ...] = ()
-

@@ -88,8 +88,8 @@ class Rollout:
     ) -> Iterator[tuple[int, EpisodeResults]]:
         """Run all of `work`, one task per lane at a time, and yield numbered results as tasks finish.
 
-        None in `work` means that no more tasks are to be started until an episode has ended. A PolicyError is raised for
-        a policy that returned NaN or infinity.
+        None in `work` means that no more tasks are to be started until an episode has ended. A PolicyError is raised
+        for a policy that returned NaN or infinity.
         """
         self._exploration.begin(generation)
         num_goals = generation.snapshot_goals
