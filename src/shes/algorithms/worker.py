@@ -190,7 +190,7 @@ class RolloutWorker:
         """Run tasks that are `pending` already, then `work`. Tasks are `pending` until they have a result."""
         assert self._generation is not None, "receive() comes first"
         generation = self._generation
-        rows, enough = self._rows(generation, share)
+        rows, enough = self.rounds(generation, share)
         rollout = self._rollout(generation, rows)
         tasks = chain(tuple(pending.items()), _tasks(work, pending, rows, enough))
         for number, results in rollout.run(tasks, generation, self.table.on(rollout.batch.xp)):
@@ -199,7 +199,7 @@ class RolloutWorker:
             yield number, replace(results, log=lines) if lines else results
         rollout.batch.check_buffers()
 
-    def _rows(self, generation: Generation, share: int) -> tuple[int, int]:
+    def rounds(self, generation: Generation, share: int) -> tuple[int, int]:
         """Return how many episodes of `share` to run in lockstep, and how many suffice near the end.
 
         There are as few rounds as possible, all of the same size. Only many rounds end with smaller ones: each round

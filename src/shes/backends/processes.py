@@ -7,6 +7,7 @@ Workers are started as a module, so a caller's script needs no `__main__` guard.
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 from collections.abc import Sequence
 from selectors import EVENT_READ, DefaultSelector
@@ -14,7 +15,8 @@ from typing import ClassVar
 
 from shes.backends.backend import WorkerFactory
 from shes.backends.factory import import_path, pickle_factory
-from shes.backends.process import WorkerProcess
+from shes.backends.job import State
+from shes.backends.process import SocketWorker, WorkerProcess
 from shes.backends.pull import PullBackend, RemoteWorker, SilenceSettings
 from shes.errors import WorkerError
 from shes.settings import Settings
@@ -44,7 +46,7 @@ class ProcessesBackend(PullBackend):
         """End every worker process."""
         workers, self._workers = self._workers, []
         for worker in workers:
-            worker.popen.kill()
+            worker.kill()
         for worker in workers:
             self._end(worker)
 
@@ -55,7 +57,7 @@ class ProcessesBackend(PullBackend):
     def _start_missing(self) -> None:
         try:
             while len(self._workers) < self.num_workers:
-                worker = WorkerProcess(self._factory, self._import_path, self.worker_timeout_s)
+                worker = self._start_worker()
                 self._workers.append(worker)
                 self._selector.register(worker.connection, EVENT_READ, worker)
         except OSError as error:
@@ -65,11 +67,21 @@ class ProcessesBackend(PullBackend):
                 "Lower --workers, or raise the limit on processes and open files (ulimit)."
             ) from error
 
+    def _start_worker(self) -> SocketWorker:
+        return WorkerProcess(self._factory, self._import_path, self.worker_timeout_s)
+
+    def _send_state(self, worker: RemoteWorker, state: State) -> None:
+        """Send `state`, in a message that is pickled once for all workers."""
+        assert isinstance(worker, SocketWorker)
+        state.stored = state.stored or pickle.dumps(("state", state.pickled), pickle.HIGHEST_PROTOCOL)
+        worker.state = state
+        worker.send_pickled(state.stored)
+
     def _ready(self, timeout_s: float) -> Sequence[RemoteWorker]:
         return [key.data for key, _ in self._selector.select(timeout_s)]
 
     def _end(self, worker: RemoteWorker) -> None:
-        assert isinstance(worker, WorkerProcess)
+        assert isinstance(worker, SocketWorker)
         self._selector.unregister(worker.connection)
         super()._end(worker)
 

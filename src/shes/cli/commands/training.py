@@ -137,12 +137,15 @@ def evaluate(*, json: Json = False, **options: Annotated[Any, "shes.training.eva
 
 
 def bench(
-    name: Literal["rollout", "update"],
+    name: Literal["rollout", "update", "speedup"],
     settings: dict[str, Any],
     env: Annotated[Env, tyro.conf.Positional] = DEFAULT_ENV,
     *,
     seconds: float = 0.0,
     json: Json = False,
+    out: Path = Path("speedup"),
+    latency_us: float = 50.0,
+    gigabits_per_s: float = 10.0,
 ) -> int:
     """Measure the speed of this machine, with the settings of shes train.
 
@@ -150,13 +153,22 @@ def bench(
 
     Args:
         name: rollout: steps per second of whole generations, against a bare mj_step loop on the same episodes; update:
-            milliseconds of the parent's work between generations, by part.
+            milliseconds of the parent's work between generations, by part; speedup: SHES and S-ES on 1 to --workers
+            cores, and a projection to a cluster of 24 cores per node.
         seconds: Minimum duration of the measurement. On a shared machine a long one is more precise.
+        out: Folder for the table and the figure of speedup.
+        latency_us: Latency of the cluster's network, in microseconds.
+        gigabits_per_s: Bandwidth of the cluster's network.
     """
     from shes.bench.measure import bench_rollout, bench_update
 
     if not 0 <= seconds < float("inf"):
         raise ConfigError(f"seconds must be zero or a positive number, got {seconds}. Set --seconds.")
+    if name == "speedup":
+        from shes.bench.speedup import speedup_of
+
+        print_facts(speedup_of(env, settings, out, latency_us, gigabits_per_s, seconds), as_json=json)
+        return 0
     config = make_config(env, settings.pop("preset", "laptop"), settings)
     measure = bench_rollout if name == "rollout" else bench_update
     print_facts(measure(config, seconds=seconds), as_json=json)
