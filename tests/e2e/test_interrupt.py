@@ -10,6 +10,7 @@ from shes.errors import ShesError
 from shes.hierarchy.results import PopulationResults
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.folder import RunFolder
+from shes.runs.tables import read_csv
 from shes.training import session
 from shes.training import train as training
 from shes.training.train import resume
@@ -176,7 +177,7 @@ def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run)
     assert runs.differences(tiny_run, tmp_path / "run") == []
 
 
-def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, tiny_run, monkeypatch):
+def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, monkeypatch):
     def save(path, checkpoint):
         if checkpoint.generation == 1 and not sent:
             sent.append(path)
@@ -186,11 +187,12 @@ def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, tiny_run, monke
 
     sent, original = [], training.save_checkpoint
     monkeypatch.setattr("shes.runs.writer.save_checkpoint", save)
-    interrupted(tmp_path / "run")
-    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
+    interrupted(tmp_path / "run", generations=1000)
+    done = load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation
+    assert 1 <= done == len(read_csv(tmp_path / "run" / "progress.csv")["generation"])
     monkeypatch.undo()
-    resume(tmp_path / "run")
-    assert runs.differences(tiny_run, tmp_path / "run") == []
+    resume(tmp_path / "run", generations=done + 1)
+    assert runs.differences(runs.train_tiny(tmp_path / "whole", generations=done + 1), tmp_path / "run") == []
 
 
 def test_training_gives_the_signal_handlers_back(tmp_path):
