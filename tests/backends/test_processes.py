@@ -344,3 +344,19 @@ def test_workers_do_not_outlive_a_killed_parent(moment, tmp_path):
         parent.kill()
         parent.communicate()
     runs.assert_gone(parent.pid, pids)
+
+
+def test_workers_that_die_beside_other_work_are_replaced_with_the_right_state(backend, tmp_path):
+    beside = backend.beside([("die_once", tmp_path / "marker"), *[("add", i) for i in range(6)]], 1000)
+    assert list(backend.map([("add", i) for i in range(20)])) == list(range(100, 120))
+    assert beside.results() == [1000, *range(1000, 1006)]
+    assert len(backend.told) == 1
+
+
+def test_work_beside_that_failed_is_not_done(backend):
+    beside = backend.beside([("add", 1), ("divide", 0)], 1000)
+    with pytest.raises(WorkerError, match="division by zero"):
+        list(backend.map([("add", 1)] * 4))
+    assert not beside.is_done
+    with pytest.raises(WorkerError, match="this work ended with an error"):
+        beside.results()

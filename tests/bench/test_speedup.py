@@ -19,7 +19,7 @@ from tests.hierarchy.made_up import make_task
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "noise_table_size": 1_000_000}
 COST = StepCost(rows=np.array([1, 400]), seconds=np.array([0.2, 40.1]), row_s=0.1)  # 0.1, and 0.1 for each episode
 NOTHING = Costs(
-    draw_s=0, begin_s=0, want_s=0, result_s=0, update_s=0, state_bytes=0, task_bytes=0, result_bytes=0
+    draw_s=0, copy_s=0, begin_s=0, want_s=0, result_s=0, update_s=0, state_bytes=0, task_bytes=0, result_bytes=0
 )  # fmt: skip
 NO_NETWORK = Network(latency_s=0, bytes_per_s=math.inf)
 
@@ -76,6 +76,13 @@ def test_the_parent_answers_one_message_after_the_other():
     assert found.start_s == pytest.approx(4.0)
     assert found.rollout_s >= 1 + 4 * (0.5 + 0.25 + 2.0)
     assert found.update_s == 4.0
+
+
+def test_the_parent_copies_the_state_for_every_worker_unless_nodes_pass_it_on():
+    costs = replace(NOTHING, copy_s=1.0)
+    assert times([1] * 4, 4, costs=costs).start_s == 0
+    alone = replace(NO_NETWORK, cores_per_node=0)
+    assert times([1] * 4, 4, costs=costs, network=alone).start_s == pytest.approx(4.0)
 
 
 def test_messages_take_the_time_of_the_network():

@@ -153,7 +153,7 @@ class PullBackend(Backend):
     def _do_beside(self, job: Job) -> Iterator[Any]:
         """Do `job` alone, if it still waits for the next `map` call; yield its results in order."""
         if job not in self._beside:
-            raise WorkerError("this work ended with an error of other work beside it")
+            raise WorkerError("this work ended with an error, of its own or of the work beside it")
         return self._do([job], job)
 
     def _do(self, jobs: Sequence[Job], wanted: Job) -> Iterator[Any]:

@@ -112,18 +112,20 @@ def _measure_parent(tasks: Sequence[EpisodeTask], generation: Generation, sleep:
     with SleepersBackend(partial(Sleeper, at_once), _PROBE_WORKERS) as backend:
         backend.broadcast(generation)
         list(backend.map(singles[:_PROBE_WORKERS]))
-        start = process_time()
-        list(backend.map(singles))
-        round_trip_s = (process_time() - start) / len(singles)
-        start = process_time()
-        for _ in range(5):
+        round_trip_s = _processor_s(lambda: list(backend.map(singles))) / len(singles)
+        few = singles[:_PROBE_WORKERS]
+        begin_s = _processor_s(lambda: list(backend.map(few))) / _PROBE_WORKERS - round_trip_s
+
+        def send() -> None:
             backend.broadcast(generation)
-            list(backend.map(singles[:_PROBE_WORKERS]))
-        begin_s = (process_time() - start) / 5 / _PROBE_WORKERS - round_trip_s
+            list(backend.map(few))
+
+        copy_s = _processor_s(send) / _PROBE_WORKERS - round_trip_s - begin_s
     draw_s = _seconds(lambda: pickle.dumps(generation, pickle.HIGHEST_PROTOCOL))
     return Costs(
         draw_s=draw_s,
-        begin_s=max(begin_s - draw_s / _PROBE_WORKERS, 0.0),
+        copy_s=max(copy_s - draw_s / _PROBE_WORKERS, 0.0),
+        begin_s=max(begin_s, 0.0),
         want_s=round_trip_s / 2,
         result_s=round_trip_s / 2,
         update_s=0.0,
@@ -131,6 +133,16 @@ def _measure_parent(tasks: Sequence[EpisodeTask], generation: Generation, sleep:
         task_bytes=len(pickle.dumps((0, tasks[0]), pickle.HIGHEST_PROTOCOL)),
         result_bytes=len(pickle.dumps(results.of(tasks[0]), pickle.HIGHEST_PROTOCOL)),
     )
+
+
+def _processor_s(work: Callable[[], object]) -> float:
+    """Return the least processor time of this process in three calls of `work`."""
+    times = []
+    for _ in range(3):
+        start = process_time()
+        work()
+        times.append(process_time() - start)
+    return min(times)
 
 
 def _seconds(work: Callable[[], object]) -> float:

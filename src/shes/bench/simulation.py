@@ -25,7 +25,7 @@ class Network:
     latency_s: float
     bytes_per_s: float
     cores_per_node: int = 24
-    """Cores that share one copy of the state; 0 if the parent sends a copy to every worker."""
+    """Cores that share one copy of the state, which travels from node to node; 0 if the parent sends one to each."""
 
     def broadcast_s(self, size: int, num_workers: int) -> float:
         """Return how long `size` bytes take to all workers, from node to node along a tree."""
@@ -45,8 +45,10 @@ class Costs:
 
     draw_s: float
     """Seconds in which the parent draws the tasks and pickles the state."""
+    copy_s: float
+    """Seconds in which the parent sends a copy of the state."""
     begin_s: float
-    """Seconds in which the parent sends the state and the request to begin to one worker."""
+    """Seconds in which the parent sends the request to begin to one worker."""
     want_s: float
     """Seconds in which the parent answers a request for tasks."""
     result_s: float
@@ -123,10 +125,11 @@ class _Simulation:
         schedule = self._job.schedule
         rows, self._enough = rounds(schedule.share)
         state_s = self._network.broadcast_s(self._costs.state_bytes, num_workers)
+        begin_s = self._costs.begin_s + (0.0 if self._network.cores_per_node else self._costs.copy_s)
         for _ in range(num_workers):
             if schedule.wants_worker:
                 schedule.expect()
-                begun_s = self._handle(0.0, self._costs.begin_s)
+                begun_s = self._handle(0.0, begin_s)
                 self._ask(_Worker(lockstep=Lockstep(cost=cost, rows=rows)), begun_s + state_s)
         while self._events:
             time_s, _, event = heapq.heappop(self._events)
