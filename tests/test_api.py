@@ -137,13 +137,13 @@ def test_a_listener_hears_of_everything_in_order(tmp_path):
     path = runs.train_tiny(tmp_path / "run", listener=listener)
     assert listener.heard == [
         ("start", path, 0, 1),
-        ("evaluation", 1, 3),
         ("generation", 1, 160),
-        ("evaluation", 2, 3),
+        ("evaluation", 1, 3),
         ("generation", 2, 320),
+        ("evaluation", 2, 3),
         ("generation", 3, 480),
-        ("evaluation", 4, 3),
         ("generation", 4, 640),
+        ("evaluation", 4, 3),
     ]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from shes.algorithms.worker import RolloutWorker, WorkerPlan, lanes_that_fit
+from shes.backends.work import TaskList
 from shes.envs.registry import find_environment, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import StorageError
@@ -70,7 +71,7 @@ def _work(count, episodes=2):
 
 def _run(worker, generation, count=4, share=4):
     worker.receive(generation)
-    return dict(worker.run(iter(_work(count)), share))
+    return dict(worker.run(TaskList(_work(count)), 2 * share))
 
 
 def test_training_and_evaluation_have_their_own_horizon():
@@ -87,7 +88,7 @@ def test_the_episodes_of_a_policy_may_change_from_generation_to_generation():
     worker, runs = RolloutWorker(plan), []
     for episodes in (2, 3, 1, 3):
         worker.receive(_generation(plan, episodes=episodes))
-        runs.append(dict(worker.run(iter(_work(4, episodes)), 4)))
+        runs.append(dict(worker.run(TaskList(_work(4, episodes)), 4 * episodes)))
         assert {len(result.steps) for result in runs[-1].values()} == {episodes}
     two, three, one, again = runs
     for number in range(4):
@@ -113,7 +114,7 @@ def test_environments_that_do_not_fit_any_more_are_closed_and_others_kept():
         (2, 2, False), (2, 2, False), (4, 2, True), (2, 2, False), (3, 2, False), (3, 1, False)
     ):  # fmt: skip
         worker.receive(_generation(plan, episodes=episodes, is_evaluation=is_evaluation))
-        list(worker.run(iter(_work(2, episodes)), share))
+        list(worker.run(TaskList(_work(2, episodes)), share * episodes))
     # Two lanes of 2, of 4 and of 3 episodes, then a single lane of 3.
     assert made == [(4, False), (8, True), (6, False), (3, False)]
     assert closed == [4, 6]
@@ -132,15 +133,9 @@ def test_no_more_tasks_are_taken_at_once_than_an_even_share():
     plan = _plan(chunk_size=50)
     worker = RolloutWorker(plan)
     worker.receive(_generation(plan))
-    taken = []
-
-    def work():
-        for item in _work(8):
-            taken.append(item)
-            yield item
-
-    next(iter(worker.run(work(), share=3)))
-    assert len(taken) == 3
+    work = TaskList(_work(8))
+    next(iter(worker.run(work, share=6)))
+    assert len(list(work)) == 5
 
 
 def _logs_of_a_run_in_which_the_simulator_says(message, times):
@@ -148,12 +143,16 @@ def _logs_of_a_run_in_which_the_simulator_says(message, times):
     worker = RolloutWorker(plan)
     worker.receive(_generation(plan))
 
-    def work():
-        for number in range(times):
-            logging.getLogger("shes.mujoco").warning(message.format(number=number))
-        yield from _work(4)
+    class Saying(TaskList):
+        def take(self, units, enough=None):
+            for number in range(times if self.is_new else 0):
+                logging.getLogger("shes.mujoco").warning(message.format(number=number))
+            self.is_new = False
+            return super().take(units, enough)
 
-    return [result.log for _, result in worker.run(work(), 4)]
+        is_new = True
+
+    return [result.log for _, result in worker.run(Saying(_work(4)), 8)]
 
 
 def test_what_the_simulator_says_comes_with_the_results_once():

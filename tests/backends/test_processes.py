@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 import types
-from multiprocessing.connection import wait
 
 import psutil
 import pytest
@@ -266,15 +265,16 @@ def test_a_worker_that_is_stopped_while_it_sends_a_result_is_replaced(monkeypatc
         (process,) = backend._workers
         pid = process.popen.pid
 
-        def wait_and_stop(*arguments):
+        def wait_and_stop(timeout_s):
             """Stop the worker when it has begun to send its first result, which is larger than what a pipe holds."""
-            ready = wait(*arguments)
-            if ready and process.tasks and runs.is_alive(pid):
+            ready = wait(timeout_s)
+            if ready and process.numbers and runs.is_alive(pid):
                 os.kill(pid, signal.SIGSTOP)
                 runs.wait_until(lambda: psutil.Process(pid).status() == psutil.STATUS_STOPPED, "it is stopped")
             return ready
 
-        monkeypatch.setattr("shes.backends.processes.wait", wait_and_stop)
+        wait = backend._ready
+        monkeypatch.setattr(backend, "_ready", wait_and_stop)
         assert [len(result) for result in backend.map([("repeat", 10_000_000)] * 2)] == [10_000_000] * 2
         assert pid not in backend.pids()
 
@@ -344,3 +344,19 @@ def test_workers_do_not_outlive_a_killed_parent(moment, tmp_path):
         parent.kill()
         parent.communicate()
     runs.assert_gone(parent.pid, pids)
+
+
+def test_workers_that_die_beside_other_work_are_replaced_with_the_right_state(backend, tmp_path):
+    beside = backend.beside([("die_once", tmp_path / "marker"), *[("add", i) for i in range(6)]], 1000)
+    assert list(backend.map([("add", i) for i in range(20)])) == list(range(100, 120))
+    assert beside.results() == [1000, *range(1000, 1006)]
+    assert len(backend.told) == 1
+
+
+def test_work_beside_that_failed_is_not_done(backend):
+    beside = backend.beside([("add", 1), ("divide", 0)], 1000)
+    with pytest.raises(WorkerError, match="division by zero"):
+        list(backend.map([("add", 1)] * 4))
+    assert not beside.is_done
+    with pytest.raises(WorkerError, match="this work ended with an error"):
+        beside.results()

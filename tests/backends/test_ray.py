@@ -3,6 +3,7 @@
 import re
 import sys
 import types
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,48 @@ def test_an_address_where_nothing_answers_is_an_error_that_names_the_flag(monkey
     for address in ("localhost:1", "nonsense"):
         with pytest.raises(ConfigError, match=rf"no Ray cluster answers at '{address}': .* Set --ray-address"):
             RayBackend(Worker, 2, ray_address=address)
+
+
+class BusyRay:
+    """Stands for Ray on a cluster whose only CPU is taken: an actor never starts."""
+
+    exceptions = types.SimpleNamespace(RayError=OSError)
+
+    def __init__(self):
+        self.actor = types.SimpleNamespace(send=self, receive=self)
+
+    def remote(self, *_, **options):
+        return (lambda _: self) if options else self.actor if _ else types.SimpleNamespace(future=Future)
+
+    def options(self, **_):
+        return self
+
+    def is_initialized(self):
+        return True
+
+    def cluster_resources(self):
+        return {"CPU": 1.0}
+
+    def put(self, value):
+        return value
+
+    def kill(self, actor):
+        pass
+
+
+def test_a_cluster_without_a_free_cpu_is_told_of(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", BusyRay())
+
+    class HeardError(Exception):
+        pass
+
+    def hear(event):
+        raise HeardError(event)
+
+    with RayBackend(Worker, 1, worker_warning_s=0.05) as backend:
+        backend.on_event = hear
+        with pytest.raises(HeardError, match=r"no worker has started yet: every CPU of the Ray cluster is taken"):
+            list(backend.map([("add", 1)]))
 
 
 def test_without_ray_the_error_names_the_extra(monkeypatch):
@@ -135,8 +178,8 @@ def test_a_node_that_joins_in_mid_generation_gets_work(free_cluster):
 def test_a_node_that_is_lost_in_mid_generation_changes_no_number(free_cluster, tiny_run, tmp_path, monkeypatch):
     answer, nodes = RayBackend._answer, list(free_cluster.worker_nodes)
 
-    def answer_and_end_node(backend, worker, message, run):
-        answer(backend, worker, message, run)
+    def answer_and_end_node(backend, worker, message):
+        answer(backend, worker, message)
         if message[0] == "result" and nodes and runs.log_lines(path)[-1] == "generation 2 begins":
             free_cluster.remove_node(nodes.pop(), allow_graceful=False)
 

@@ -18,6 +18,26 @@ ERRORS = {
 """Errors that a task may ask for."""
 
 
+class Letters:
+    """A divisible task: its units are the letters of a text, and its result says which process did which of them."""
+
+    def __init__(self, text):
+        self.text = text
+
+    @property
+    def num_units(self):
+        return len(self.text)
+
+    def part(self, start, stop):
+        return Letters(self.text[start:stop])
+
+    def join(self, results):
+        return [each for result in results for each in result]
+
+    def __iter__(self):  # as any other task, a verb and its argument
+        return iter(("spell", self.text))
+
+
 class Worker:
     """Runs tasks (verb, argument), a few at a time, and yields their results last first."""
 
@@ -39,6 +59,11 @@ class Worker:
     def add(self, number):
         """Add the state to a number."""
         return self.state + number
+
+    def spell(self, text):
+        """Return a pair of a process and letters, with the state behind."""
+        time.sleep(0.01 * len(text))
+        return [(os.getpid(), f"{text}{self.state}")]
 
     def where(self, seconds):
         """Take some time; return the process and the state."""

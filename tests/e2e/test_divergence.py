@@ -125,7 +125,7 @@ def test_a_reward_that_is_nan_is_told_at_once_and_ends_the_run_with_its_likely_c
         runs.train_tiny(tmp_path / "run", "fog", **settings, max_diverged_generations=3, listener=events)
     assert caught.value.exit_code == 1
     assert [generation for generation, event in events.seen if event.startswith("all 8 episodes of gen")] == [1, 2, 3]
-    assert (1, "all 3 episodes of the evaluation diverged: its score does not count") in events.seen
+    assert (2, "all 3 episodes of the evaluation diverged: its score does not count") in events.seen
     assert RunFolder.open(tmp_path / "run").load("last").generation == 3
     assert any("all 8 episodes of generation 2 diverged" in line for line in runs.log_lines(tmp_path / "run"))
 

@@ -10,6 +10,7 @@ from shes.errors import ShesError
 from shes.hierarchy.results import PopulationResults
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.folder import RunFolder
+from shes.runs.tables import read_csv
 from shes.training import session
 from shes.training import train as training
 from shes.training.train import resume
@@ -143,8 +144,8 @@ def test_ctrl_c_in_an_evaluation_does_the_generation_again(tmp_path, tiny_run, m
             raise AssertionError("the evaluation went on")
         return original(*arguments)
 
-    original = session.evaluate_state
-    monkeypatch.setattr(session, "evaluate_state", evaluate)
+    original = session.EvaluationBeside
+    monkeypatch.setattr(session, "EvaluationBeside", evaluate)
     interrupted(tmp_path / "run")
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
     monkeypatch.undo()
@@ -176,20 +177,22 @@ def test_ctrl_c_between_generations_keeps_the_one_that_ended(tmp_path, tiny_run)
     assert runs.differences(tiny_run, tmp_path / "run") == []
 
 
-def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, tiny_run, monkeypatch):
+def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, monkeypatch):
     def save(path, checkpoint):
-        if checkpoint.generation == 1:
+        if checkpoint.generation == 1 and not sent:
+            sent.append(path)
             os.kill(os.getpid(), signal.SIGINT)  # this is another thread: the main one gets the signal
             time.sleep(0.3)
         return original(path, checkpoint)
 
-    original = training.save_checkpoint
-    monkeypatch.setattr("shes.runs.checkpoint.save_checkpoint", save)
-    interrupted(tmp_path / "run")
-    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
+    sent, original = [], training.save_checkpoint
+    monkeypatch.setattr("shes.runs.writer.save_checkpoint", save)
+    interrupted(tmp_path / "run", generations=1000)
+    done = load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation
+    assert 1 <= done == len(read_csv(tmp_path / "run" / "progress.csv")["generation"])
     monkeypatch.undo()
-    resume(tmp_path / "run")
-    assert runs.differences(tiny_run, tmp_path / "run") == []
+    resume(tmp_path / "run", generations=done + 1)
+    assert runs.differences(runs.train_tiny(tmp_path / "whole", generations=done + 1), tmp_path / "run") == []
 
 
 def test_training_gives_the_signal_handlers_back(tmp_path):

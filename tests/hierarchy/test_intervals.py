@@ -13,7 +13,7 @@ from shes.backends.serial import SerialBackend
 from shes.es.level import RunningEpisodes, UpdateRule, draw_noise_index
 from shes.es.novelty import NSR
 from shes.es.shaping import PairRanks
-from shes.hierarchy.episodes import EpisodeTask, Snapshot, spread
+from shes.hierarchy.episodes import Snapshot
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapshot_steps, next_running
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.results import PopulationResults
@@ -213,26 +213,6 @@ def test_whole_episodes_leave_snapshots_at_any_of_their_decisions(horizon, decis
     if decisions > 1:
         assert steps != draw_snapshot_steps(_alone(generation=1), 400, horizon, STEPS)
         assert steps != draw_snapshot_steps(_alone(seed=4), 400, horizon, STEPS)
-
-
-def test_episodes_that_go_out_one_by_one_leave_their_own_snapshots():
-    tasks = [
-        EpisodeTask(
-            member=2 * g, noise_index=(0,), signs=((1,), (-1,)), slots=(0, 1), seeds=(g, g), snapshot_steps=(10 * g, 5)
-        )
-        for g in range(4)
-    ]
-    mean = EpisodeTask(member=8, noise_index=(0,), signs=((0,),), slots=(0, 1), seeds=(7, 8))
-    parts = spread([*tasks, mean], 3)
-    assert [(part.member, part.slots, part.snapshot_steps) for part in parts] == [
-        (0, (0, 1), (0, 5)),
-        (2, (0, 1), (10, 5)),
-        (4, (0, 1), (20, 5)),
-        (6, (0,), (30,)),
-        (6, (1,), (5,)),
-        (8, (0,), ()),
-        (8, (1,), ()),
-    ]
 
 
 # Agents in branches --------------------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import threading
 import zipfile
 from dataclasses import replace
 
@@ -12,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shes.errors import CheckpointError, ConfigError, StorageError
-from shes.runs import checkpoint as checkpoints
-from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, load_checkpoint, restore, save_checkpoint
+from shes.runs.checkpoint import Best, Checkpoint, load_checkpoint, restore, save_checkpoint
 
 NUMBERS = {"env": "point-gather", "sigma": 0.1 + 0.2, "hidden": [4, 4]}
 
@@ -69,7 +67,7 @@ def test_the_counts_are_read_without_the_state(tmp_path):
         load_checkpoint(tmp_path / "a.npz")
 
 
-@pytest.mark.parametrize("name", ["format", "settings", "best_score"])
+@pytest.mark.parametrize("name", ["format", "settings", "best_score", "owes_evaluation"])
 def test_a_learner_has_no_array_of_the_runs_own_names(tmp_path, name):
     taken = replace(make(), arrays={**make().arrays, name: np.zeros(3)})
     with pytest.raises(ConfigError, match=rf"to_arrays\(\) names an array {name}, which"):
@@ -230,32 +228,3 @@ def test_a_failed_write_leaves_the_old_checkpoint_and_nothing_else(tmp_path, mon
     monkeypatch.undo()
     assert_same(load_checkpoint(path), make(1))
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_the_writer_writes_in_order_beside_the_callers_work(tmp_path, monkeypatch):
-    may_go_on, written = threading.Event(), []
-
-    def slow(path, checkpoint):
-        may_go_on.wait(10)
-        written.append((path.name, checkpoint.generation))
-
-    monkeypatch.setattr(checkpoints, "save_checkpoint", slow)
-    writer = CheckpointWriter()
-    writer.write([tmp_path / "best", tmp_path / "last"], make(1))
-    assert written == []  # the call has come back before anything was written
-    may_go_on.set()
-    writer.write([tmp_path / "last"], make(2))
-    writer.close()
-    assert written == [("best", 1), ("last", 1), ("last", 2)]
-
-
-@pytest.mark.parametrize("then", ["write", "wait", "close"])
-def test_a_write_that_failed_is_told_at_the_next_call(tmp_path, monkeypatch, then):
-    writer = CheckpointWriter()
-    monkeypatch.setattr("os.fsync", fail(errno.ENOSPC))
-    writer.write([tmp_path / "last.npz"], make(1))
-    more = ([tmp_path / "last.npz"], make(2)) if then == "write" else ()
-    with pytest.raises(StorageError, match="the disk is full"):
-        getattr(writer, then)(*more)
-    writer.close()
-    assert list(tmp_path.iterdir()) == []

@@ -142,8 +142,8 @@ def test_a_cell_that_was_stopped_goes_on_as_if_it_had_not(finished, tmp_path, mo
             signal.raise_signal(signal.SIGINT)
         return original(*arguments)
 
-    original = session.evaluate_state
-    monkeypatch.setattr(session, "evaluate_state", evaluate)
+    original = session.EvaluationBeside
+    monkeypatch.setattr(session, "EvaluationBeside", evaluate)
     with pytest.raises(KeyboardInterrupt):
         run_cell(cell(), tmp_path, 3)
     assert read_summaries(Study(cells=(cell(),)), tmp_path) == {}

@@ -74,6 +74,10 @@ class Algorithm(ABC, Generic[StateT]):
     """Its settings: dataclasses by the name of their room. Each setting becomes a flag of `shes train` with help, an
     argument of `shes.train` and an entry of `config.json`. `problem.settings.ROOM.NAME` is its value."""
 
+    shares_memory: ClassVar[bool] = False
+    """Whether a state shares memory with the states after it: the next generation then begins only after this one is
+    evaluated and in its checkpoint. Otherwise both are done beside it."""
+
     def __init__(self, problem: Problem, design: AgentDesign) -> None:
         """Store `problem` and the `design` of the agents. A subclass is made from the problem alone.
 

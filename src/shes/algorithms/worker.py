@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
+from typing import Protocol
 
 import mujoco
 
@@ -92,6 +93,35 @@ def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, epis
     return max(1, int(_SHARE_OF_MEMORY * free_bytes / per_lane))
 
 
+class Work(Protocol):
+    """The tasks of all workers, from which one takes its own."""
+
+    def take(self, units: int, enough: int) -> Sequence[NumberedTask]:
+        """Return the next tasks with up to `units` episodes, or near the end at least `enough`; none at the end."""
+        ...
+
+
+def _tasks(
+    work: Work, pending: dict[int, EpisodeTask], rows: int, enough: int
+) -> Generator[NumberedTask | None, None, None]:
+    """Yield tasks of `work` and note them in `pending`, so that up to `rows` episodes are pending.
+
+    None stands for no task until another one has its result.
+    """
+    asked_at = sys.maxsize  # number of pending tasks after the last question
+    while True:
+        room = rows - sum(len(task.slots) for task in pending.values())
+        if room > 0 and (not pending or len(pending) < asked_at):
+            taken = work.take(room, min(room, enough))
+            if not taken:
+                return
+            pending.update(taken)
+            asked_at = len(pending)
+            yield from taken
+        else:
+            yield None
+
+
 class _LogCollector(logging.Handler):
     """Collects the simulator's warnings for the results of the current task, each once per generation."""
 
@@ -136,8 +166,8 @@ class RolloutWorker:
         """Store the generation that the next tasks belong to."""
         self._generation = state
 
-    def run(self, work: Iterator[NumberedTask], share: int) -> Iterator[tuple[int, EpisodeResults]]:
-        """Run `work`, of which about `share` tasks are for this worker, and yield numbered results.
+    def run(self, work: Work, share: int) -> Iterator[tuple[int, EpisodeResults]]:
+        """Run `work`, of which about `share` episodes are for this worker, and yield numbered results.
 
         If a device runs out of memory, tasks without a result are repeated with half as many policies at a time.
 
@@ -145,17 +175,10 @@ class RolloutWorker:
             ConfigError: A device has too few contact buffers, or too little memory for a single policy.
         """
         pending: dict[int, EpisodeTask] = {}
-
-        def take() -> Iterator[NumberedTask]:
-            for number, task in work:
-                pending[number] = task
-                yield number, task
-
-        new = take()
         with self._collector.listening():
             while True:
                 try:
-                    yield from self._run(chain(tuple(pending.items()), new), pending, share)
+                    yield from self._run(work, pending, share)
                 except (MemoryError, RuntimeError) as error:
                     if self.plan.device == "cpu" or not is_out_of_memory(error):
                         raise
@@ -163,27 +186,42 @@ class RolloutWorker:
                 else:
                     return
 
-    def _run(
-        self, work: Iterator[NumberedTask], pending: dict[int, EpisodeTask], share: int
-    ) -> Iterator[tuple[int, EpisodeResults]]:
-        """Run `work`, and remove the tasks that have a result from `pending`."""
+    def _run(self, work: Work, pending: dict[int, EpisodeTask], share: int) -> Iterator[tuple[int, EpisodeResults]]:
+        """Run tasks that are `pending` already, then `work`. Tasks are `pending` until they have a result."""
         assert self._generation is not None, "receive() comes first"
-        rollout = self._rollout(self._generation, share)
-        for number, results in rollout.run(work, self._generation, self.table.on(rollout.batch.xp)):
+        generation = self._generation
+        rows, enough = self.rounds(generation, share)
+        rollout = self._rollout(generation, rows)
+        tasks = chain(tuple(pending.items()), _tasks(work, pending, rows, enough))
+        for number, results in rollout.run(tasks, generation, self.table.on(rollout.batch.xp)):
             del pending[number]
             lines, self._collector.lines = tuple(self._collector.lines), []
             yield number, replace(results, log=lines) if lines else results
         rollout.batch.check_buffers()
 
-    def _rollout(self, generation: Generation, share: int) -> Rollout:
-        """Return the rollout for this generation with lanes for `share` tasks. Create it if necessary."""
+    def rounds(self, generation: Generation, share: int) -> tuple[int, int]:
+        """Return how many episodes of `share` to run in lockstep, and how many suffice near the end.
+
+        There are as few rounds as possible, all of the same size. Only many rounds end with smaller ones: each round
+        has a cost of its own.
+        """
+        per_lane = generation.rows_per_lane
+        rounds = max(1, -(-share // (self._chunk(generation, -(-share // per_lane)) * per_lane)))
+        rows = max(1, -(-share // rounds))
+        if rounds == 1:
+            return rows, rows
+        rows += -rows % per_lane  # whole tasks
+        return rows, min(rows, _MIN_ROWS) if rounds > 2 else rows
+
+    def _rollout(self, generation: Generation, rows: int) -> Rollout:
+        """Return the rollout for this generation with lanes for any `rows` successive episodes. Create it if needed."""
         plan, shape = self.plan, (generation.rows_per_lane, generation.members_per_lane)
         rollout = self._rollouts.get(generation.kind)
-        if rollout is not None and (rollout.rows_per_lane, rollout.members_per_lane) != shape:
-            rollout = self._drop(generation)
-        waves = max(1, -(-share // self._chunk(generation, share)))
-        self._lanes = max(1, -(-share // waves))  # even waves: the last one is not much smaller
-        if rollout is not None and rollout.num_lanes != self._lanes:
+        per_lane = generation.rows_per_lane
+        # Episodes that do not fill their lanes may begin and end in the middle of a task.
+        self._lanes = -(-(rows - 1) // per_lane) + 1 if rows % per_lane else rows // per_lane
+        is_old = rollout is not None and (rollout.rows_per_lane, rollout.members_per_lane) != shape
+        if is_old or (rollout is not None and rollout.num_lanes != self._lanes):
             rollout = self._drop(generation)
         if rollout is None:
             if plan.device != "cpu":

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, Protocol, TypeAlias
 
+from shes.backends.work import Work
 from shes.cores import num_cores
 from shes.settings import Settings
 
@@ -16,16 +17,41 @@ class Worker(Protocol):
     def receive(self, state: Any) -> None:
         """Store the state that the following tasks refer to."""
 
-    def run(self, work: Iterator[tuple[int, Any]], share: int) -> Iterator[tuple[int, Any]]:
+    def run(self, work: Work, share: int) -> Iterator[tuple[int, Any]]:
         """Take numbered tasks from `work` and yield numbered results in any order.
 
-        `share` is the number of tasks per worker in an even distribution. A worker that takes many more at once leaves
-        other workers idle.
+        `share` is the number of units per worker in an even distribution; a task that is not divisible is one unit. A
+        worker that takes more at once leaves other workers idle.
         """
         ...
 
 
 WorkerFactory: TypeAlias = Callable[[], Worker]
+
+
+class Pending(Protocol):
+    """Work that is done beside other work."""
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all of it is done."""
+        ...
+
+    def results(self) -> list[Any]:
+        """Return the result of every task, in order. What is left of the work is done first."""
+        ...
+
+
+class _Done:
+    """Work that has been done."""
+
+    is_done = True
+
+    def __init__(self, results: list[Any]) -> None:
+        self._results = results
+
+    def results(self) -> list[Any]:
+        return self._results
 
 
 class Backend(ABC):
@@ -57,6 +83,14 @@ class Backend(ABC):
             ShesError: A worker raised this error.
             WorkerError: A worker raised another error, or workers keep dying.
         """
+
+    def beside(self, tasks: Sequence[Any], state: Any) -> Pending:
+        """Do `tasks`, which refer to `state`, beside those of the next `map` call. By default they are done at once.
+
+        The next `map` call needs a `broadcast` of its own.
+        """
+        self.broadcast(state)
+        return _Done(list(self.map(tasks)))
 
     @abstractmethod
     def close(self) -> None:

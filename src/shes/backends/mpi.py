@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 from shes.backends.backend import WorkerFactory
 from shes.backends.factory import pickle_factory
+from shes.backends.job import State
 from shes.backends.pull import PullBackend, RemoteWorker, WarningSettings
 from shes.backends.serving import serve, use_one_thread
 from shes.errors import ConfigError, MissingExtraError
@@ -34,7 +35,6 @@ class MpiBackend(PullBackend):
     """A worker in every MPI rank but the first. The number of workers is that of the ranks, whatever is asked for."""
 
     Options: ClassVar[type[Settings]] = WarningSettings
-    most_at_once: ClassVar[int] = 8
 
     def __init__(self, factory: WorkerFactory, num_workers: int, *, worker_warning_s: float | None = None) -> None:
         """Start a worker in every rank but this one.
@@ -60,8 +60,8 @@ class MpiBackend(PullBackend):
     def broadcast(self, state: Any) -> None:
         """Send `state` to all ranks together."""
         self._start_missing()
-        self._state = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
-        self._send_state()
+        self._state = State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL))
+        self._broadcast(self._state)
 
     def close(self) -> None:
         """End every worker after the episodes at work; the ranks stay in the pool."""
@@ -87,15 +87,13 @@ class MpiBackend(PullBackend):
         self._pool = self._futures.MPIPoolExecutor(main=False)
         self._served = [self._pool.submit(_serve_rank, self._factory) for _ in range(self.num_workers)]
         self._workers = [_Rank(self._comm, rank) for rank in range(1, self._comm.Get_size())]
-        if self._state is not None:
-            self._send_state()
 
-    def _send_state(self) -> None:
-        """Broadcast the state, and receive what workers send meanwhile: a worker that sends cannot join in."""
-        assert self._state is not None
+    def _broadcast(self, state: State) -> None:
+        """Send the state along a tree, and receive what workers send meanwhile: a worker that sends cannot join in."""
         for worker in self._workers:
-            worker.send("state", len(self._state))
-        request = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0)
+            worker.state = state
+            worker.send("broadcast", len(state.pickled))
+        request = self._comm.Ibcast([state.pickled, self._mpi.BYTE], root=0)
         while not request.Test():
             self._collect(self._workers)
             sleep(_SHORTEST_NAP_S)
@@ -183,7 +181,7 @@ class _Parent:
             if message[0] == "close":
                 self.is_closed = True
                 raise _ClosedError
-            if message[0] == "state":
+            if message[0] == "broadcast":
                 state = bytearray(message[1])
                 self._comm.Ibcast([state, self._mpi.BYTE], root=0).Wait()
                 message = ("state", state)

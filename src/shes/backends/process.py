@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
@@ -21,7 +22,66 @@ from shes.backends.serving import ONE_THREAD
 _END_S = 10.0  # wait for a killed process; one that waits for a disk may take longer
 
 
-class WorkerProcess(RemoteWorker):
+class SocketWorker(RemoteWorker):
+    """A worker at the other end of a socket."""
+
+    def __init__(self, own: socket.socket, factory: bytes, timeout_s: float | None) -> None:
+        """Let the worker be made by the pickled `factory`.
+
+        A message that has been sent in part raises BlockingIOError after `timeout_s` seconds.
+        """
+        super().__init__()
+        self._socket = own
+        if timeout_s is not None:
+            limit = struct.pack("ll", int(min(timeout_s, 1e9)), int(timeout_s % 1 * 1e6))  # a struct timeval
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+        self.connection = Connection(own.fileno())
+        # A thread sends: a stopped worker does not read, and would block the parent.
+        self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
+        self._sender = Thread(target=self._send_all, name="shes-send", daemon=True)
+        self._sender.start()
+        self._outgoing.put(factory)
+
+    @property
+    def name(self) -> str:
+        """Number of the socket."""
+        return f"at socket {self._socket.fileno()}"
+
+    @property
+    def ending(self) -> str:
+        """That the connection ended."""
+        return "the connection ended"
+
+    def send(self, *message: Any) -> None:
+        """Send a message soon. If the worker is gone, the next read notices it."""
+        self.send_pickled(pickle.dumps(message, pickle.HIGHEST_PROTOCOL))
+
+    def send_pickled(self, message: bytes) -> None:
+        """Send a pickled message soon."""
+        self._outgoing.put(message)
+
+    def receive(self) -> Sequence[tuple[Any, ...]]:
+        """Return the next message."""
+        return [self.connection.recv()]
+
+    def _send_all(self) -> None:
+        while (message := self._outgoing.get()) is not None:
+            with suppress(OSError):
+                self.connection.send_bytes(message)
+
+    def kill(self) -> None:
+        """End the process of the worker, if it has one of its own. `end` is to follow."""
+
+    def end(self) -> None:
+        """Close the connection."""
+        self._outgoing.put(None)
+        self._socket.shutdown(socket.SHUT_RDWR)  # what is being sent fails
+        self._sender.join()
+        self.connection.close()
+        self._socket.detach()
+
+
+class WorkerProcess(SocketWorker):
     """A worker process and the tasks it is working on."""
 
     def __init__(self, factory: bytes, import_path: str, timeout_s: float | None) -> None:
@@ -29,8 +89,7 @@ class WorkerProcess(RemoteWorker):
 
         A message that the process has sent in part raises BlockingIOError after `timeout_s` seconds.
         """
-        super().__init__()
-        self._socket, theirs = socket.socketpair()
+        own, theirs = socket.socketpair()
         read_end, self._lifeline = os.pipe()
         # -P: a file in the working directory must not replace a module of the standard library.
         module = [sys.executable, "-P", "-m", "shes.backends.process_worker"]
@@ -45,22 +104,14 @@ class WorkerProcess(RemoteWorker):
                 stdin=subprocess.DEVNULL,
             )
         except OSError:
-            self._socket.close()
+            own.close()
             os.close(self._lifeline)
             raise
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             theirs.close()
             os.close(read_end)
-        if timeout_s is not None:
-            limit = struct.pack("ll", int(min(timeout_s, 1e9)), int(timeout_s % 1 * 1e6))  # a struct timeval
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
-        self.connection = Connection(self._socket.fileno())
-        # A thread sends: a stopped worker does not read, and would block the parent.
-        self._outgoing: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
-        self._sender = Thread(target=self._send_all, name="shes-send", daemon=True)
-        self._sender.start()
-        self._outgoing.put(lambda: self.connection.send_bytes(factory))
+        super().__init__(own, factory, timeout_s)
 
     @property
     def name(self) -> str:
@@ -77,27 +128,14 @@ class WorkerProcess(RemoteWorker):
         """Signal, if any, and exit code."""
         return cause_of_death(self.popen.returncode)
 
-    def send(self, *message: Any) -> None:
-        """Send a message soon. If the worker is gone, the next read notices it."""
-        self._outgoing.put(lambda: self.connection.send(message))
-
-    def receive(self) -> Sequence[tuple[Any, ...]]:
-        """Return the next message."""
-        return [self.connection.recv()]
-
-    def _send_all(self) -> None:
-        while (send := self._outgoing.get()) is not None:
-            with suppress(OSError):
-                send()
-
-    def end(self) -> None:
+    def kill(self) -> None:
         """End the process immediately, even if it has been stopped."""
         self.popen.kill()
-        self._outgoing.put(None)
-        self._socket.shutdown(socket.SHUT_RDWR)  # what is being sent fails
-        self._sender.join()
-        self.connection.close()
-        self._socket.detach()
+
+    def end(self) -> None:
+        """End the process immediately, even if it has been stopped, and wait for its end."""
+        self.kill()
+        super().end()
         os.close(self._lifeline)
         with suppress(subprocess.TimeoutExpired):
             self.popen.wait(_END_S)

@@ -7,14 +7,16 @@ Workers are started as a module, so a caller's script needs no `__main__` guard.
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 from collections.abc import Sequence
-from multiprocessing.connection import wait
+from selectors import EVENT_READ, DefaultSelector
 from typing import ClassVar
 
 from shes.backends.backend import WorkerFactory
 from shes.backends.factory import import_path, pickle_factory
-from shes.backends.process import WorkerProcess
+from shes.backends.job import State
+from shes.backends.process import SocketWorker, WorkerProcess
 from shes.backends.pull import PullBackend, RemoteWorker, SilenceSettings
 from shes.errors import WorkerError
 from shes.settings import Settings
@@ -37,15 +39,16 @@ class ProcessesBackend(PullBackend):
         super().__init__(num_workers, worker_warning_s, worker_timeout_s)
         self._factory = pickle_factory(factory)
         self._import_path = os.pathsep.join(import_path())
+        self._selector = DefaultSelector()  # of the workers' connections: asking each in turn would take too long
         self._start_missing()
 
     def close(self) -> None:
         """End every worker process."""
         workers, self._workers = self._workers, []
         for worker in workers:
-            worker.popen.kill()
+            worker.kill()
         for worker in workers:
-            worker.end()
+            self._end(worker)
 
     def pids(self) -> list[int]:
         """Return the process ids of the workers."""
@@ -54,10 +57,9 @@ class ProcessesBackend(PullBackend):
     def _start_missing(self) -> None:
         try:
             while len(self._workers) < self.num_workers:
-                worker = WorkerProcess(self._factory, self._import_path, self.worker_timeout_s)
+                worker = self._start_worker()
                 self._workers.append(worker)
-                if self._state is not None:
-                    worker.send("state", self._state)
+                self._selector.register(worker.connection, EVENT_READ, worker)
         except OSError as error:
             self.close()
             raise WorkerError(
@@ -65,9 +67,23 @@ class ProcessesBackend(PullBackend):
                 "Lower --workers, or raise the limit on processes and open files (ulimit)."
             ) from error
 
+    def _start_worker(self) -> SocketWorker:
+        return WorkerProcess(self._factory, self._import_path, self.worker_timeout_s)
+
+    def _send_state(self, worker: RemoteWorker, state: State) -> None:
+        """Send `state`, in a message that is pickled once for all workers."""
+        assert isinstance(worker, SocketWorker)
+        state.stored = state.stored or pickle.dumps(("state", state.pickled), pickle.HIGHEST_PROTOCOL)
+        worker.state = state
+        worker.send_pickled(state.stored)
+
     def _ready(self, timeout_s: float) -> Sequence[RemoteWorker]:
-        workers = {worker.connection: worker for worker in self._workers}
-        return [workers[connection] for connection in wait(list(workers), timeout_s)]
+        return [key.data for key, _ in self._selector.select(timeout_s)]
+
+    def _end(self, worker: RemoteWorker) -> None:
+        assert isinstance(worker, SocketWorker)
+        self._selector.unregister(worker.connection)
+        super()._end(worker)
 
     def _advice(self, worker: RemoteWorker) -> str:
         if isinstance(worker, WorkerProcess) and worker.popen.returncode == -signal.SIGKILL:

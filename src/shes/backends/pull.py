@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import pickle
 from abc import ABC, abstractmethod
-from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import monotonic
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
-from shes.backends.backend import Backend
+from shes.backends.backend import Backend, Pending
+from shes.backends.job import Job, State
 from shes.errors import WorkerError
 from shes.settings import Execution, Gt, Settings
 
@@ -48,13 +48,19 @@ class RemoteWorker(ABC):
     """A worker in another process as its parent sees it, and the tasks it is working on."""
 
     def __init__(self) -> None:
-        """Begin without tasks."""
-        self.tasks: dict[int, None] = {}  # numbers of the tasks at work, in the order they were given
+        """Begin without work."""
         self.is_started = True
         """Whether a process for it exists; if not, it waits for a core of the cluster."""
-        self.is_running = False
-        self.silent_s = 0.0
-        """Seconds that the parent has waited for a message since the last one."""
+        self.job: Job | None = None
+        """The job that it works on."""
+        self.numbers: dict[int, None] = {}
+        """Numbers of the job's parts at work, in the order they were given."""
+        self.is_expected = False
+        """Whether it has been told of the job and has not yet asked for tasks."""
+        self.state: State | None = None
+        """The state that was last sent to it."""
+        self.heard_s = 0.0
+        """Time of its last message, on the clock of the backend."""
         self.is_told = False
         """Whether the user has been told of the silence."""
 
@@ -91,22 +97,8 @@ class RemoteWorker(ABC):
         """End the worker immediately, even if it has been stopped."""
 
 
-class Run:
-    """State of one `map` call."""
-
-    def __init__(self, tasks: Sequence[Any], share: int) -> None:
-        self.tasks = tasks
-        self.share = share
-        self.queue: deque[int] = deque(range(len(tasks)))
-        self.results: dict[int, Any] = {}
-        self.losses: Counter[int] = Counter()
-
-
 class PullBackend(Backend):
     """Workers in other processes, which ask for tasks."""
-
-    most_at_once: ClassVar[int] = 1
-    """Largest number of tasks in an answer. More save messages; the last tasks are always given one by one."""
 
     def __init__(self, num_workers: int, worker_warning_s: float | None, worker_timeout_s: float | None) -> None:
         """Begin without workers. See `SilenceSettings` for the limits of silence."""
@@ -114,14 +106,18 @@ class PullBackend(Backend):
         self.worker_warning_s, self.worker_timeout_s = worker_warning_s, worker_timeout_s
         limits = [limit for limit in (worker_warning_s, worker_timeout_s) if limit is not None]
         self._tick_s = max(0.01, min([_TICK_S, *(limit / 4 for limit in limits)]))
+        self._clock_s = 0.0  # how long this process has waited for messages
+        self._judged_s = 0.0  # when silent workers were last looked for
         self._longest_s = 0.0  # of the silences that ended with a result
         self._deaths_in_a_row = 0
-        self._state: bytes | None = None  # the last one, pickled
+        self._state: State | None = None  # the last broadcast
+        self._beside: list[Job] = []  # to be done beside the next `map`
+        self._jobs: list[Job] = []  # of the `map` under way
         self._workers: list[Any] = []
 
     @abstractmethod
     def _start_missing(self) -> None:
-        """Start the workers that are missing, and send them the state."""
+        """Start the workers that are missing."""
 
     @abstractmethod
     def _ready(self, timeout_s: float) -> Sequence[RemoteWorker]:
@@ -133,129 +129,169 @@ class PullBackend(Backend):
 
     def broadcast(self, state: Any) -> None:
         """Send `state` to every worker, and later to the replacements of lost ones."""
-        self._state = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
-        for worker in self._workers:
-            worker.send("state", self._state)
+        self._state = State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL))
         self._start_missing()
+        for worker in self._workers:
+            self._send_state(worker, self._state)
+
+    def _send_state(self, worker: RemoteWorker, state: State) -> None:
+        """Send `state` to one worker."""
+        worker.state = state
+        worker.send("state", state.pickled)
 
     def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
         """Yield the result of every task, in order."""
-        run = Run(tasks, share=max(1, -(-len(tasks) // self.num_workers)))
+        job = Job(tasks, self._state, self.num_workers)
+        return self._do([*self._beside, job], job)
+
+    def beside(self, tasks: Sequence[Any], state: Any) -> Pending:
+        """Do `tasks`, which refer to `state`, in the next `map` call. Workers begin with them."""
+        job = Job(tasks, State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL)), self.num_workers)
+        self._beside.append(job)
+        return _Beside(job, self._do_beside)
+
+    def _do_beside(self, job: Job) -> Iterator[Any]:
+        """Do `job` alone, if it still waits for the next `map` call; yield its results in order."""
+        if job not in self._beside:
+            raise WorkerError("this work ended with an error, of its own or of the work beside it")
+        return self._do([job], job)
+
+    def _do(self, jobs: Sequence[Job], wanted: Job) -> Iterator[Any]:
+        """Do all `jobs`, the first one first; yield the results of `wanted` in order."""
         is_finished = False
+        self._jobs = list(jobs)
+        self._beside = [job for job in self._beside if job not in self._jobs]
         try:
             self._start_missing()
-            self._start_run(run)
-            next_number = 0
-            while next_number < len(tasks):
-                self._serve(run)
-                while next_number in run.results:
-                    yield run.results.pop(next_number)
-                    next_number += 1
-            while any(worker.is_running for worker in self._workers):
-                self._serve(run)
+            self._start_runs()
+            while not all(job.is_done for job in self._jobs):
+                self._serve()
+                yield from wanted.finished()
+            while any(worker.job is not None for worker in self._workers):
+                self._serve()
             is_finished = True
         finally:
+            self._jobs = []
             if not is_finished:  # a worker raised, or the caller stopped iterating: nobody needs the remaining results
                 self.close()
 
-    def _start_run(self, run: Run) -> None:
-        """Let the workers that have no work request tasks."""
-        for worker in self._workers:
-            if worker.is_started and not worker.is_running:
-                worker.is_running, worker.silent_s = True, 0.0
-                worker.send("run", run.share)
+    def _start_runs(self) -> None:
+        """Tell the workers without work of the first job that wants them."""
+        for job in self._jobs:
+            for worker in self._workers if job.schedule.wants_worker else ():
+                if worker.is_started and worker.job is None:
+                    self._start_run(worker, job)
+                    if not job.schedule.wants_worker:
+                        break
 
-    def _serve(self, run: Run) -> None:
+    def _start_run(self, worker: RemoteWorker, job: Job) -> None:
+        if job.state is not None and worker.state is not job.state:
+            self._send_state(worker, job.state)
+        worker.job, worker.is_expected, worker.heard_s = job, True, self._clock_s
+        job.schedule.expect()
+        worker.send("run", job.schedule.share)
+
+    def _serve(self) -> None:
         """Wait for messages and answer them. Replace workers that have died or given no answer for too long."""
         start = monotonic()
         ready = self._ready(self._tick_s)
         # Time in which this process has been stopped, for example by Ctrl-Z together with its workers, does not count.
-        waited_s = min(monotonic() - start, self._tick_s)
-        for worker in self._workers:
-            worker.silent_s += waited_s
+        self._clock_s += min(monotonic() - start, self._tick_s)
         for worker in ready:
             try:
                 messages = worker.receive()
             except BlockingIOError:  # it was stopped while it sent a message
-                worker.silent_s += self.worker_timeout_s or 0.0
-                self._replace(worker, run, is_silent=True)
+                worker.heard_s -= self.worker_timeout_s or 0.0
+                self._replace(worker, is_silent=True)
             except (EOFError, OSError):
-                self._replace(worker, run)
+                self._replace(worker)
             else:
                 for message in messages:
-                    self._answer(worker, message, run)
+                    self._answer(worker, message)
                 self._end_silence(worker)
-        for worker in list(self._workers):
-            if worker.is_running:
-                self._judge_silence(worker, run)
+        if self._clock_s >= self._judged_s + self._tick_s:
+            self._judged_s = self._clock_s
+            for worker in [each for each in self._workers if each.job is not None]:
+                self._judge_silence(worker)
+        self._start_runs()
+
+    def _silent_s(self, worker: RemoteWorker) -> float:
+        """Return the seconds that this process has waited for a message of the worker since the last one."""
+        return self._clock_s - worker.heard_s
 
     def _end_silence(self, worker: RemoteWorker) -> None:
         """Note that the worker has sent a message."""
         if worker.is_told:
-            self._tell(f"worker {worker.name} answers again, after {worker.silent_s:.0f} s")
-        worker.silent_s, worker.is_told = 0.0, False
+            self._tell(f"worker {worker.name} answers again, after {self._silent_s(worker):.0f} s")
+        worker.heard_s, worker.is_told = self._clock_s, False
 
-    def _judge_silence(self, worker: RemoteWorker, run: Run) -> None:
+    def _judge_silence(self, worker: RemoteWorker) -> None:
         """Tell of a worker that has been silent for long, or replace it."""
-        losses = max(self._deaths_in_a_row, *(run.losses[number] for number in worker.tasks), 0)
+        assert worker.job is not None
+        losses = max(self._deaths_in_a_row, worker.job.num_losses(tuple(worker.numbers)))
         limit_s = max(self.worker_timeout_s or 0.0, _REPLACED_AT * self._longest_s) * _PATIENCE ** min(
             losses, MAX_LOSSES - 1
         )
-        if self.worker_timeout_s is not None and worker.silent_s >= limit_s:
-            self._replace(worker, run, is_silent=True)
+        silent_s = self._silent_s(worker)
+        if self.worker_timeout_s is not None and silent_s >= limit_s:
+            self._replace(worker, is_silent=True)
         elif (
             self.worker_warning_s is not None
             and not worker.is_told
-            and worker.silent_s >= max(self.worker_warning_s, _TOLD_AT * self._longest_s)
+            and silent_s >= max(self.worker_warning_s, _TOLD_AT * self._longest_s)
         ):
             worker.is_told = True
             end = "never replaced" if self.worker_timeout_s is None else f"replaced after {limit_s:.0f} s"
             self._tell(
-                f"worker {worker.name} has given no answer for {worker.silent_s:.0f} s; it is {end} "
-                "(--worker-timeout-s)"
+                f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end} (--worker-timeout-s)"
             )
 
-    def _answer(self, worker: RemoteWorker, message: tuple[Any, ...], run: Run) -> None:
+    def _answer(self, worker: RemoteWorker, message: tuple[Any, ...]) -> None:
         kind, *content = message
+        job = worker.job
+        if kind == "refused":
+            raise content[0]
+        if kind == "failed":
+            at_work = [] if job is None else [repr(job.task(number)) for number in list(worker.numbers)[:3]]
+            raise WorkerError(f"a worker failed while at work on {', '.join(at_work) or 'nothing yet'}:\n{content[0]}")
+        if job is None:  # it has started
+            return
         if kind == "want":
-            self._give(worker, run)
+            self._meet(worker)
+            given = job.give(*content)
+            worker.numbers.update(dict.fromkeys(number for number, _ in given))
+            worker.send(*(("tasks", pickle.dumps(given, pickle.HIGHEST_PROTOCOL)) if given else ("end",)))
         elif kind == "result":
             number, result = content
-            worker.tasks.pop(number)
-            run.results[number] = result
+            worker.numbers.pop(number)
+            job.add(number, result)
             self._deaths_in_a_row = 0
-            self._longest_s = max(self._longest_s, worker.silent_s)
+            self._longest_s = max(self._longest_s, self._silent_s(worker))
         elif kind == "done":
-            worker.is_running = False
-        elif kind == "refused":
-            raise content[0]
-        elif kind == "failed":
-            at_work = ", ".join(repr(run.tasks[number]) for number in list(worker.tasks)[:3])
-            raise WorkerError(f"a worker failed while at work on {at_work or 'nothing yet'}:\n{content[0]}")
+            self._meet(worker)
+            worker.job = None
 
-    def _give(self, worker: RemoteWorker, run: Run) -> None:
-        """Give the worker its next tasks: fewer and fewer, so that all workers end at the same time."""
-        if not run.queue:
-            worker.send("end")
-            return
-        count = max(1, min(self.most_at_once, len(run.queue) // (2 * self.num_workers)))
-        numbers = [run.queue.popleft() for _ in range(count)]
-        worker.tasks.update(dict.fromkeys(numbers))
-        given = [(number, run.tasks[number]) for number in numbers]
-        worker.send("tasks", pickle.dumps(given, pickle.HIGHEST_PROTOCOL))
+    @staticmethod
+    def _meet(worker: RemoteWorker) -> None:
+        """Note that the worker has asked for tasks, or never will."""
+        if worker.is_expected and worker.job is not None:
+            worker.is_expected = False
+            worker.job.schedule.meet()
 
-    def _replace(self, worker: RemoteWorker, run: Run, *, is_silent: bool = False) -> None:
-        """Replace a worker that died or is silent, and put its tasks back at the front of the queue."""
+    def _replace(self, worker: RemoteWorker, *, is_silent: bool = False) -> None:
+        """Replace a worker that died or is silent, and hand out its tasks before all others."""
         self._workers.remove(worker)
-        worker.end()
-        lost = list(worker.tasks)
-        run.queue.extendleft(reversed(lost))
-        run.losses.update(lost)
+        self._end(worker)
+        lost = tuple(worker.numbers)
+        worst = 0
+        if worker.job is not None:
+            self._meet(worker)
+            worker.job.take_back(lost)
+            worst = max(worker.job.losses.values(), default=0)
         self._deaths_in_a_row += 1
-        silence = f"no answer for {worker.silent_s:.0f} s"
+        silence = f"no answer for {self._silent_s(worker):.0f} s"
         end = f"was ended ({silence})" if is_silent else f"died ({worker.ending})"
         self._tell(f"worker {worker.name} {end}; {len(lost)} tasks are done again")
-        worst = max(run.losses.values(), default=0)
         if worst >= MAX_LOSSES or self._deaths_in_a_row >= MAX_LOSSES * self.num_workers:
             fault = f"giving {silence}" if is_silent else f"dying ({worker.cause})"
             advice = "If its work takes so long, raise --worker-timeout-s." if is_silent else self._advice(worker)
@@ -264,8 +300,28 @@ class PullBackend(Backend):
                 f"{advice} Everything up to the last checkpoint is kept."
             )
         self._start_missing()
-        self._start_run(run)
+        self._start_runs()
+
+    def _end(self, worker: RemoteWorker) -> None:
+        """End a worker that is replaced."""
+        worker.end()
 
     def _tell(self, event: str) -> None:
         if self.on_event is not None:
             self.on_event(event)
+
+
+class _Beside:
+    """A job that is done in the next `map` call, or when its results are asked for."""
+
+    def __init__(self, job: Job, do: Callable[[Job], Iterator[Any]]) -> None:
+        self._job, self._do = job, do
+        self._results: list[Any] = []
+
+    @property
+    def is_done(self) -> bool:
+        return self._job.is_done
+
+    def results(self) -> list[Any]:
+        self._results += self._job.finished() if self._job.is_done else self._do(self._job)
+        return self._results

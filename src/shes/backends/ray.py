@@ -24,7 +24,8 @@ from typing import Annotated, Any, ClassVar
 
 from shes.backends.backend import WorkerFactory
 from shes.backends.factory import import_path, pickle_factory
-from shes.backends.pull import PullBackend, RemoteWorker, Run, SilenceSettings
+from shes.backends.job import State
+from shes.backends.pull import PullBackend, RemoteWorker, SilenceSettings
 from shes.backends.serving import serve, use_one_thread
 from shes.cores import num_cores
 from shes.errors import ConfigError, MissingExtraError
@@ -47,7 +48,6 @@ class RayBackend(PullBackend):
     """Workers on the nodes of a Ray cluster, one for every CPU, and at most as many as asked for."""
 
     Options: ClassVar[type[Settings]] = RaySettings
-    most_at_once: ClassVar[int] = 8
 
     def __init__(
         self,
@@ -66,8 +66,7 @@ class RayBackend(PullBackend):
         """
         super().__init__(1, worker_warning_s, worker_timeout_s)
         self._most, self._address = num_workers, ray_address
-        self._pickled = {"factory": pickle_factory(factory)}
-        self._stored: dict[str, Any] = {}  # the same in Ray's object store
+        self._factory = State(pickle_factory(factory))
         self._ray = _import_ray()
         self._has_joined = False
         self._actor = self._ray.remote(num_cpus=1, max_restarts=0, concurrency_groups={"out": 1})(RayActor)
@@ -89,22 +88,19 @@ class RayBackend(PullBackend):
         if self._has_joined:
             self._ray.shutdown()
             self._has_joined = False
-            self._stored.clear()
+            for state in filter(None, (self._factory, self._state)):
+                state.stored = None
 
-    def broadcast(self, state: Any) -> None:
-        """Store `state` in the cluster, from where every node fetches it once, and tell every worker."""
-        self._stored.pop("state", None)
-        self._pickled["state"] = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
-        self._join()
-        for worker in self._workers:
-            worker.send("state", self._put("state"))
-        self._start_missing()
+    def _send_state(self, worker: RemoteWorker, state: State) -> None:
+        """Send a reference to `state`, which every node fetches once."""
+        worker.state = state
+        worker.send("state", self._put(state))
 
-    def _put(self, name: str) -> Any:
-        """Return the reference of the factory or the state in Ray's object store."""
-        if name not in self._stored:
-            self._stored[name] = self._ray.put(self._pickled[name])
-        return self._stored[name]
+    def _put(self, state: State) -> Any:
+        """Return the reference to the factory or a state in Ray's object store."""
+        if state.stored is None:
+            state.stored = self._ray.put(state.pickled)
+        return state.stored
 
     def _join(self) -> None:
         """Join or start the cluster, unless this process is in one already."""
@@ -118,18 +114,14 @@ class RayBackend(PullBackend):
         self._looked_at = monotonic()
         self.num_workers = max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
         while len(self._workers) < self.num_workers:
-            actor = self._actor.options(scheduling_strategy="SPREAD").remote(self._put("factory"), import_path())
-            worker = _RayWorker(self._ray, actor, self._events)
-            self._workers.append(worker)
-            if "state" in self._pickled:
-                worker.send("state", self._put("state"))
+            actor = self._actor.options(scheduling_strategy="SPREAD").remote(self._put(self._factory), import_path())
+            self._workers.append(_RayWorker(self._ray, actor, self._events))
 
-    def _serve(self, run: Run) -> None:
-        super()._serve(run)
+    def _serve(self) -> None:
+        super()._serve()
         if monotonic() >= self._looked_at + _LOOK_S:
             self._start_missing()
-        if run.queue:
-            self._start_run(run)
+            self._start_runs()
         self._judge_wait()
 
     def _judge_wait(self) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from shes.backends.backend import Backend, Worker, WorkerFactory
+from shes.backends.work import TaskList, num_units
 from shes.errors import ShesError, WorkerError
 
 
@@ -38,7 +39,7 @@ class SerialBackend(Backend):
     def _run(self, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         """Yield numbered results as the worker finishes them."""
         try:
-            yield from self._worker.run(iter(enumerate(tasks)), max(1, len(tasks)))
+            yield from self._worker.run(TaskList(enumerate(tasks)), max(1, sum(map(num_units, tasks))))
         except ShesError:
             raise
         except Exception as error:

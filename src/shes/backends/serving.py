@@ -1,7 +1,7 @@
 """The worker's side of a conversation with its parent, over any connection.
 
-A worker answers `("state", pickled)` and `("run", share)`. In a run it asks for tasks by `("want",)`, is given
-`("tasks", pickled)` or `("end",)`, and sends `("result", number, result)` and at last `("done",)`.
+A worker answers `("state", pickled)` and `("run", share)`. In a run it asks for tasks by `("want", units, enough)`, is
+given `("tasks", pickled)` or `("end",)`, and sends `("result", number, result)` and at last `("done",)`.
 """
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from __future__ import annotations
 import os
 import pickle
 import traceback
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from shes.backends.factory import unpickle_factory
+from shes.backends.work import Work
 from shes.errors import ShesError
 
 ONE_THREAD: dict[str, str] = dict.fromkeys(
@@ -62,18 +63,25 @@ def _serve(connection: Duplex, factory: bytes) -> None:
         if kind == "state":
             worker.receive(pickle.loads(content[0]))
         elif kind == "run":
-            for number, result in worker.run(_incoming(connection), content[0]):
+            for number, result in worker.run(_Incoming(connection), content[0]):
                 connection.send(("result", number, result))
             connection.send(("done",))
         else:
             return
 
 
-def _incoming(connection: Duplex) -> Iterator[tuple[int, Any]]:
-    """Request tasks from the parent until none are left."""
-    while True:
-        connection.send(("want",))
-        kind, *content = connection.recv()
-        if kind == "end":
-            return
-        yield from pickle.loads(content[0])
+class _Incoming(Work):
+    """The tasks of a run, which the parent sends when asked."""
+
+    def __init__(self, connection: Duplex) -> None:
+        self._connection = connection
+        self._is_over = False
+
+    def take(self, units: int, enough: int | None = None) -> Sequence[tuple[int, Any]]:
+        """Ask the parent for tasks."""
+        if self._is_over:
+            return ()
+        self._connection.send(("want", units, units if enough is None else enough))
+        kind, *content = self._connection.recv()
+        self._is_over = kind == "end"
+        return () if self._is_over else pickle.loads(content[0])

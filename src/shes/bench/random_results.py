@@ -24,12 +24,13 @@ class RandomResults:
 
     def run(self, work: Iterator[tuple[int, EpisodeTask]], share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Yield the results of `work` with their numbers."""
-        assert self._generation is not None, "receive() comes first"
         for number, task in work:
-            yield number, self._results(task, self._generation)
+            yield number, self.of(task)
 
-    def _results(self, task: EpisodeTask, generation: Generation) -> EpisodeResults:
+    def of(self, task: EpisodeTask) -> EpisodeResults:
         """Return random results of `task`; no episode diverges."""
+        assert self._generation is not None, "receive() comes first"
+        generation = self._generation
         rng, k = self._rng, len(task.slots)
         outcomes = empty_outcomes(len(generation.levels), k)
         for name in ("returns", "environment_returns", "score", "final_position"):

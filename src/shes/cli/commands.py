@@ -1,20 +1,17 @@
-"""The commands that are more than a function of the library: `train`, `resume` and `bench`."""
+"""The commands that are more than a function of the library: `train` and `resume`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
-from shes.bench.measure import bench_rollout, bench_update
-from shes.cli.parsing import DEFAULT_ENV
 from shes.errors import ConfigError
-from shes.listing import Listing, facts_listing
+from shes.listing import Listing
 from shes.runs.folder import new_folder
 from shes.training import train as run_training
-from shes.training.presets import make_config
 from shes.training.runs_folder import RunsFolder
 from shes.training.train import Run
 from shes.training.variations import read_sweep, vary
@@ -70,25 +67,3 @@ def resume(run: str, settings: dict[str, Any]) -> Run | Listing:
             f"--generations {2 * max(config.run.generations for config in folder.configs.values())}"
         )
     return folder.train_shown(list(folder.configs))
-
-
-def bench(
-    name: Literal["rollout", "update"],
-    settings: dict[str, Any],
-    env: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ENV")] = DEFAULT_ENV,
-    *,
-    seconds: float = 0.0,
-) -> Listing:
-    """Measure the speed of this machine, with the settings of shes train.
-
-    shes bench rollout --seconds 60
-
-    Args:
-        name: rollout: steps per second of whole generations, against a bare mj_step loop on the same episodes; update:
-            milliseconds of the parent's work between generations, by part.
-        env: Environment, see shes envs.
-        seconds: Minimum duration of the measurement. On a shared machine a long one is more precise.
-    """
-    config = make_config(env, settings.pop("preset", "laptop"), settings)
-    measure = bench_rollout if name == "rollout" else bench_update
-    return facts_listing(measure(config, seconds=seconds))

@@ -1,9 +1,10 @@
 """Commands are plain functions: tyro makes their flags from signature and docstring, parses, and calls them.
 
-Parameters without a default are positional, and the first one; the others are flags. A parameter `settings` stands for
-the settings of a run, which become flags unless the command names them itself: in a command that takes an environment
-all of them, in another those with which a run can be resumed. A command returns an exit code, or what is printed: a
-listing, or an object that has one, which `--json` prints as JSON; or the paths of files that it has written.
+Parameters without a default are positional, and so are the first one and an environment; the others are flags. A
+parameter `settings` stands for the settings of a run, which become flags unless the command names them itself: in a
+command that takes an environment all of them, in another those with which a run can be resumed. A command returns an
+exit code, or what is printed: a listing, or an object that has one, which `--json` prints as JSON; or the paths of
+files that it has written.
 """
 
 from __future__ import annotations
@@ -104,11 +105,11 @@ def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
             shown |= {"metavar": f"{one} [{one} ...]", "help_behavior_hint": "(required)" if is_required else None}
         elif str in kinds:  # text where text will do
             kind = str | None if NoneType in kinds else str
-            shown |= {"metavar": one} if is_required else {}
+            shown |= {"metavar": one} if is_required or name == "env" else {}
         if name in _OTHER_FLAGS:
             shown |= {"name": _OTHER_FLAGS[name], "aliases": (flag(name),)}
         kind = Annotated[kind, tyro.conf.arg(**shown)] if shown else kind
-        if not found and each.kind is not each.KEYWORD_ONLY and not is_required:
+        if (not found or name == "env") and each.kind is not each.KEYWORD_ONLY and not is_required:
             kind = Annotated[kind, tyro.conf.Positional]
         found[name] = each.replace(annotation=kind, kind=each.KEYWORD_ONLY)
     if signature.return_annotation is Listing or hasattr(signature.return_annotation, "listing"):

@@ -1,10 +1,12 @@
-"""The unit of work: a task is the episodes of members that share their noise vectors. Its results are per episode.
+"""The tasks of workers: a task is the episodes of members that share their noise vectors. Its results are per episode.
 
-A task is a few integers. The worker reads the perturbations from its own noise table (SHES paper II-G).
+The unit of work is an episode in its slot; workers may share a task. A task is a few integers: the worker reads the
+perturbations from its own noise table (SHES paper II-G).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -128,6 +130,30 @@ class EpisodeTask:
     snapshot_steps: tuple[int, ...] = ()
     """Number of control steps before the snapshot of each episode. An episode that ends earlier has none."""
 
+    @property
+    def num_units(self) -> int:
+        """Number of units of work: episodes."""
+        return len(self.slots)
+
+    def part(self, start: int, stop: int) -> EpisodeTask:
+        """Return the task of the episodes from `start` to `stop`, exclusive, in the same slots.
+
+        A part costs the matmul of the whole task.
+        """
+        cut = slice(start, stop)
+        return replace(self, slots=self.slots[cut], seeds=self.seeds[cut], snapshot_steps=self.snapshot_steps[cut])
+
+    def join(self, results: Sequence[EpisodeResults]) -> EpisodeResults:
+        """Return the results of this task, given those of its parts in order."""
+        moments = [each.moments for each in results if each.moments is not None]
+        return EpisodeResults(
+            outcomes=np.concatenate([each.outcomes for each in results]),
+            moments=tuple(Moments.join(of_level) for of_level in zip(*moments, strict=True)) if moments else None,
+            snapshots=[snapshot for each in results for snapshot in each.snapshots],
+            seconds=np.sum([each.seconds for each in results], axis=0),
+            log=tuple(line for each in results for line in each.log),
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeResults(ByEpisode):
@@ -142,18 +168,3 @@ class EpisodeResults(ByEpisode):
     seconds: F64Array = field(default_factory=lambda: np.zeros(len(PARTS)))
     """Seconds that the worker spent on each of `PARTS` since its previous result."""
     log: tuple[str, ...] = ()
-
-
-def spread(tasks: list[EpisodeTask], num_workers: int) -> list[EpisodeTask]:
-    """Return the same episodes in the same order, with the last tasks split into single episodes.
-
-    As long as every worker can have one, tasks stay whole. The remaining tasks, fewer than workers, are split, so that
-    no worker is idle. A single episode costs the matmul of its whole task.
-    """
-    whole = len(tasks) - len(tasks) % num_workers
-    singles = [
-        replace(task, slots=(slot,), seeds=(seed,), snapshot_steps=task.snapshot_steps[i : i + 1])
-        for task in tasks[whole:]
-        for i, (slot, seed) in enumerate(zip(task.slots, task.seeds, strict=True))
-    ]
-    return tasks[:whole] + singles

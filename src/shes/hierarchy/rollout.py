@@ -31,7 +31,8 @@ from shes.hierarchy.snapshots import SnapshotRecorder
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 NumberedTask = tuple[int, EpisodeTask]
-"""A task with its number in the order of the results."""
+"""A task with its number."""
+_NONE_LEFT: Any = object()
 
 
 @dataclass(kw_only=True)
@@ -83,11 +84,12 @@ class Rollout:
         return len(self._lanes)
 
     def run(
-        self, work: Iterator[NumberedTask], generation: Generation, table: NoiseTable
+        self, work: Iterator[NumberedTask | None], generation: Generation, table: NoiseTable
     ) -> Iterator[tuple[int, EpisodeResults]]:
         """Run all of `work`, one task per lane at a time, and yield numbered results as tasks finish.
 
-        A PolicyError is raised for a policy that returned NaN or infinity.
+        None in `work` means that no more tasks are to be started until an episode has ended. A PolicyError is raised
+        for a policy that returned NaN or infinity.
         """
         self._exploration.begin(generation)
         num_goals = generation.snapshot_goals
@@ -103,8 +105,13 @@ class Rollout:
         while True:
             free = [place for place, lane in enumerate(self._lanes) if lane is None]
             if not is_exhausted and free and not (self.batch.starts_together and len(free) < self.num_lanes):
-                started = dict(zip(free, work, strict=False))
-                is_exhausted = len(started) < len(free)
+                started: dict[int, NumberedTask] = {}
+                for place in free:
+                    numbered = next(work, _NONE_LEFT)
+                    is_exhausted = numbered is _NONE_LEFT
+                    if numbered is None or is_exhausted:
+                        break
+                    started[place] = numbered
                 if started:
                     self._start(started, means, generation, table)
             if not len(self._running):

@@ -7,7 +7,6 @@ import os
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
@@ -25,6 +24,8 @@ StateT = TypeVar("StateT")
 FORMAT = 2
 _OWN = ("format", "best_generation", "best_score", "best_return", "settings")
 """Arrays that do not belong to the algorithm."""
+_OWED = "owes_evaluation"
+"""Scalar of a checkpoint whose state has yet to be evaluated; others lack it."""
 _SCALARS = dict(zip((*_OWN, "seed", "generation", "env_steps"), "iiffUiii", strict=True))
 """Arrays of every checkpoint, all of them scalars, with the kind of their type."""
 _MOST_SETTINGS = 2**22  # bytes
@@ -74,6 +75,8 @@ class Checkpoint:
     best: Best
     numbers: dict[str, Any]
     """Settings that change numbers: a checkpoint continues only the run that wrote it."""
+    owes_evaluation: bool = False
+    """Whether an evaluation of this state was under way. A run that continues from it begins with the evaluation."""
 
     @property
     def generation(self) -> int:
@@ -95,8 +98,9 @@ def _arrays(checkpoint: Checkpoint) -> dict[str, np.ndarray]:
         "best_score": np.float64(best.score),
         "best_return": np.float64(best.mean_return),
         "settings": np.array(json.dumps(checkpoint.numbers, sort_keys=True)),
+        **({_OWED: np.True_} if checkpoint.owes_evaluation else {}),
     }
-    taken = sorted(own.keys() & checkpoint.arrays.keys())
+    taken = sorted({*own, _OWED} & checkpoint.arrays.keys())
     if taken:
         raise ConfigError(
             f"the algorithm's to_arrays() names an array {', '.join(taken)}, which the checkpoint reserves. "
@@ -142,11 +146,11 @@ def load_checkpoint(path: Path, check: HeaderCheck | None = None, *, with_state:
             own = {name: _read(archive, name) for name in _OWN}
             _check_format(int(own["format"]))
             if check is not None:
-                check({name: header for name, header in headers.items() if name not in _OWN})
+                check({name: header for name, header in headers.items() if name not in {*_OWN, _OWED}})
             wanted = headers if with_state else _SCALARS
             _check_memory({name: headers[name] for name in wanted})
-            arrays = {name: _read(archive, name) for name in wanted if name not in _OWN}
-        return _from_arrays(own, arrays)
+            arrays = {name: _read(archive, name) for name in wanted if name not in {*_OWN, _OWED}}
+        return _from_arrays(own, arrays, owes_evaluation=_OWED in headers)
     except CheckpointError as error:
         raise CheckpointError(f"{path} {error}") from error
     except _DAMAGES as error:
@@ -206,7 +210,9 @@ def _damaged(path: Path, error: Exception) -> CheckpointError:
     )
 
 
-def _from_arrays(own: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray]) -> Checkpoint:
+def _from_arrays(
+    own: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray], *, owes_evaluation: bool
+) -> Checkpoint:
     """Return the checkpoint that `_arrays` converted; raise TypeError or ValueError if no run can have written it."""
     checkpoint = Checkpoint(
         arrays=arrays,
@@ -216,6 +222,7 @@ def _from_arrays(own: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray]
             mean_return=float(own["best_return"]),
         ),
         numbers=json.loads(str(own["settings"])),
+        owes_evaluation=owes_evaluation,
     )
     best = checkpoint.best
     if min(int(arrays["seed"]), checkpoint.generation, checkpoint.env_steps, best.generation + 1) < 0:
@@ -235,34 +242,3 @@ def restore(checkpoint: Checkpoint, from_arrays: Callable[[Mapping[str, np.ndarr
         raise CheckpointError(f"{path} {error}") from error
     except _DAMAGES as error:
         raise _damaged(path, error) from error
-
-
-class CheckpointWriter:
-    """Writes checkpoints in a thread of its own, one at a time and in order."""
-
-    def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="shes-checkpoint")
-        self._last: Future[None] | None = None
-
-    def write(self, paths: list[Path], checkpoint: Checkpoint) -> None:
-        """Start writing `checkpoint` to every path of `paths`, in order, after a `wait` for the previous one."""
-        self.wait()
-        self._last = self._pool.submit(self._write_all, paths, checkpoint)
-
-    def wait(self) -> None:
-        """Wait until the last checkpoint is on disk; raise StorageError if it could not be written."""
-        last, self._last = self._last, None
-        if last is not None:
-            last.result()
-
-    def close(self) -> None:
-        """Write the last checkpoint and end the thread."""
-        try:
-            self.wait()
-        finally:
-            self._pool.shutdown()
-
-    @staticmethod
-    def _write_all(paths: list[Path], checkpoint: Checkpoint) -> None:
-        for path in paths:
-            save_checkpoint(path, checkpoint)

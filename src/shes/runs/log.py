@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from logging.handlers import QueueHandler, QueueListener
+from queue import SimpleQueue
 
 from shes.runs.folder import RunFolder
 from shes.storage import storage_errors
@@ -26,10 +28,13 @@ class _LogFile(logging.FileHandler):
 
 @contextmanager
 def run_log(folder: RunFolder) -> Iterator[None]:
-    """Write the log of the run to its `log.txt` inside the block."""
+    """Write the log of the run to its `log.txt` inside the block, in a thread: the run does not wait for the disk."""
     with storage_errors(folder.log):
-        handler = _LogFile(folder.log, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+        file = _LogFile(folder.log, encoding="utf-8")
+    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    queue: SimpleQueue[logging.LogRecord] = SimpleQueue()
+    handler, writer = QueueHandler(queue), QueueListener(queue, file)
+    writer.start()
     previous = logger.level, logger.propagate
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
@@ -39,4 +44,5 @@ def run_log(folder: RunFolder) -> Iterator[None]:
     finally:
         logger.removeHandler(handler)
         logger.level, logger.propagate = previous
-        handler.close()
+        writer.stop()
+        file.close()

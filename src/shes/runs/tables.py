@@ -62,9 +62,14 @@ def _damaged(path: Path, error: Exception) -> RunFolderError:
     return RunFolderError(f"{path} cannot be read as a table of numbers: {text}. Restore it from a copy.")
 
 
-def check_tables(folder: RunFolder, generation: int) -> None:
-    """Raise RunFolderError unless the tables of a run are there and can be read after `generation`."""
+def check_tables(folder: RunFolder, generation: int, *, owes_evaluation: bool = False) -> None:
+    """Raise RunFolderError unless the tables of a run are there and can be read after `generation`.
+
+    The first evaluation, of generation 1, may be owed: then there is no table of evaluations.
+    """
     for path in (folder.progress, folder.evaluation) if generation else ():
+        if path == folder.evaluation and generation == 1 and owes_evaluation and not path.exists():
+            continue
         if not path.is_file():
             raise RunFolderError(
                 f"{path} is missing, but the run has made {generation} generations. Restore it from a copy, or make an "
@@ -117,9 +122,15 @@ class Records:
         generation: int,
         env_steps: int = 0,
         hyperparameters: Mapping[str, Any] = MappingProxyType({}),
+        *,
+        owes_evaluation: bool = False,
     ) -> None:
-        """Open the tables and remove the rows after `generation`, which ended at `env_steps`."""
-        self._tables = {path.stem: CsvTable(path, generation) for path in (folder.progress, folder.evaluation)}
+        """Open the tables and remove the rows after `generation`, which ended at `env_steps`.
+
+        If its evaluation is owed, it has no row either.
+        """
+        kept = {folder.progress: generation, folder.evaluation: generation - owes_evaluation}
+        self._tables = {path.stem: CsvTable(path, until) for path, until in kept.items()}
         self._events = Events(folder.tensorboard, generation, env_steps, hyperparameters)
 
     def add(self, table: str, row: Row) -> None:

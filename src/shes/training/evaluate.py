@@ -10,12 +10,12 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from shes.algorithms.contract import Algorithm, AnyState
-from shes.algorithms.roll_out import roll_out_tasks
+from shes.algorithms.roll_out import RollOutBeside
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
-from shes.hierarchy.results import lower_diverged
+from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.listing import Listing, facts_listing
 from shes.runs.device import check_asked_device
 from shes.runs.log import logger
@@ -90,11 +90,35 @@ def fresh_seeds(state: AnyState, episodes: int, seed: int | None = None) -> list
 
 
 def evaluate_state(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int], backend: Backend) -> Evaluation:
-    """Run an episode of the agent of `state` for every seed; return the results.
+    """Run an episode of the agent of `state` for every seed; return the results. See `EvaluationBeside`."""
+    return EvaluationBeside(algorithm, state, seeds, backend).result()
+
+
+class EvaluationBeside:
+    """An evaluation that the workers of a backend do beside the next generation.
 
     A diverged episode counts as the worst of the others. The episodes run in blocks of `episodes_in_lockstep`, the
     number of rows of a policy's matmul in training, so that results do not depend on the distribution of the blocks.
     """
+
+    def __init__(self, algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int], backend: Backend) -> None:
+        """Begin an episode of the agent of `state` for every seed."""
+        self._count, self._primitive = len(seeds), algorithm.design.intrinsic_level
+        tasks, generation = _work(algorithm, state, seeds)
+        self._roll_out = RollOutBeside.start(tasks, generation, backend)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all episodes have ended."""
+        return self._roll_out.pending.is_done
+
+    def result(self) -> Evaluation:
+        """Return the results, after the episodes that are left."""
+        return _evaluation(self._roll_out.results(), self._count, self._primitive)
+
+
+def _work(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int]) -> tuple[list[EpisodeTask], Generation]:
+    """Return the tasks of an evaluation, and what they share."""
     parameters, rows = algorithm.parameters(state), algorithm.episodes_in_lockstep
     zeros = (0,) * len(parameters)
     blocks = [seeds[first : first + rows] for first in range(0, len(seeds), rows)]
@@ -109,15 +133,16 @@ def evaluate_state(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[
         )
         for number, block in enumerate(blocks)
     ]
-    generation = Generation(levels=parameters, sigma=0.0, episodes_per_policy=rows, is_evaluation=True)
-    results = roll_out_tasks(tasks, generation, backend)
-    count = len(seeds)  # the last block may be shorter: its unused slots are at the end
+    return tasks, Generation(levels=parameters, sigma=0.0, episodes_per_policy=rows, is_evaluation=True)
+
+
+def _evaluation(results: PopulationResults, count: int, primitive: int | None) -> Evaluation:
+    """Return the first `count` episodes of `results`: the last block may be shorter, with unused slots at its end."""
 
     def column(values: np.ndarray) -> F64Array:
         return values.ravel()[:count].astype(np.float64)
 
     has_diverged = results.has_diverged.ravel()[:count]
-    primitive = algorithm.design.intrinsic_level
     return Evaluation(
         scores=lower_diverged(column(results.score), has_diverged),
         returns=lower_diverged(column(results.environment_returns), has_diverged),

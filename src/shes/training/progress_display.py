@@ -108,9 +108,11 @@ class ProgressDisplay:
             self._console.print(self._line(), highlight=False, soft_wrap=True)
 
     def on_evaluation(self, row: Row) -> None:
-        """Remember an evaluation; it is shown with its generation."""
+        """Show an evaluation, with the last generation; on a plain terminal the next line shows it."""
         self._evaluation = row
         self._scores.append(row["score_mean"])
+        if self._live is not None and self._row:
+            self._live.update(self._view(), refresh=True)
 
     def on_event(self, event: str) -> None:
         """Show a warning at once."""

@@ -15,13 +15,14 @@ import numpy as np
 from shes.algorithms.contract import Algorithm
 from shes.errors import ConfigError, RunFolderError
 from shes.listing import Listing
-from shes.runs.checkpoint import Best, Checkpoint, CheckpointWriter, restore, save_checkpoint
+from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
 from shes.runs.log import logger, run_log
 from shes.runs.rooms import execution_settings, known_settings
 from shes.runs.tables import Records, check_tables, read_csv
+from shes.runs.writer import RunWriter
 from shes.settings import Setting
 from shes.training.build import build_algorithm, build_backend, check_device
 from shes.training.interruption import Interruption, resumable
@@ -172,7 +173,7 @@ def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) 
         check_limits(Workload.of(config), algorithm.design)
         checkpoint = folder.load("last", algorithm.check_headers)
         done, steps = checkpoint.generation, checkpoint.env_steps
-        if config.run.is_over(done, steps):
+        if config.run.is_over(done, steps) and not checkpoint.owes_evaluation:
             is_long = done >= config.run.generations
             made, end = (done, config.run.generations) if is_long else (steps, config.run.env_steps)
             raise ConfigError(
@@ -181,7 +182,7 @@ def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) 
                 f"{'--generations' if is_long else '--env-steps'} {2 * made}"
             )
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
-        check_tables(folder, done)
+        check_tables(folder, done, owes_evaluation=checkpoint.owes_evaluation)
         changes = folder.record_resume(done, config)
         if changes:
             event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
@@ -206,7 +207,7 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
             "have it made anew."
         )
     last = folder.load("last")
-    if config.run.is_over(last.generation, last.env_steps):
+    if config.run.is_over(last.generation, last.env_steps) and not last.owes_evaluation:
         return Run(path=path, config=stored, generation=last.generation, best=last.best)
     now = {name: config.settings[name] for name in resumable_settings()}
     changed = {name: value for name, value in now.items() if value != stored.settings[name]}
@@ -244,22 +245,32 @@ def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint:
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))
         interruption = stack.enter_context(Interruption())
-        records = Records(folder, checkpoint.generation, checkpoint.env_steps, config.numbers())
+        records = Records(
+            folder,
+            checkpoint.generation,
+            checkpoint.env_steps,
+            config.numbers(),
+            owes_evaluation=checkpoint.owes_evaluation,
+        )
         stack.enter_context(closing(records))
-        writer = stack.enter_context(closing(CheckpointWriter()))
+        writer = stack.enter_context(closing(RunWriter(records)))
         backend = stack.enter_context(build_backend(config, algorithm.plan(), Workload.of(config).num_episodes))
-        session = Session(folder, algorithm, checkpoint, records, writer, backend, audience)
+        session = stack.enter_context(closing(Session(folder, algorithm, checkpoint, writer, backend, audience)))
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
         logger.info("begins after generation %d with %d workers%s", state.generation, backend.num_workers, on_device)
         session.check_schedules()
+        with interruption.at_once():
+            session.start_owed_evaluation(state)
         while not session.is_over() and not interruption.is_requested:
             logger.info("generation %d begins", session.checkpoint.generation + 1)
             with interruption.at_once():
                 report = next(generations)
             session.add(report, interruption)
             logger.info("generation %d ends", report.state.generation)
-    if interruption.is_requested and not session.is_over():
+        if not interruption.is_requested:
+            session.finish(interruption)
+    if interruption.is_requested and (not session.is_over() or session.checkpoint.owes_evaluation):
         raise KeyboardInterrupt
     last = session.checkpoint
     return Run(path=folder.path, config=config, generation=last.generation, best=last.best)

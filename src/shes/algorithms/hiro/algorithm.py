@@ -52,6 +52,7 @@ class TD3(Algorithm[TD3State]):
     """TD3 with one policy without goals."""
 
     rooms: ClassVar[Mapping[str, type[Settings]]] = TD3_ROOMS
+    shares_memory: ClassVar[bool] = True  # that of the replay buffers
     make_design: ClassVar[Callable[[Problem], AgentDesign]] = staticmethod(flat_design)
     """Returns the design of its agents."""
     make_levels: ClassVar[Callable[[Problem, Any], tuple[Level, ...]]] = staticmethod(flat_levels)

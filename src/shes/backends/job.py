@@ -1,0 +1,79 @@
+"""The tasks of a `map` call, their parts at the workers, and their results."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from shes.backends.schedule import Part, Schedule
+from shes.backends.work import num_units
+
+
+class State:
+    """A state of the tasks, pickled, in the form in which a backend sends it."""
+
+    def __init__(self, pickled: bytes) -> None:
+        self.pickled = pickled
+        self.stored: Any = None
+        """Reference to it where an engine has stored it."""
+
+
+class Job:
+    """Tasks that refer to one state. Workers do parts of them, under numbers of their own."""
+
+    def __init__(self, tasks: Sequence[Any], state: State | None, num_workers: int) -> None:
+        self.state = state
+        sizes = [num_units(task) for task in tasks]
+        self.schedule = Schedule(sizes, num_workers)
+        self.losses: Counter[int] = Counter()
+        """How many workers were lost at each task."""
+        self._tasks = tasks
+        self._parts: list[Part] = []
+        self._results: list[dict[int, Any]] = [{} for _ in tasks]  # of each task, by the first unit of the part
+        self._units_missing = sizes
+        self._num_missing = len(tasks)
+        self._next = 0
+
+    @property
+    def is_done(self) -> bool:
+        """Whether every task has its result."""
+        return not self._num_missing
+
+    def give(self, units: int, enough: int) -> list[tuple[int, Any]]:
+        """Return the next parts with their numbers; see `Schedule.take`."""
+        first = len(self._parts)
+        self._parts += self.schedule.take(units, enough)
+        return [(number, self.task(number)) for number in range(first, len(self._parts))]
+
+    def task(self, number: int) -> Any:
+        """Return the task, or the part of a task, with this number."""
+        part = self._parts[number]
+        task = self._tasks[part.task]
+        return task if part.units == num_units(task) else task.part(part.start, part.stop)
+
+    def take_back(self, numbers: Sequence[int]) -> None:
+        """Take back the parts of a lost worker."""
+        parts = [self._parts[number] for number in numbers]
+        self.schedule.give_back(parts)
+        self.losses.update({part.task for part in parts})
+
+    def num_losses(self, numbers: Sequence[int]) -> int:
+        """Return the largest number of losses among the tasks of these parts."""
+        return max((self.losses[self._parts[number].task] for number in numbers), default=0)
+
+    def add(self, number: int, result: Any) -> None:
+        """Keep the result of a part."""
+        part = self._parts[number]
+        self._results[part.task][part.start] = result
+        self._units_missing[part.task] -= part.units
+        self._num_missing -= not self._units_missing[part.task]
+
+    def finished(self) -> Iterator[Any]:
+        """Yield the results of the next tasks that are done, in order and once."""
+        while self._next < len(self._tasks) and not self._units_missing[self._next]:
+            task, parts = self._tasks[self._next], self._results[self._next]
+            self._results[self._next] = {}
+            self._next += 1
+            results = [parts[start] for start in sorted(parts)]
+            yield results[0] if len(results) == 1 else task.join(results)

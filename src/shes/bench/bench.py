@@ -1,0 +1,49 @@
+"""`shes bench`: the speed of this machine, and of a cluster."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from shes.bench.measure import bench_rollout, bench_update
+from shes.bench.speedup import speedup_of
+from shes.errors import ConfigError
+from shes.listing import Listing, facts_listing
+from shes.training.presets import make_config
+
+
+def bench(
+    name: Literal["rollout", "update", "speedup"],
+    settings: dict[str, Any],
+    env: str = "ant-gather",
+    *,
+    seconds: float = 0.0,
+    out: Path = Path("speedup"),
+    latency_us: float = 50.0,
+    gigabits_per_s: float = 10.0,
+) -> Listing:
+    """Measure the speed of this machine, with the settings of shes train.
+
+    shes bench rollout --seconds 60
+
+    Args:
+        name: rollout: steps per second of whole generations, against a bare mj_step loop on the same episodes; update:
+            milliseconds of the parent's work between generations, by part; speedup: SHES and S-ES on 1 to --workers
+            cores, and a projection to a cluster of 24 cores per node.
+        settings: Settings of `shes.train` by name.
+        env: Environment, see shes envs.
+        seconds: Minimum duration of the measurement. On a shared machine a long one is more precise.
+        out: Folder for the table and the figure of speedup.
+        latency_us: Latency of the cluster's network, in microseconds.
+        gigabits_per_s: Bandwidth of the cluster's network.
+
+    Raises:
+        ConfigError: An argument or a setting is out of range.
+    """
+    if not 0 <= seconds < float("inf"):
+        raise ConfigError(f"seconds must be zero or a positive number, got {seconds}. Set --seconds.")
+    if name == "speedup":
+        return facts_listing(speedup_of(env, settings, out, latency_us, gigabits_per_s, seconds))
+    config = make_config(env, settings.pop("preset", "laptop"), settings)
+    measure = bench_rollout if name == "rollout" else bench_update
+    return facts_listing(measure(config, seconds=seconds))
