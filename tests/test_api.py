@@ -279,7 +279,7 @@ def test_numbers_of_numpy_are_settings_too(tmp_path, run):
         (
             {"preset": "big"},
             UnknownNameError,
-            r"unknown preset 'big'\. Known: laptop, hiro-paper, hiro-table1, paper, smoke",
+            r"unknown preset 'big'\. Known: hiro-paper, hiro-table1, laptop, paper, smoke",
         ),
         ({"sigmma": 1}, ConfigError, r"unknown setting 'sigmma'\. Did you mean 'sigma'"),
         ({"sigma": -1}, ConfigError, r"sigma must be a positive number, got -1\. Set --sigma"),

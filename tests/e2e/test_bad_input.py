@@ -56,7 +56,7 @@ WORDS = {
     ),
     "unknown_preset": (
         ["train", "point-gather", "--preset", "lapto"],
-        r"unknown preset 'lapto'\. Did you mean 'laptop'\? Known: laptop, hiro-paper, hiro-table1, paper, smoke\.",
+        r"unknown preset 'lapto'\. Did you mean 'laptop'\? Known: laptop, hiro-paper, .*, smoke\. Set --preset",
     ),
     "preset_without_a_value": (["train", "point-gather", "--preset"], r"Missing value for argument '--preset'"),
     "unknown_flag": (
