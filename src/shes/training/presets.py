@@ -27,6 +27,7 @@ _HIRO: dict[str, Any] = {
     "exploration_noise": 1.0,
     "goal_noise": 1.0,
     "normalise_inputs": False,
+    "reward_scale": 0.1,
     "update_interval": 1,
     "horizon": 500,
     "evaluation_horizon": 500,

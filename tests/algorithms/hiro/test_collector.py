@@ -117,6 +117,17 @@ def test_an_interval_holds_what_its_steps_saw_and_did():
     assert episode["primitive_return"] == pytest.approx(made["reward"].sum(), rel=1e-5)
 
 
+def test_the_environments_reward_is_scaled_and_the_primitives_own_is_not():
+    (one, _), (half, collector) = (
+        collect(algorithm(env="point-maze", reward_scale=scale), num_steps=1, is_random=True) for scale in (1.0, 0.5)
+    )
+    np.testing.assert_allclose(half["controller"]["reward"], 0.5 * one["controller"]["reward"], rtol=1e-6)
+    np.testing.assert_array_equal(half["primitive"]["reward"], one["primitive"]["reward"])
+    assert collector.summary.episodes[0]["controller_return"] < 1.1 * half["controller"]["reward"].sum()  # unscaled
+    flat, scaled = (collect(algorithm("td3", "point-maze", reward_scale=s), num_steps=1)[0] for s in (1.0, 0.5))
+    np.testing.assert_allclose(scaled["policy"]["reward"], 0.5 * flat["policy"]["reward"], rtol=1e-6)
+
+
 FALLS = {"env": "ant-gather", "spec": "hiro", "horizon": 200}
 
 

@@ -135,13 +135,17 @@ class TD3(Algorithm[TD3State]):
 
     def make_collector(self, batch: EpisodeBatch, actors: Mapping[str, Actor]) -> Collector:
         """Return the collector of experience in `batch`."""
-        return Collector(batch, actors, self.problem.horizon, bootstraps=self.settings.bootstrap_terminal)
+        return Collector(batch, actors, self.problem.horizon, **self._rewards())
 
     def make_learners(self, state: TD3State) -> dict[str, Any]:
         """Return the learner of each level by name."""
         learning = import_learning(self.problem.settings.run.algorithm)
         (level,), (own,) = self.levels, state.learners
         return {level.name: learning.LevelLearner(level, own, *self._learning())}
+
+    def _rewards(self) -> dict[str, Any]:
+        """Return what a collector needs to know of rewards and terminal states, by argument."""
+        return {"bootstraps": self.settings.bootstrap_terminal, "reward_scale": self.settings.reward_scale}
 
     def _learning(self) -> tuple[float, int, float]:
         """Return the discount, the batch size and the clip of a learner."""
@@ -201,8 +205,7 @@ class HIRO(TD3):
 
     def make_collector(self, batch: EpisodeBatch, actors: Mapping[str, Actor]) -> Collector:
         """Return the collector of experience in `batch`."""
-        bootstraps = self.settings.bootstrap_terminal
-        return HiroCollector(batch, actors, self.problem.horizon, self.design, bootstraps=bootstraps)
+        return HiroCollector(batch, actors, self.problem.horizon, self.design, **self._rewards())
 
     def make_learners(self, state: TD3State) -> dict[str, Any]:
         """Return the learner of each level by name."""

@@ -86,9 +86,21 @@ class _Step:
 class Collector:
     """Collects the transitions of a flat policy."""
 
-    def __init__(self, batch: EpisodeBatch, actors: Mapping[str, Actor], horizon: int, *, bootstraps: bool) -> None:
-        """Play in `batch` with `actors`, by level. With `bootstraps`, a terminal state has a value as any other."""
-        self._batch, self._actors, self._horizon, self._bootstraps = batch, actors, horizon, bootstraps
+    def __init__(
+        self,
+        batch: EpisodeBatch,
+        actors: Mapping[str, Actor],
+        horizon: int,
+        *,
+        bootstraps: bool,
+        reward_scale: float = 1.0,
+    ) -> None:
+        """Play in `batch` with `actors`, by level. The environment's reward is multiplied by `reward_scale`.
+
+        With `bootstraps`, a terminal state has a value as any other.
+        """
+        self._batch, self._actors, self._horizon = batch, actors, horizon
+        self._bootstraps, self._reward_scale = bootstraps, reward_scale
         self._steps: IntArray = np.zeros(batch.num_episodes, np.int64)
         self._observation: F64Array = np.zeros((batch.num_episodes, batch.observation_size))
         self.summary = Summary()
@@ -162,7 +174,7 @@ class Collector:
 
     def transitions(self, step: _Step, rng: np.random.Generator) -> dict[str, Rows]:
         """Return the transitions that `step` has completed, by level. New goals are drawn from `rng`."""
-        return {"policy": self.rows(step, step.observation, self._batch.reward, self._observation)}
+        return {"policy": self.rows(step, step.observation, self.reward(), self._observation)}
 
     def rows(self, step: _Step, inputs: F64Array, reward: F64Array, next_inputs: F64Array) -> dict[str, F32Array]:
         """Return the transitions of the acting level as float32, without those of diverged simulations."""
@@ -175,6 +187,10 @@ class Collector:
             "next_inputs": next_inputs[kept],
         }
         return {name: values.astype(np.float32) for name, values in rows.items()}
+
+    def reward(self) -> F64Array:
+        """Return the environment's scaled reward of the last step [N]."""
+        return self._batch.reward * self._reward_scale
 
     def goes_on(self, terminated: BoolArray) -> BoolArray:
         """Return which transitions lead to a state with a value [n]."""
@@ -202,9 +218,10 @@ class HiroCollector(Collector):
         design: HiroDesign,
         *,
         bootstraps: bool,
+        reward_scale: float = 1.0,
     ) -> None:
         """See `Collector`; `actors` are those of `controller` and `primitive`."""
-        super().__init__(batch, actors, horizon, bootstraps=bootstraps)
+        super().__init__(batch, actors, horizon, bootstraps=bootstraps, reward_scale=reward_scale)
         n, c, size = batch.num_episodes, design.controller_interval, design.goals.size
         self._space, self._interval = design.goals, c
         self._columns = list(design.primitive_view.indices or ())
@@ -247,7 +264,7 @@ class HiroCollector(Collector):
         reward = primitive_reward(self._goal)
         sound = rows[step.is_sound]
         self._intrinsic_return[sound] += reward[sound]
-        self._earned[rows] += self._batch.reward[rows]
+        self._earned[rows] += self.reward()[rows]
         is_over = self._steps[rows] % self._interval == 0
         self.summary.goal_distances += (-reward[rows[is_over & step.is_sound]]).tolist()
         of_controller = self._intervals(step, is_over)

@@ -44,8 +44,8 @@ class LearnerSettings(Settings):
     """Standard deviation of the noise on the target actor's outputs."""
     target_noise_clip: Annotated[float, Ge(0)] = 0.5
     """Largest noise on the target actor's outputs."""
-    reward_scale: Annotated[float, Gt(0)] = 0.1
-    """Factor on the environment's reward."""
+    reward_scale: Annotated[float, Gt(0)] = 1.0
+    """Factor on the environment's reward (HIRO: 0.1). The primitive's own reward has none."""
     bootstrap_terminal: bool = False
     """Whether a terminal state has a value as any other (HIRO's code: yes). A time limit never ends the return."""
     normalise_inputs: bool = True
