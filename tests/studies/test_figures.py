@@ -158,6 +158,7 @@ def test_figure_3_has_published_scores_and_a_running_best_that_never_falls(all_d
     measured, best = gather.lines[0], gather.lines[1]
     assert (measured.get_label(), best.get_linestyle()) == ("SHES as published (3 seeds)", "--")
     assert np.diff(measured.get_ydata()).min() < 0 <= np.diff(best.get_ydata()).min()
+    assert "HIRO (3 seeds)" in lines
     assert measured.get_xdata()[[0, -1]] == pytest.approx([0.25, 1.5], rel=0.01)
 
 

@@ -1,4 +1,4 @@
-"""The paper's experiments: SHES against HIRO (figure 3), and against a transferred primitive, SHES-TL (figure 5).
+"""The paper's experiments: SHES against HIRO (figure 3, with the extra `hiro`), and against SHES-TL (figure 5).
 
 Each compares the paper's method as published with the pieces of `docs/learning.md`: egocentric views, the body's
 symmetry, a primitive evaluated by branched intervals. In one folder, the two figures share their runs.
@@ -19,14 +19,16 @@ from shes.training.presets import make_config
 
 TASKS = ("gather", "maze", "push")
 METHODS, TRANSFER = "methods", "transfer"
-PUBLISHED, PIECES = "published", "pieces"
+PUBLISHED, PIECES, HIRO = "published", "pieces", "hiro"
 _GROUPS = {
     METHODS: "controller and primitive together from scratch: as published, and with the pieces",
     TRANSFER: "the same with a primitive that was trained alone (SHES-TL)",
 }
+_WORDS = {PUBLISHED: "as published", PIECES: "with the pieces", HIRO: "HIRO"}
 _LABELS = {
     (METHODS, PUBLISHED): "SHES as published",
     (METHODS, PIECES): "SHES with the pieces",
+    (METHODS, HIRO): "HIRO",
     (TRANSFER, PUBLISHED): "SHES-TL as published",
     (TRANSFER, PIECES): "SHES-TL with the pieces",
 }
@@ -102,6 +104,9 @@ class _Scale:
     """Environment steps of training, by environment; without, the preset's generations."""
     branched_population: int | None = None
     """Size of a population of branched pairs beside controllers, if it is not the form's."""
+    hiro: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of HIRO over `hiro_preset`. Its steps take much longer, because each comes with updates."""
+    hiro_preset: str = "laptop"
 
     def form(self, body: str, task: str, form: str) -> dict[str, Any]:
         """Return the settings of a form over the preset: of two levels, or of a primitive alone for Flagrun."""
@@ -118,7 +123,14 @@ class _Scale:
 
 SCALES: dict[str, _Scale] = {
     # Table I: 3000 generations, at most ten hours, ten runs.
-    "paper": _Scale(preset="paper", seeds={"ant": 10}, settings={"minutes": 600.0}, episodes=200),
+    "paper": _Scale(
+        preset="paper",
+        seeds={"ant": 10},
+        settings={"minutes": 600.0},
+        episodes=200,
+        hiro={"minutes": 600.0},
+        hiro_preset="hiro-table1",
+    ),
     "laptop": _Scale(
         preset="laptop",
         seeds={"point": 10, "ant": 5},
@@ -131,6 +143,14 @@ SCALES: dict[str, _Scale] = {
             "ant-maze": 2_000_000,
             "ant-push": 2_000_000,
             "ant-flagrun": 1_000_000,
+        },
+        hiro={
+            "horizon": 500,
+            "evaluation_horizon": 500,
+            "evaluation_episodes": 20,
+            "evaluation_interval": 4,
+            "env_steps": 300_000,
+            "generations": 100_000,
         },
     ),
     # A test, too short to learn.
@@ -148,6 +168,16 @@ SCALES: dict[str, _Scale] = {
         episodes=4,
         env_steps={f"{body}-{task}": 1_000 for body in ("point", "ant") for task in (*TASKS, "flagrun")},
         branched_population=8,
+        hiro={
+            "horizon": 50,
+            "evaluation_horizon": 50,
+            "evaluation_episodes": 2,
+            "warmup_steps": 200,
+            "generation_steps": 100,
+            "env_steps": 400,
+            "generations": 100_000,
+        },
+        hiro_preset="smoke",
     ),
 }
 
@@ -159,23 +189,24 @@ def figure_3(scale: str = "laptop", seeds: int | None = None) -> Study:
         UnknownNameError: There is no such scale: `paper` needs a cluster, `laptop` hours of two cores, `smoke` minutes.
         ConfigError: `seeds` is not positive.
     """
-    return _study("fig3", scale, seeds, (METHODS,))
+    return _study("fig3", scale, seeds, {METHODS: (PUBLISHED, PIECES, HIRO)})
 
 
 def figure_5(scale: str = "laptop", seeds: int | None = None) -> Study:
     """Return the runs of figure 5: the training reward of SHES and SHES-TL; otherwise as `figure_3`."""
-    return _study("fig5", scale, seeds, (METHODS, TRANSFER))
+    return _study("fig5", scale, seeds, dict.fromkeys((METHODS, TRANSFER), (PUBLISHED, PIECES)))
 
 
-def _study(figure: str, scale: str, seeds: int | None, groups: tuple[str, ...]) -> Study:
+def _study(figure: str, scale: str, seeds: int | None, groups: Mapping[str, tuple[str, ...]]) -> Study:
+    """Return the runs of a figure with these forms of each group."""
     check_size(scale, seeds, SCALES)
     size = SCALES[scale]
     cells = tuple(
         cell
         for body, own in size.seeds.items()
         for seed in range(1, 1 + (seeds or own))
-        for group in groups
-        for form in (PUBLISHED, PIECES)
+        for group, forms in groups.items()
+        for form in forms
         for cell in _cells(size, body, group, form, seed)
     )
     return Study(
@@ -190,18 +221,22 @@ def _cells(size: _Scale, body: str, group: str, form: str, seed: int) -> Iterato
     """Yield the runs of a method on the tasks of a body; with transfer, the primitive's run first."""
 
     def cell(task: str, settings: Mapping[str, Any], primitive: str | None = None) -> Cell:
-        steps, env = size.env_steps.get(f"{body}-{task}"), f"{body}-{task}"
-        budget = {} if steps is None else {"env_steps": steps, "generations": 100_000}
+        env, preset = f"{body}-{task}", size.preset
+        if form == HIRO:
+            settings, preset = {"algorithm": "hiro", **size.hiro}, size.hiro_preset
+        else:
+            steps = size.env_steps.get(env)
+            budget = {} if steps is None else {"env_steps": steps, "generations": 100_000}
+            settings = {**settings, **size.settings, **budget}
+            if (preset, body, form) == ("laptop", "ant", PUBLISHED):
+                preset = "smoke"
         return Cell(
-            group=group,
-            variant=form,
-            env=env,
-            seed=seed,
-            settings={**settings, **size.settings, **budget},
-            primitive=primitive,
-            preset="smoke" if (size.preset, body, form) == ("laptop", "ant", PUBLISHED) else size.preset,
+            group=group, variant=form, env=env, seed=seed, settings=settings, primitive=primitive, preset=preset
         )
 
+    if form == HIRO:
+        yield from (cell(task, {}) for task in TASKS)
+        return
     forms = {task: size.form(body, task, form) for task in (*TASKS, "flagrun")}
     if group == METHODS:
         yield from (cell(task, forms[task]) for task in TASKS)
@@ -217,14 +252,14 @@ def _cells(size: _Scale, body: str, group: str, form: str, seed: int) -> Iterato
         yield cell(task, own, walker.name)
 
 
-def _design(figure: str, size: _Scale, groups: tuple[str, ...]) -> StudyDesign:
+def _design(figure: str, size: _Scale, groups: Mapping[str, tuple[str, ...]]) -> StudyDesign:
     """Return comparisons and figures: a panel per task, over environment steps and over hours."""
     envs = [f"{body}-{task}" for body in size.seeds for task in TASKS]
     measure = _SCORE if figure == "fig3" else _TRAINING
     curves = tuple(
         Curve(group, form, _LABELS[group, form], is_after_primitive=group == TRANSFER)
-        for group in groups
-        for form in (PUBLISHED, PIECES)
+        for group, forms in groups.items()
+        for form in forms
     )
 
     def panels(x: Literal["env_steps", "hours"]) -> tuple[CurvePanel, ...]:
@@ -246,10 +281,12 @@ def _design(figure: str, size: _Scale, groups: tuple[str, ...]) -> StudyDesign:
         base=(METHODS, PUBLISHED),
         metrics={env: Measure("best_score", "score of the best checkpoint", "score") for env in envs},
         curves=dict.fromkeys(envs, measure),
-        labels={PUBLISHED: "as published", PIECES: "with the pieces"},
+        labels={form: _WORDS[form] for forms in groups.values() for form in forms},
         paired={group: ((PUBLISHED, PIECES),) for group in groups if group == TRANSFER},
         figures=tuple(
-            Curves(file=f"{figure}-{x.replace('_', '-')}.png", groups=groups, panels=panels(x), columns=len(TASKS))
+            Curves(
+                file=f"{figure}-{x.replace('_', '-')}.png", groups=tuple(groups), panels=panels(x), columns=len(TASKS)
+            )
             for x in ("env_steps", "hours")
         ),
         formats=("svg", "png"),
