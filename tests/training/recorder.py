@@ -92,6 +92,14 @@ class Record:
         return {seed for each in self.of(kind) for task in each.tasks for seed in task.seeds}
 
 
+def _noted(work: Iterable[Any], tasks: list[EpisodeTask]) -> Iterator[Any]:
+    """Yield `work`, and note its tasks as they are taken; None is no task."""
+    for numbered in work:
+        if numbered is not None:
+            tasks.append(numbered[1])
+        yield numbered
+
+
 @contextmanager
 def recording() -> Iterator[Record]:
     """Record what is done in this process meanwhile. The machine has one core, and the CPU simulates every device."""
@@ -99,10 +107,9 @@ def recording() -> Iterator[Record]:
 
     class RecordedRollout(Rollout):
         def run(self, work: Iterable[Any], generation: Generation, table: NoiseTable) -> Iterator[Any]:
-            numbered = list(work)
-            own = RolledOut(rollout=self, generation=generation, table=table, tasks=[task for _, task in numbered])
+            own = RolledOut(rollout=self, generation=generation, table=table, tasks=[])
             record.rolled_out.append(own)
-            for number, results in super().run(iter(numbered), generation, table):
+            for number, results in super().run(_noted(work, own.tasks), generation, table):
                 own.results.append(results)
                 yield number, results
 
