@@ -62,7 +62,17 @@ def test_a_checkpoint_that_a_newer_one_replaces_is_not_written(slow, tmp_path):
     assert tables.written == [("best", 1), *rows, ("last", 3)]  # `last` after all of its rows
 
 
-@pytest.mark.parametrize("then", ["save", "add_row", "close"])
+def test_waiting_ends_when_all_is_written(slow, tmp_path):
+    tables, may_go_on = slow
+    writer = RunWriter(tables)
+    writer.save(tmp_path / "last", make(1))
+    threading.Timer(0.05, may_go_on.set).start()
+    writer.wait()
+    assert tables.written == [("last", 1)]
+    writer.close()
+
+
+@pytest.mark.parametrize("then", ["save", "add_row", "wait", "close"])
 def test_a_write_that_failed_is_told_at_the_next_call_and_nothing_follows_it(tmp_path, monkeypatch, then):
     tables, done = Tables(), threading.Event()
     writer = RunWriter(tables)
@@ -70,8 +80,8 @@ def test_a_write_that_failed_is_told_at_the_next_call_and_nothing_follows_it(tmp
     writer.save(tmp_path / "last.npz", make(1))
     writer.add_row("progress", {"generation": 2})
     writer._waiting.put(done.set)  # not reached: after an error nothing is written
-    more = {"save": (tmp_path / "last.npz", make(2)), "add_row": ("progress", {"generation": 3}), "close": ()}[then]
-    if then != "close":
+    more = {"save": (tmp_path / "last.npz", make(2)), "add_row": ("progress", {"generation": 3})}.get(then, ())
+    if then in ("save", "add_row"):
         while writer._error is None:
             done.wait(0.01)
     with pytest.raises(StorageError, match="the disk is full"):
