@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import shes
+from shes.algorithms.evolution.learners import EvolutionAlgorithm
 from shes.errors import WorkerError
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.tables import read_csv
@@ -48,6 +49,23 @@ def test_a_run_has_the_numbers_of_one_that_evaluates_at_once_and_rows_in_order(t
     kinds = [(kind, generation) for generation in (1, 2, 3, 4) for kind in ("generation", "evaluation")]
     assert listener.heard == kinds
     assert not last(path).owes_evaluation
+
+
+def test_states_that_share_memory_are_evaluated_and_written_before_the_next_generation(tmp_path, serial, monkeypatch):
+    path, made = tmp_path / "run", EvolutionAlgorithm.run
+
+    def run(algorithm, state, backend):
+        for report in made(algorithm, state, backend):
+            if report.state.generation > 1:  # it was made after all of the generation before
+                before = report.state.generation - 1
+                assert (last(path).generation, last(path).owes_evaluation) == (before, False)
+                assert read_csv(path / "evaluation.csv")["generation"][-1] == before
+            yield report
+
+    monkeypatch.setattr(EvolutionAlgorithm, "run", run)
+    monkeypatch.setattr(EvolutionAlgorithm, "shares_memory", True)
+    runs.train_tiny(path, **PROCESSES)
+    assert runs.differences(serial, path) == []
 
 
 def test_an_evaluation_that_ends_the_run_drops_the_generation_beside_it(tmp_path, serial):
