@@ -124,6 +124,7 @@ class Session:
         if self._algorithm.shares_memory:
             self.finish(interruption)
             self._writer.wait()
+            self._generation_start = perf_counter()
         elif self._owed is not None and self._owed.evaluation.is_done:
             self._add_evaluation()
         self._divergence.check(is_over=self.is_over())
