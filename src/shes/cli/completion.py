@@ -7,16 +7,16 @@ import io
 import os
 import re
 from collections.abc import Iterable
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Literal
 from unittest.mock import patch
 
 from shes.cli.parsing import call
-from shes.cli.program import COMMANDS, find_command
+from shes.cli.program import COMMANDS, find_command, import_registering, split_everywhere
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
-from shes.errors import ShesError
+from shes.errors import ConfigError, ShesError
 from shes.runs.shipped import shipped_names
 
 _BASH = "complete -o default -C 'shes --complete' shes"
@@ -48,9 +48,16 @@ def print_completions() -> int:
     if typed.startswith("-") and "=" in typed:  # bash replaces what follows =
         name, _, typed = typed.partition("=")
         before.append(name)
+    asked, words = split_everywhere(before)
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        for module in asked.modules:
+            with suppress(ConfigError):
+                import_registering(module)
     possible: Iterable[str] = [*COMMANDS, *_EVERYWHERE, "--version"]
-    if before:
-        possible = _words_after(before, typed) if before[0] in COMMANDS else ()
+    if before[-1:] == ["--import"]:
+        possible = ()
+    elif words:
+        possible = _words_after(words, typed) if words[0] in COMMANDS else ()
     for word in possible:
         if word.startswith(typed):
             print(word)
