@@ -27,7 +27,7 @@ _SCRIPTS = {
     "tcsh": "complete shes 'p@*@`shes --complete`@'",
 }
 """Script of each shell. It puts the line into COMP_LINE; tcsh, into COMMAND_LINE."""
-_EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
+EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
 
 
 def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
@@ -53,7 +53,7 @@ def print_completions() -> int:
         for module in asked.modules:
             with suppress(ConfigError):
                 import_registering(module)
-    possible: Iterable[str] = [*COMMANDS, *_EVERYWHERE, "--version"]
+    possible: Iterable[str] = [*COMMANDS, *EVERYWHERE, "--version"]
     if before[-1:] == ["--import"]:
         possible = ()
     elif words:
@@ -71,7 +71,7 @@ def _words_after(before: list[str], typed: str) -> list[str]:
         call(before[0], find_command(before[0]), [*before[1:], "--help-all"])
     text.seek(0)
     places: list[str] = []
-    flags: dict[str, list[str]] = {name: [] for name in _EVERYWHERE}
+    flags: dict[str, list[str]] = {name: [] for name in EVERYWHERE}
     for cell in re.split(r"│\s*", text.read())[1:]:  # the usage comes first
         entry, *_ = re.split(r"\s{2,}", cell)  # --camera {both,follow,top}   Camera.
         words = re.findall(r"--[\w-]+", entry) if entry.startswith("-") else None
