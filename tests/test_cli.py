@@ -92,7 +92,8 @@ def test_list_shows_runs_and_shipped_agents(shes, agent, tiny_run, monkeypatch):
 
 def test_list_shows_names_whole_on_a_narrow_terminal(shes, agent, tiny_run, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    shutil.copytree(shipped.AGENTS / agent, shipped.AGENTS / "point-gather-coevolved")
+    copy = shutil.copytree(shipped.AGENTS / agent, shipped.AGENTS / "point-gather-coevolved") / "agent.json"
+    copy.write_text(copy.read_text().replace("Collects food.", "Collects food of every kind. " * 3))
     shutil.copytree(tiny_run, tmp_path / "runs" / ("long-" * 12))
     text = shes("list", tmp_path / "runs")
     assert "│ point-gather-coevolved │" in text
