@@ -90,6 +90,16 @@ def test_list_shows_runs_and_shipped_agents(shes, agent, tiny_run, monkeypatch):
     assert "There is no run below runs." in shes("list")
 
 
+def test_list_shows_names_whole_on_a_narrow_terminal(shes, agent, tiny_run, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    copy = shutil.copytree(shipped.AGENTS / agent, shipped.AGENTS / "point-gather-coevolved") / "agent.json"
+    copy.write_text(copy.read_text().replace("Collects food.", "Collects food of every kind. " * 3))
+    shutil.copytree(tiny_run, tmp_path / "runs" / ("long-" * 12))
+    text = shes("list", tmp_path / "runs")
+    assert "│ point-gather-coevolved │" in text
+    assert "…" not in text
+
+
 def test_list_tells_of_runs_that_are_stopped_running_or_damaged(shes, tiny_run, tmp_path):
     stopped = shutil.copytree(tiny_run, tmp_path / "runs" / "a")
     record = json.loads((stopped / "config.json").read_text())
@@ -151,6 +161,7 @@ def test_info_shows_what_a_run_is(shes, tiny_run):
     text = shes("info", tiny_run)
     assert re.search(r"env +│ point-gather", text)
     assert re.search(r"state +│ finished", text)
+    assert "problem" not in text
     assert re.search(r"sigma +│ 0\.070", shes("info", tiny_run, "--full"))
     assert json.loads(shes("info", tiny_run, "--json"))["config"]["evolution"]["sigma"] == 0.07
 

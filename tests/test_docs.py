@@ -12,13 +12,14 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import numpy as np
 import pytest
 
 import shes
 from shes.cli import main
 from shes.cli.program import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
-from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.envs.registry import ENVIRONMENTS, Environment, find_environment, make_task
 from shes.envs.tasks.options import TaskOptions
 from shes.runs.rooms import known_settings
 from shes.settings import flag, setting_fields
@@ -245,6 +246,17 @@ def test_an_example_of_a_page_runs(page, number, tmp_path):
     script = tmp_path / "example.py"
     script.write_text(code_blocks(DOCS / page, "python")[number], encoding="utf-8")
     run(script)
+
+
+@pytest.mark.parametrize("task", ["gather", "maze", "fall"])
+def test_the_body_of_a_page_stands_on_the_ground_of_every_kind_of_task(task):
+    (block,) = (each for each in code_blocks(DOCS / "extending.md", "python") if "class Car(Body)" in each)
+    names = {"__name__": "example"}
+    exec(block, names)  # noqa: S102 - the page is of this repository
+    body, kind = names["Car"], find_environment(f"point-{task}").task
+    Environment(body, kind).make(1).reset(np.array([0]), [0])
+    torso = kind.build_world(body(), kind.Options()).compile().body("torso")
+    assert torso.pos[2] == kind.ground_m + 0.5
 
 
 @pytest.mark.extras

@@ -1,14 +1,17 @@
 """Options of registered classes: each is a setting of the room in which its class can be chosen."""
 
+import inspect
 from dataclasses import dataclass, make_dataclass
 from typing import Annotated, ClassVar
 
 import pytest
 
+import shes
+from shes.cli import commands, completion
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.optimizers import OPTIMIZERS, SGD
-from shes.options import make, with_options
-from shes.registry import Registry, subclass_of
+from shes.options import TAKEN, make, subclass_of, with_options
+from shes.registry import Registry
 from shes.runs.config import TrainConfig
 from shes.runs.rooms import known_settings
 from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Shared, Unasked, setting_fields
@@ -162,6 +165,50 @@ def test_an_option_has_a_name_of_its_own_unless_it_is_shared(monkeypatch):
     message = r"'other_shape' is an option of shape 'egg', but already a setting of room 'other'\. Choose another name"
     with pytest.raises(ConfigError, match=message):
         with_options({"room": Room, "other": Other})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cloud(Shape, Settings):
+    out: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Veil(Shape, Settings):
+    check: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hole(Shape, Settings):
+    depth: float
+
+
+class Crate(Shape):
+    @dataclass(frozen=True, kw_only=True)
+    class Options(Settings):
+        sizes: list[int] | None = None
+
+
+@pytest.mark.parametrize(
+    ("cls", "message"),
+    [
+        (Cloud, r"option 'out' of .*Cloud has a name that is taken by an argument or a flag .*Choose another name\."),
+        (Veil, r"option 'check' of .*Veil has a name that is taken"),
+        (Hole, r"option 'depth' of .*Hole has no default\. Give it one\."),
+        (Crate, r"Crate\.Options\.sizes has the type list\[int\] \| None, which a setting cannot have\. Use bool"),
+    ],
+)
+def test_an_option_that_no_run_could_have_is_refused_when_its_class_is_registered(cls, message):
+    with pytest.raises(ConfigError, match=message):
+        SHAPES.register("own", cls)
+    assert "own" not in SHAPES
+
+
+def test_the_taken_names_are_those_of_arguments_and_flags():
+    functions = (shes.train, shes.resume, commands.train, commands.resume)
+    arguments = {name for each in functions for name in inspect.signature(each).parameters}
+    flags = {each[2:].replace("-", "_") for each in (*completion.EVERYWHERE, "--json")}
+    other_flags = {each.flag[2:].replace("-", "_") for each in known_settings().values()} - known_settings().keys()
+    assert arguments | flags | other_flags == TAKEN
 
 
 def test_an_optimizer_with_another_momentum_is_refused_by_its_name(monkeypatch):

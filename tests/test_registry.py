@@ -8,7 +8,7 @@ from shes.es.shaping import FITNESS_SHAPINGS
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
-from shes.registry import Registry, subclass_of
+from shes.registry import Registry, check_class
 
 REGISTRIES = [
     CONTROLLER_OUTPUTS,
@@ -44,7 +44,10 @@ class Weightless(Dog):
 
 @pytest.fixture
 def animals():
-    return Registry("animal", {"dog": Dog}, fix="Set --animal.", check=subclass_of(Animal, 1, ("weight",)))
+    def check(kind, entry):
+        check_class(kind, entry, Animal, 1, ("weight",))
+
+    return Registry("animal", {"dog": Dog}, fix="Set --animal.", check=check)
 
 
 def test_a_registry_is_a_mapping_in_the_order_of_registration(animals):
@@ -95,7 +98,7 @@ def test_setting_an_item_registers_it(animals):
         ("own", Dog(), r"an animal must be a subclass of .*Animal, got <.*not an object of it"),
         ("own", int, r"must be a subclass of .*Animal, got <class 'int'>\. Write class YourOwn\(Animal\)"),
         ("own", Animal, r"Animal lacks legs\. .*Animal says what each of them is: add them to your class"),
-        ("own", Weightless, r"must be made from weight, and is not: "),
+        ("own", Weightless, r"cannot be constructed with 1 argument and weight: .*Change its __init__"),
     ],
 )
 def test_what_is_malformed_or_taken_is_refused(animals, name, entry, message):

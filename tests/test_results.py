@@ -1,4 +1,4 @@
-"""Every policy in `results/` is a run folder that every command takes."""
+"""Every policy in `results/` is a run folder that every command takes; committed records are complete."""
 
 import json
 from pathlib import Path
@@ -8,6 +8,7 @@ import pytest
 import shes
 from shes.cli import main
 from shes.runs.folder import RunFolder
+from shes.runs.shipped import AGENTS
 
 RESULTS = Path(__file__).parents[1] / "results"
 CHECKPOINTS = sorted(RESULTS.glob("**/*.npz"))
@@ -18,6 +19,14 @@ def test_there_are_policies_and_no_other_arrays():
     for file in CHECKPOINTS:
         assert file.parent.name == "checkpoints"
         assert RunFolder.open(file.parents[1]).load(file.stem).generation > 0
+
+
+@pytest.mark.parametrize(
+    "file", sorted((*RESULTS.rglob("config.json"), *AGENTS.rglob("config.json"))), ids=lambda file: file.parent.name
+)
+def test_the_record_of_every_committed_run_has_all_of_its_settings(file):
+    folder = RunFolder(file.parent)
+    assert folder.read_record()["config"] == folder.read_config().to_dict()
 
 
 @pytest.mark.parametrize("run", sorted({file.parents[1] for file in CHECKPOINTS}), ids=lambda run: run.name)

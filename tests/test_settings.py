@@ -1,6 +1,6 @@
 """Settings told once: the annotation of a field says what it may be, and the error says so."""
 
-from dataclasses import FrozenInstanceError, dataclass
+from dataclasses import FrozenInstanceError, dataclass, make_dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -46,10 +46,12 @@ class EveryKind(Settings):
     maybe: bool | None = None
     layers: Annotated[tuple[int, ...], Ge(1), Example("64 64"), Shown(flag="--net")] = (8,)
     place: Annotated[tuple[float, ...], Ge(-9), Le(9), Example("0 8")] | None = None
+    span: tuple[float, float] = (0.0, 1.0)
 
 
 NOT_NUMBERS = ["1", True, None, float("nan"), float("inf"), [1], 1j]
 WRONG = {
+    "span": (r"2 numbers", [(1.0,), (0.0, 1.0, 2.0), (), ("a", "b"), 1.0]),
     "whole": (r"a whole number of at least 2", [1, 2.0, -(10**400), *NOT_NUMBERS]),
     "seed": (r"a whole number of at least 0 and less than 2\*\*63", [-1, 2**63, 1.0]),
     "positive": (r"a positive number", [0, -0.1, *NOT_NUMBERS]),
@@ -87,6 +89,13 @@ def test_a_value_out_of_range_is_refused_with_what_is_allowed_and_the_flag(name)
     for value in values:
         with pytest.raises(ConfigError, match=rf"^{name} must be {allowed}, got .*\. Set {flag}\.$"):
             EveryKind(**{name: value})
+
+
+@pytest.mark.parametrize("kind", [Literal[1, 2], list[int], tuple[float, str], tuple[str, ...], tuple[()], int | str])
+def test_a_field_of_an_unsupported_type_is_refused_by_its_name(kind):
+    cls = make_dataclass("Odd", [("sort", kind, 1)], bases=(Settings,), frozen=True, kw_only=True)
+    with pytest.raises(ConfigError, match=r"Odd\.sort has the type .*, which a setting cannot have\. Use bool, int, "):
+        setting_fields(cls)
 
 
 @pytest.mark.parametrize(("name", "wrong"), [("word", "onee"), ("name", "neat")])

@@ -15,18 +15,24 @@ has a name of its own; classes of one registry may share an option if its type, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import field, make_dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, field, make_dataclass
 from functools import cache
 from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 from shes.errors import ConfigError
-from shes.registry import Registry
+from shes.registry import Registry, check_class, full_name
 from shes.settings import Choices, Needs, Setting, Settings, Shared, Unasked, setting_fields
 
-__all__ = ["make", "options_of", "with_options"]
+__all__ = ["TAKEN", "check_options", "make", "options_of", "subclass_of", "with_options"]
 
 T = TypeVar("T")
+
+TAKEN = frozenset({
+    "debug", "env", "help", "help_all", "import", "json", "listener", "out", "path", "preset", "progress", "run",
+    "seed", "settings", "sweep", "workers",
+})  # fmt: skip
+"""Names that an option cannot have: arguments of `shes.train` and `shes.resume`, and flags of their commands."""
 
 
 def make(registry: Registry[type[T]], name: str, values: Mapping[str, Any]) -> T:
@@ -46,6 +52,37 @@ def options_of(cls: Any) -> dict[str, Setting]:
     options = getattr(cls, "Options", cls)
     is_settings = isinstance(options, type) and issubclass(options, Settings)
     return setting_fields(options) if is_settings else {}
+
+
+def subclass_of(
+    contract: type, num_arguments: int = 0, *, takes_options: bool = False
+) -> Callable[[str, object], None]:
+    """Return the `check` for a registry of complete subclasses of `contract`; see `check_class` and `check_options`.
+
+    `takes_options` says whether a class is constructed with its options as keyword arguments.
+    """
+
+    def check(kind: str, entry: object) -> None:
+        check_options(entry)
+        check_class(kind, entry, contract, num_arguments, tuple(options_of(entry)) if takes_options else ())
+
+    return check
+
+
+def check_options(cls: Any) -> None:
+    """Check the options of a class.
+
+    Raises:
+        ConfigError: An option has an unsupported type, no default, or a name that is taken.
+    """
+    for name, option in options_of(cls).items():
+        if option.default is MISSING:
+            raise ConfigError(f"option {name!r} of {full_name(option.owner)} has no default. Give it one.")
+        if name in TAKEN or hasattr(Settings, name):
+            raise ConfigError(
+                f"option {name!r} of {full_name(option.owner)} has a name that is taken by an argument or a flag of "
+                "SHES. Choose another name."
+            )
 
 
 def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings]]:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from shes.errors import ConfigError, UnknownNameError
 
-__all__ = ["Registry", "check_class", "check_name_form", "subclass_of"]
+__all__ = ["Registry", "check_class", "check_name_form", "full_name"]
 
 T = TypeVar("T")
 
@@ -43,10 +43,8 @@ class Registry(MutableMapping[str, T]):
         self._check(self.kind, entry)
         check_name_form(self.kind, name)
         # Compared by full name, because running a notebook cell again, or a reload, redefines the same class.
-        if name in self._entries and _full_name(self._entries[name]) != _full_name(entry):
-            raise ConfigError(
-                f"{self.kind} {name!r} is {_full_name(self._entries[name])} already. Choose another name."
-            )
+        if name in self._entries and full_name(self._entries[name]) != full_name(entry):
+            raise ConfigError(f"{self.kind} {name!r} is {full_name(self._entries[name])} already. Choose another name.")
         self._entries[name] = entry
 
     def find(self, name: str, *, kind: str = "", fix: str = "") -> T:
@@ -78,15 +76,8 @@ class Registry(MutableMapping[str, T]):
         return f"Registry({self.kind!r}, {self._entries!r})"
 
 
-def subclass_of(
-    contract: type, num_arguments: int = 0, keywords: tuple[str, ...] = ()
-) -> Callable[[str, object], None]:
-    """Return the `check` for a registry of complete subclasses of `contract`; see `check_class`."""
-    return lambda kind, entry: check_class(kind, entry, contract, num_arguments, keywords)
-
-
 def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, keywords: tuple[str, ...] = ()) -> None:
-    """Check that `cls` is a complete subclass of `contract`, made from `num_arguments` arguments and `keywords`.
+    """Check that `cls` is a complete subclass of `contract`, constructed with `num_arguments` and `keywords`.
 
     Raises:
         ConfigError: It is not a subclass, lacks a method or a class attribute, or needs other arguments.
@@ -94,7 +85,7 @@ def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, 
     if not (isinstance(cls, type) and issubclass(cls, contract)):
         article = "an" if kind[0] in "aeiou" else "a"
         raise ConfigError(
-            f"{article} {kind} must be a subclass of {_full_name(contract)}, got {cls!r}. "
+            f"{article} {kind} must be a subclass of {full_name(contract)}, got {cls!r}. "
             f"Write class YourOwn({contract.__name__}), and give the class, not an object of it."
         )
     # Annotations without a value in a contract are class attributes that every subclass must set.
@@ -104,15 +95,16 @@ def check_class(kind: str, cls: object, contract: type, num_arguments: int = 0, 
     missing = [*sorted(getattr(cls, "__abstractmethods__", ())), *attributes]
     if missing:
         raise ConfigError(
-            f"{kind} {_full_name(cls)} lacks {', '.join(missing)}. "
-            f"{_full_name(contract)} says what each of them is: add them to your class."
+            f"{kind} {full_name(cls)} lacks {', '.join(missing)}. "
+            f"{full_name(contract)} says what each of them is: add them to your class."
         )
     try:
         inspect.signature(cls).bind(*[None] * num_arguments, **dict.fromkeys(keywords))
     except TypeError as error:
-        needed = ", ".join(keywords) if keywords else f"{num_arguments or 'no'} arguments"
+        given = [f"{num_arguments or 'no'} argument{'s' * (num_arguments != 1)}"]
         raise ConfigError(
-            f"{kind} {_full_name(cls)} must be made from {needed}, and is not: {error}. Change its __init__."
+            f"{kind} {full_name(cls)} cannot be constructed with {' and '.join([*given, *keywords])}: {error}. "
+            "Change its __init__."
         ) from error
 
 
@@ -129,7 +121,8 @@ def check_name_form(kind: str, name: object) -> None:
         )
 
 
-def _full_name(entry: object) -> str:
+def full_name(entry: object) -> str:
+    """Return the module and the name of a class, or of the classes in a tuple; otherwise the `repr`."""
     if isinstance(entry, tuple):
-        return " with ".join(_full_name(part) for part in entry)
+        return " with ".join(full_name(part) for part in entry)
     return f"{entry.__module__}.{entry.__qualname__}" if isinstance(entry, type) else repr(entry)

@@ -133,6 +133,8 @@ class Setting:
     """Type of a value other than None: `float`, `tuple`, ..."""
     item: Any
     """Type of an item of a tuple; otherwise `kind`."""
+    length: int | None
+    """Number of items of a tuple of fixed length."""
     is_optional: bool
     """Whether the value may be None."""
     default: Any
@@ -165,7 +167,7 @@ class Setting:
     def definition(self) -> tuple[Any, ...]:
         """Its type, default and range."""
         bounds = frozenset(note for note in self.notes if isinstance(note, _Bound))
-        return self.kind, self.item, self.is_optional, self.default, bounds, self.choices
+        return self.kind, self.item, self.length, self.is_optional, self.default, bounds, self.choices
 
     @property
     def needs(self) -> tuple[Needs, ...]:
@@ -210,7 +212,9 @@ class Setting:
 
     def _is_tuple(self, value: Any) -> bool:
         """Return whether `value` is an allowed tuple. An empty one is allowed for integers: no hidden layers."""
-        return isinstance(value, tuple) and (bool(value) or self.item is int) and all(map(self._is_item, value))
+        if not isinstance(value, tuple) or (self.length is not None and len(value) != self.length):
+            return False
+        return (bool(value) or self.item is int) and all(map(self._is_item, value))
 
     def _is_item(self, value: Any) -> bool:
         """Return whether `value` has the type of an item and is within the bounds; a bool is not a number.
@@ -234,7 +238,8 @@ class Setting:
         """The allowed values in words, for error messages."""
         example = next((f", e.g. {self.flag} {note.text}" for note in self.notes if isinstance(note, Example)), "")
         if self.kind is tuple:
-            return f"{_range_in_words(self.item, self.notes, is_many=True)}{example}"
+            count = "" if self.length is None else f"{self.length} "
+            return f"{count}{_range_in_words(self.item, self.notes, is_many=True)}{example}"
         words = {bool: "true or false", str: "a name"}
         if self.item in (int, float):
             return _range_in_words(self.item, self.notes) + example
@@ -289,32 +294,54 @@ class Settings:
 
 @cache
 def setting_fields(cls: type) -> dict[str, Setting]:
-    """Return the settings of a class by name, those of its base classes first."""
+    """Return the settings of a class by name, those of its base classes first.
+
+    Raises:
+        ConfigError: The type of a field is not supported.
+    """
     hints = get_type_hints(cls, include_extras=True)
     found = {}
     for field in fields(cls):
         kind, notes = _unwrapped(hints[field.name])
         is_optional = get_origin(kind) in (Union, UnionType) and NoneType in get_args(kind)
         if is_optional:
-            (kind,) = (each for each in get_args(kind) if each is not NoneType)
-            kind, inner = _unwrapped(kind)
+            kind, inner = _unwrapped(Union[tuple(each for each in get_args(kind) if each is not NoneType)])  # noqa: UP007
             notes += inner
-        item = kind
+        item, length = kind, None
         if get_origin(kind) is tuple:
-            item, inner = _unwrapped(get_args(kind)[0])
+            item, length, inner = _items(get_args(kind))
             kind, notes = tuple, notes + inner
-        if get_origin(kind) is Literal:
+        if get_origin(kind) is Literal and all(isinstance(name, str) for name in get_args(kind)):
             kind, item, notes = str, str, (*notes, Choices(get_args(kind)))
+        if item not in ((int, float) if kind is tuple else (bool, int, float, str)):
+            raise ConfigError(
+                f"{cls.__module__}.{cls.__qualname__}.{field.name} has the type {hints[field.name]}, which a setting "
+                "cannot have. Use bool, int, float, str, a Literal of names, a tuple of int or float, or one of these "
+                "or None."
+            )
         found[field.name] = Setting(
             name=field.name,
             kind=kind,
             item=item,
+            length=length,
             is_optional=is_optional,
             default=field.default_factory() if field.default_factory is not MISSING else field.default,
             notes=notes,
             owner=cls,
         )
     return found
+
+
+def _items(kinds: tuple[Any, ...]) -> tuple[Any, int | None, tuple[Any, ...]]:
+    """Return the type of the items of a tuple, their number if it is fixed, and their annotations.
+
+    The type is None if there is none, or if there are several.
+    """
+    length = None if kinds[1:] == (...,) else len(kinds)
+    if length is not None and len(set(kinds)) != 1:
+        return None, length, ()
+    item, notes = _unwrapped(kinds[0])
+    return item, length, notes
 
 
 def registered(names: Collection[str]) -> Mapping[str, Any]:

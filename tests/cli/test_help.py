@@ -11,6 +11,7 @@ import pytest
 from shes.cli import main, parsing
 from shes.cli.program import COMMANDS, find_command
 from shes.console import LineConsole
+from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
 from shes.runs.rooms import execution_settings
 from shes.studies import run_comparison
@@ -235,6 +236,21 @@ def test_a_misspelled_choice_is_answered_with_the_nearest(capsys, monkeypatch, w
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "default"),
+    [
+        (["train", "point-gather", "--preset", "paper", "--sigma", "abc"], "0.02"),
+        (["train", "ant-gather", "--sigma", "abc"], "0.1"),
+        (["train", "point-gather", "--critic-learning-rate", "abc"], "0.001"),
+        (["resume", "x", "--generations", "abc"], "as before"),
+    ],
+)
+def test_the_error_for_a_value_shows_the_default_of_its_flag(capsys, monkeypatch, words, default):
+    monkeypatch.setenv("COLUMNS", "160")
+    assert main(words) == 2
+    assert re.findall(r"\(default: (.*?)\)", capsys.readouterr().err) == [default]
+
+
 def test_resume_takes_the_settings_that_change_no_number(shes):
     text = shes("resume", "--help")
     for name, setting in execution_settings().items():
@@ -281,6 +297,37 @@ def test_what_may_stand_at_the_cursor_completes_the_line(shes, tmp_path, monkeyp
         monkeypatch.delenv(name)
     monkeypatch.setenv("COMMAND_LINE", f"shes {line}")  # tcsh
     assert shes("--complete").split() == expected
+
+
+OWN_ENVIRONMENTS = """
+print("a message of the module")
+from shes import register_environment
+from shes.envs.registry import find_environment
+body, task = find_environment("point-gather")
+register_environment("dot-gather", body, task)
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("--import dots train dot-", ["dot-gather"]),
+        ("train --import=dots dot-", ["dot-gather"]),
+        ("train --import dots --import none dot-gather --sig", ["--sigma", "--sigma-schedule", "--sigma-end"]),
+        ("train --import ", []),
+        ("train --import=", []),
+        ("--import dots tra", ["train"]),
+    ],
+)
+def test_what_an_imported_module_registers_completes_the_line(shes, tmp_path, monkeypatch, line, expected):
+    (tmp_path / "dots.py").write_text(OWN_ENVIRONMENTS)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("COMP_LINE", f"shes {line}")
+    try:
+        assert shes("--complete").split() == expected
+    finally:
+        ENVIRONMENTS.pop("dot-gather", None)
+        sys.modules.pop("dots", None)
 
 
 def test_bash_takes_the_script(shes):

@@ -1,6 +1,7 @@
 """What every learner promises to a run: those of the package, and the example that is registered from outside."""
 
 import runpy
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,11 +10,13 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.registry import ALGORITHMS, find_algorithm
+from shes.algorithms.evolution.rooms import EvolutionSettings
+from shes.algorithms.registry import ALGORITHMS, TAKEN_ROOMS, find_algorithm
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.tables import read_csv
+from shes.settings import Settings
 from shes.training.build import build_algorithm, build_backend
 from shes.training.presets import make_config
 from tests.e2e import runs
@@ -152,6 +155,41 @@ def test_what_is_no_algorithm_is_refused(name, algorithm, message):
     with pytest.raises(ConfigError, match=message):
         shes.register_algorithm(name, found[algorithm])
     assert "other" not in ALGORITHMS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search(Settings):
+    tries: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnEvolution(EvolutionSettings):
+    tries: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vague(Settings):
+    tries: int
+
+
+def test_a_room_or_an_option_of_an_algorithm_has_a_name_of_its_own(monkeypatch):
+    monkeypatch.setattr(ALGORITHMS, "_entries", dict(ALGORITHMS))
+    example = runpy.run_path(str(EXAMPLE), run_name="random_search")["RandomSearch"]
+    for room in ("run", "body", "settings", "evolution", "transfer", "learner"):
+        taken = type("Own", (example,), {"rooms": {room: Search}})
+        with pytest.raises(ConfigError, match=rf"Own has a room '{room}', a name that is taken\. Choose another name"):
+            shes.register_algorithm("own", taken)
+    with pytest.raises(ConfigError, match=r"'evolution'.*, or a subclass of .*\.EvolutionSettings\.$"):
+        shes.register_algorithm("own", type("Own", (example,), {"rooms": {"evolution": Search}}))
+    with pytest.raises(ConfigError, match=r"option 'tries' of .*Vague has no default"):
+        shes.register_algorithm("own", type("Own", (example,), {"rooms": {"search": Vague}}))
+    shes.register_algorithm("own", type("Own", (example,), {"rooms": {"evolution": OwnEvolution}}))
+
+
+def test_the_taken_rooms_are_those_of_every_run_and_the_attributes_of_its_settings():
+    attributes = {name for name in dir(TrainConfig) if not name.startswith("_")}
+    rooms = make_config("point-gather", "smoke", {"algorithm": "td3"}).rooms.keys() - ALGORITHMS["td3"].rooms.keys()
+    assert attributes | rooms | {"rooms", "body"} == TAKEN_ROOMS
 
 
 def test_an_unknown_algorithm_is_told_how_to_be_known():

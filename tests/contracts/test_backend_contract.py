@@ -3,14 +3,19 @@
 import importlib.util
 import os
 import sys
+from dataclasses import dataclass
+from typing import Annotated
 
 import psutil
 import pytest
 
 from shes.backends.backend import Backend
 from shes.backends.registry import BACKENDS
-from shes.errors import WorkerError
-from shes.settings import Execution, setting_fields
+from shes.backends.serial import SerialBackend
+from shes.errors import ConfigError, WorkerError
+from shes.settings import Execution, Settings, setting_fields
+from shes.training.build import build_algorithm, build_backend
+from shes.training.presets import make_config
 from tests.backends.clusters import ray_cluster
 from tests.backends.workers import ERRORS, Letters, Worker
 from tests.e2e import runs
@@ -33,6 +38,37 @@ SHARED = []
 @pytest.mark.parametrize("name", BACKENDS)
 def test_no_option_of_a_backend_changes_numbers(name):
     assert all(option.has(Execution) for option in setting_fields(BACKENDS[name].Options).values())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loudness(Settings):
+    loudness: Annotated[float, Execution()] = 0.5
+
+
+class Loud(SerialBackend):
+    Options = Loudness
+
+    def __init__(self, factory, num_workers, *, loudness):
+        super().__init__(factory, num_workers)
+        self.loudness = loudness
+
+
+class Deaf(SerialBackend):
+    Options = Loudness
+
+    def __init__(self, factory, num_workers):
+        super().__init__(factory, num_workers)
+
+
+def test_a_backend_is_constructed_with_its_options_as_keyword_arguments(monkeypatch):
+    monkeypatch.setattr(BACKENDS, "_entries", dict(BACKENDS))
+    BACKENDS.register("loud", Loud)
+    config = make_config("point-gather", "smoke", {"backend": "loud", "loudness": 0.75})
+    with build_backend(config, build_algorithm(config).plan()) as backend:
+        assert backend.loudness == 0.75
+    message = r"backend .*Deaf cannot be constructed with 2 arguments and loudness: got an unexpected keyword argument"
+    with pytest.raises(ConfigError, match=message):
+        BACKENDS.register("deaf", Deaf)
 
 
 @pytest.fixture(scope="module")

@@ -87,7 +87,7 @@ def numbers(path):
 
 
 def differences(first, second):
-    """Return the names of the numbers in which two run folders differ, to the bit."""
+    """Return the names of the numbers that are not bit-identical in two run folders."""
     one, other = numbers(first), numbers(second)
     return sorted(
         name

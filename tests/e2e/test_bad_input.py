@@ -49,7 +49,10 @@ WORDS = {
         ["trian", "x"],
         r"unknown command 'trian'\. Did you mean 'train'\? Known: train, .*shes --help",
     ),
-    "no_environment": (["train", "--preset", "smoke"], r"Missing from shes train: ENV Environment, see shes envs"),
+    "no_environment": (
+        ["train", "--preset", "smoke"],
+        r"Missing from shes train: ENV Environment name \(see shes envs\)",
+    ),
     "unknown_environment": (
         ["train", "pint-gather"],
         r"unknown environment 'pint-gather'\. Did you mean 'point-gather'\? Known: point-gather, ant-.*`shes envs`",
@@ -129,7 +132,7 @@ WORDS = {
     ),
     "schedule_without_an_end": (
         [*TRAIN, "--learning-rate-schedule", "cosine"],
-        r"learning_rate_schedule is 'cosine', but nothing says where to\. Set --learning-rate-end",
+        r"learning_rate_schedule is 'cosine', but learning_rate_end is not set\. Set --learning-rate-end",
     ),
     "end_without_a_schedule": (
         [*TRAIN, "--episodes-end", "5"],

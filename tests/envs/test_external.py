@@ -511,13 +511,17 @@ def test_a_name_that_there_is_not_is_told_the_right_one(name, message):
         make_config(name)
 
 
-def test_a_name_may_be_registered_again_but_not_that_of_our_own():
-    for name in ("ant-gather", ANT_MAZE):
-        with pytest.raises(ConfigError, match=rf"environment '{name}' comes with SHES\. Choose another name"):
-            register_external(name, Car)
+def test_a_name_may_be_registered_again_with_the_same_function_alone():
+    register_external("point-corner", "tests/Car-v0")
+    for name, make in (("ant-gather", Car), (ANT_MAZE, INCLUDED[ANT_MAZE].source), ("point-corner", Car)):
+        with pytest.raises(ConfigError, match=rf"environment '{name}' is already taken\. Choose another name"):
+            register_external(name, make)
+    register_external("of-class", Car)
+    again = type("Car", (Car,), {"__module__": Car.__module__, "__qualname__": Car.__qualname__})
+    register_external("of-class", again)
+    assert find_environment("of-class").source is again
     with pytest.raises(ConfigError, match=r"environment name must be lower-case words .* got 'My Car'"):
         register_external("My Car", Car)
-    register_external("point-corner", Car)
     register_external("point-corner", "gymnasium:tests/Car-v0")
     assert find_environment("point-corner").source == "tests/Car-v0"
     with pytest.raises(ConfigError, match=r"'point-corner' is already an external environment\. Choose another"):

@@ -1,5 +1,7 @@
 """Environments by name, and the options of a task."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import Task
 from shes.errors import ConfigError, UnknownNameError
+from shes.settings import Settings
 from shes.sim.cpu import CpuSimulator
 from tests.e2e.own_classes import Corner
 
@@ -153,9 +156,25 @@ class Lonely(Corner):
         super().__init__(body, 1, TaskOptions())
 
 
+@dataclass(frozen=True, kw_only=True)
+class Sweeping(TaskOptions):
+    sweep: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heavy(Settings):
+    mass: float
+
+
 @pytest.mark.parametrize(
     ("body", "task", "message"),
     [
+        (
+            Point,
+            type("Swept", (Corner,), {"Options": Sweeping}),
+            r"option 'sweep' of .*Sweeping has a name that is taken",
+        ),
+        (type("Rock", (Point,), {"Options": Heavy}), Corner, r"option 'mass' of .*Heavy has no default"),
         (
             Corner,
             Corner,
@@ -178,8 +197,8 @@ class Lonely(Corner):
             r"body shes\.envs\.bodies\.body\.Body lacks add_to, .*name, .*says what each of them is: add them",
         ),
         (Point, Task, r"task shes\.envs\.tasks\.task\.Task lacks .*build_world, .*observe, .*name, description\. "),
-        (Sized, Corner, r"body .*Sized must be made from no arguments, and is not: .*'size'\. Change its __init__"),
-        (Point, Lonely, r"task .*Lonely must be made from 4 arguments, and is not: too many .*Change its __init__"),
+        (Sized, Corner, r"body .*Sized cannot be constructed with no arguments: .*'size'\. Change its __init__"),
+        (Point, Lonely, r"task .*Lonely cannot be constructed with 4 arguments: too many .*Change its __init__"),
     ],
 )
 def test_what_is_no_complete_class_is_refused(registry, body, task, message):

@@ -255,7 +255,7 @@ class Weighted(Polar):
         ("own", dict, r"must be a subclass of .*ControllerOutput, got <class 'dict'>"),
         ("own", ControllerOutput, r"ControllerOutput lacks vector, size\. .*ControllerOutput says what each of them"),
         ("own", Sizeless, r"Sizeless lacks size\."),
-        ("own", Weighted, r"Weighted must be made from no arguments, and is not: .*'weight'\. Change its __init__"),
+        ("own", Weighted, r"Weighted cannot be constructed with no arguments: .*'weight'\. Change its __init__"),
     ],
 )
 def test_what_is_no_new_output_is_refused(name, output, message):

@@ -225,7 +225,7 @@ class Weighted(Nearness):
         ),
         ("own", print, r"must be a subclass of .*PrimitiveReward, got <built-in function print>"),
         ("own", PrimitiveReward, r"PrimitiveReward lacks __call__\."),
-        ("own", Weighted, r"Weighted must be made from no arguments, and is not: .*'weight'\. Change its __init__"),
+        ("own", Weighted, r"Weighted cannot be constructed with no arguments: .*'weight'\. Change its __init__"),
     ],
 )
 def test_what_is_no_new_reward_is_refused(name, reward, message):

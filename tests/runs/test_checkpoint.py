@@ -1,4 +1,4 @@
-"""Checkpoints: everything to the bit, nothing executed, whole or not at all."""
+"""Checkpoints: everything bit-identical, nothing executed, whole or not at all."""
 
 import errno
 import os

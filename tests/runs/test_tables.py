@@ -1,4 +1,4 @@
-"""Tables and TensorBoard events: numbers that read back to the bit, whole rows, nothing of a generation done again."""
+"""Tables and TensorBoard events: numbers are bit-identical when read back, and rows whole; nothing is written twice."""
 
 import csv
 import errno

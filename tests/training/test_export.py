@@ -1,4 +1,4 @@
-"""Exported agents act as ours: by NumPy to the bit, by ONNX to float32 rounding."""
+"""Exported agents act as ours: by NumPy bit-identically, by ONNX to float32 rounding."""
 
 import importlib.util
 import json

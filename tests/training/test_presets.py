@@ -167,16 +167,26 @@ def test_a_setting_that_would_do_nothing_beside_another_is_refused(settings, fix
     ],
 )
 def test_what_concerns_whole_episodes_is_refused_where_there_are_none(name, value):
-    message = rf"{name} has no effect in a run of ant-flagrun whose primitive is judged by intervals.*--primitive-est"
+    message = rf"{name} .* is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"
     with pytest.raises(ConfigError, match=message):
         make_config("ant-flagrun", "laptop", {name: value})
     chosen = make_config("ant-flagrun", "laptop", {name: value, "primitive_estimate": "episode"})
     assert chosen.settings[name] == value
 
 
-def test_two_levels_of_which_branches_judge_one_do_not_share_the_population():
-    with pytest.raises(ConfigError, match="the controller alone is judged by whole episodes; got 'one_to_many'"):
-        make_config("ant-gather", "laptop", {"perturbation": "one_to_many"})
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({}, "needs two levels evaluated by whole episodes; in this run only the controller is; got 'one_to_many'"),
+        (
+            {"primitive": "ant-walker"},
+            "--perturbation needs two learning levels; in this run only the controller l",
+        ),
+    ],
+)
+def test_two_levels_that_do_not_both_learn_from_whole_episodes_do_not_share_the_population(settings, message):
+    with pytest.raises(ConfigError, match=message):
+        make_config("ant-gather", "laptop", {"perturbation": "one_to_many", **settings})
 
 
 def test_options_of_a_shaping_may_concern_the_primitives():

@@ -66,7 +66,7 @@ def primitive(path, checkpoint):
 
 
 def same(one, other):
-    """Tell whether two primitives have the same parameters and statistics, to the bit."""
+    """Return whether the parameters and statistics of two primitives are bit-identical."""
     return (
         one.theta.tobytes() == other.theta.tobytes()
         and one.statistics.count == other.statistics.count

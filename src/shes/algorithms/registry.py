@@ -7,18 +7,46 @@ from typing import Any
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.learners import SES, SHES, PrimitiveES
 from shes.algorithms.hiro.algorithm import HIRO, TD3
-from shes.registry import Registry, subclass_of
+from shes.errors import ConfigError
+from shes.options import check_options
+from shes.registry import Registry, check_class, full_name
+
+TAKEN_ROOMS = frozenset({
+    "run", "workers", "environment", "body", "episodes", "evaluation",
+    "by_episodes", "evaluation_steps", "from_dict", "has_schedule", "having", "is_branched", "learns", "level_names",
+    "numbers", "of", "rooms", "setting", "settings", "to_dict",
+})  # fmt: skip
+"""Names that a room of an algorithm cannot have: rooms of every run, and attributes of `TrainConfig`."""
+
+_INCLUDED: dict[str, type[Algorithm[Any]]] = {"shes": SHES, "es": SES, "hiro": HIRO, "td3": TD3}
+_PRIMITIVE_ALONE: dict[type[Algorithm[Any]], type[Algorithm[Any]]] = {SHES: PrimitiveES}
+"""Substitutes in environments that set the goals themselves, such as Flagrun."""
+
+
+def _check_algorithm(kind: str, cls: Any) -> None:
+    """Check an algorithm and its rooms of settings.
+
+    Raises:
+        ConfigError: The class is incomplete, or a room or an option has a name that is taken.
+    """
+    check_class(kind, cls, Algorithm, num_arguments=1)
+    for room, settings in cls.rooms.items():
+        others = [each.rooms[room] for each in (*_INCLUDED.values(), PrimitiveES) if room in each.rooms]
+        if room in TAKEN_ROOMS or (others and not issubclass(settings, tuple(others))):
+            subclass = f", or a subclass of {full_name(others[0])}" if others else ""
+            raise ConfigError(
+                f"{kind} {full_name(cls)} has a room {room!r}, a name that is taken. Choose another name{subclass}."
+            )
+        check_options(settings)
+
 
 ALGORITHMS: Registry[type[Algorithm[Any]]] = Registry(
     "algorithm",
-    {"shes": SHES, "es": SES, "hiro": HIRO, "td3": TD3},
+    _INCLUDED,
     fix="Set --algorithm; register your own first: shes.register_algorithm, or --import MODULE.",
-    check=subclass_of(Algorithm, num_arguments=1),
+    check=_check_algorithm,
 )
 """Algorithms by name: the choices of `--algorithm`."""
-
-_PRIMITIVE_ALONE: dict[type[Algorithm[Any]], type[Algorithm[Any]]] = {SHES: PrimitiveES}
-"""Substitutes in environments that set the goals themselves, such as Flagrun."""
 
 
 def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
@@ -37,7 +65,8 @@ def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
         algorithm: A complete subclass of `Algorithm`, made from one argument, the `Problem`.
 
     Raises:
-        ConfigError: The class is not a complete subclass, or the name is malformed or already taken.
+        ConfigError: The class is not a complete subclass, or the name, or that of a room or an option, is malformed or
+            already taken.
     """
     ALGORITHMS.register(name, algorithm)
 

@@ -21,7 +21,7 @@ from shes.settings import Execution, Gt, Settings
 MAX_LOSSES = 3
 """The run ends when this many workers died on one task, or as many per worker in a row without a result."""
 _TOLD_AT, _REPLACED_AT = 2, 10
-"""A worker is told of, and replaced, only if its silence is this many times the longest that ended with a result."""
+"""A silent worker is reported or replaced only after this multiple of the longest silence that ended with a result."""
 _PATIENCE = 4
 """Factor of the limit after each loss of the same task, or each loss in a row: maybe the work just takes long."""
 _TICK_S = 1.0

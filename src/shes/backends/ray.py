@@ -40,8 +40,8 @@ class RaySettings(SilenceSettings):
     """The cluster, and limits for workers that give no answer."""
 
     ray_address: Annotated[str, Execution(), Example("head-node:6379")] | None = None
-    """Address of the Ray cluster; `local` starts one on this machine. None joins the one that RAY_ADDRESS or this
-    machine has, or else starts one."""
+    """Address of the Ray cluster; `local` starts one on this machine. If None, join the cluster named by RAY_ADDRESS
+    or running on this machine; if there is none, start one."""
 
 
 class RayBackend(PullBackend):

@@ -34,7 +34,7 @@ def train(
     shes train point-gather --generations 60 --out runs/first
 
     Args:
-        env: Environment, see shes envs; or gymnasium:ID for one of Gymnasium.
+        env: Environment name (see `shes envs`) or `gymnasium:ID`.
         seed: Seed; each of several becomes a run.
         out: The run folder; a new one below runs/ if none.
         sweep: Values of a setting, each of which becomes a run: sigma=0.02,0.05.

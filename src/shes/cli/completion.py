@@ -7,16 +7,16 @@ import io
 import os
 import re
 from collections.abc import Iterable
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Literal
 from unittest.mock import patch
 
 from shes.cli.parsing import call
-from shes.cli.program import COMMANDS, find_command
+from shes.cli.program import COMMANDS, find_command, import_registering, split_everywhere
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
-from shes.errors import ShesError
+from shes.errors import ConfigError, ShesError
 from shes.runs.shipped import shipped_names
 
 _BASH = "complete -o default -C 'shes --complete' shes"
@@ -27,7 +27,7 @@ _SCRIPTS = {
     "tcsh": "complete shes 'p@*@`shes --complete`@'",
 }
 """Script of each shell. It puts the line into COMP_LINE; tcsh, into COMMAND_LINE."""
-_EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
+EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
 
 
 def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
@@ -48,9 +48,16 @@ def print_completions() -> int:
     if typed.startswith("-") and "=" in typed:  # bash replaces what follows =
         name, _, typed = typed.partition("=")
         before.append(name)
-    possible: Iterable[str] = [*COMMANDS, *_EVERYWHERE, "--version"]
-    if before:
-        possible = _words_after(before, typed) if before[0] in COMMANDS else ()
+    asked, words = split_everywhere(before)
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        for module in asked.modules:
+            with suppress(ConfigError):
+                import_registering(module)
+    possible: Iterable[str] = [*COMMANDS, *EVERYWHERE, "--version"]
+    if before[-1:] == ["--import"]:
+        possible = ()
+    elif words:
+        possible = _words_after(words, typed) if words[0] in COMMANDS else ()
     for word in possible:
         if word.startswith(typed):
             print(word)
@@ -64,7 +71,7 @@ def _words_after(before: list[str], typed: str) -> list[str]:
         call(before[0], find_command(before[0]), [*before[1:], "--help-all"])
     text.seek(0)
     places: list[str] = []
-    flags: dict[str, list[str]] = {name: [] for name in _EVERYWHERE}
+    flags: dict[str, list[str]] = {name: [] for name in EVERYWHERE}
     for cell in re.split(r"│\s*", text.read())[1:]:  # the usage comes first
         entry, *_ = re.split(r"\s{2,}", cell)  # --camera {both,follow,top}   Camera.
         words = re.findall(r"--[\w-]+", entry) if entry.startswith("-") else None

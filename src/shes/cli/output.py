@@ -19,6 +19,8 @@ from shes.listing import Listing
 
 __all__ = ["show", "show_steps"]
 
+_SHORT = 24  # characters
+
 
 def show(found: Any, kind: str = "", *, as_json: bool = False) -> int:
     """Print what a command returns; return the exit code.
@@ -42,7 +44,10 @@ def show(found: Any, kind: str = "", *, as_json: bool = False) -> int:
         if isinstance(part, str):
             console.print_line(part)
             continue
-        table = RichTable(*part.headings, show_header=bool(part.headings))
+        table = RichTable(show_header=bool(part.headings))
+        for i, heading in enumerate(part.headings):  # a name is to be copied: whole, on one line if it is short
+            is_short = max((len(row[i]) for row in part.rows), default=0) <= _SHORT
+            table.add_column(heading, overflow="fold", no_wrap=i == 0 and is_short)
         for row in part.rows:  # laid out as long as they are in the encoding
             table.add_row(*(Text(cell.encode(console.encoding, TO_ASCII).decode(console.encoding)) for cell in row))
         console.print(table)

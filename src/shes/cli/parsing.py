@@ -39,7 +39,7 @@ DEFAULT_ENV = "ant-gather"
 _HELP_ALL = "--help-all"
 
 _OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
-"""Flags of parameters that have another name in Python, which is a flag, too."""
+"""Short flags; the parameter's own name is accepted as an alias."""
 _WRITES = {"plot": "Learning curves", "report": "Report", "render": "Video", "export": "Policy"}
 """What the files are whose paths a command returns."""
 
@@ -138,37 +138,41 @@ def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
 def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequence[str] | None) -> Any:
     """Return the type of the settings that are flags of a command with parameters `named` on a run like `config`.
 
-    With the words `asking` for help, it has a group for each room, or the everyday one. Without, it has all settings
-    there are: the run says which of them it does not have.
+    With the words `asking` for help, it has a group for each room, or the everyday one. Otherwise it includes every
+    known setting; the configuration rejects those that do not apply.
     """
     here = settings_in(map(type, config.rooms.values())) if "env" in named else resumable_settings()
     everywhere = known_settings() if asking is None else {}
     offered = {name: each for name, each in {**everywhere, **here}.items() if name not in {*named, "env"}}
+    values = {name: each.default for name, each in offered.items()} | config.settings
+    if "env" not in named:
+        values = dict.fromkeys(offered, "as before")
     if asking is None:
-        return _group("", offered, {})
+        return _group("", offered, values)
     groups: dict[str, Any] = {}
     if "env" not in named:
-        groups["settings"] = _group("A setting that is not given keeps its value.", offered, {})
+        groups["settings"] = _group("A setting that is not given keeps its value.", offered, values)
     elif _HELP_ALL not in asking:
-        title = f"Values of preset {config.run.preset} for {config.run.env}. {_HELP_ALL} shows all {len(offered)}."
+        title = f"Values of preset {config.run.preset} for {config.run.env}. "
+        title += f"Use {_HELP_ALL} to list all {len(offered)} settings."
         everyday = {name: each for name, each in offered.items() if each.is_everyday}
-        groups["everyday"] = _group(title, everyday, config.settings)
+        groups["everyday"] = _group(title, everyday, values)
     else:
         for name, room in config.rooms.items():
             title = (type(room).__doc__ or "").partition("\n")[0]
             own = {each: offered.pop(each) for each in settings_in([type(room)]) if each in offered}  # may be shared
-            groups[name] = _group("" if title.rstrip(".").lower() == name else title, own, config.settings)
+            groups[name] = _group("" if title.rstrip(".").lower() == name else title, own, values)
     return TypedDict("Settings", groups)  # type: ignore[misc] - the keys are known at run time only
 
 
 def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any]) -> Any:
-    """Return a `TypedDict` whose keys tyro makes flags of. Keys that are not given are left out; help has `values`."""
+    """Return a `TypedDict` whose keys tyro makes flags of. Keys not given are left out. Help shows `values`."""
     keys: dict[str, Any] = {}
     for name, each in settings.items():
         kind: Any = (
             tuple[each.item, ...] if each.kind is tuple else Literal[each.choices] if each.choices else each.kind
         )
-        value = values.get(name, "as before")
+        value = values[name]
         if isinstance(value, tuple):  # the only one that may be empty has the sizes of hidden layers
             value = " ".join(map(str, value)) or "none (linear)"
         shown = tyro.conf.arg(

@@ -12,7 +12,7 @@ import shes
 from shes.cli.streams import exit_code
 from shes.errors import ConfigError, UnknownNameError
 
-__all__ = ["COMMANDS", "find_command", "main"]
+__all__ = ["COMMANDS", "find_command", "import_registering", "main", "split_everywhere"]
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "envs": ("envs.catalogue.list_environments", "list the environments"),
@@ -59,17 +59,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["--complete"]:  # asked by a shell
         return exit_code(lambda: shes.import_module("shes.cli.completion").print_completions())
+    asked, words = split_everywhere(given)
+    return exit_code(lambda: _run(asked.modules, words or ["--help"]), is_debug=asked.debug)
+
+
+def split_everywhere(words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
+    """Return `modules` to import and `debug`, which may stand anywhere in `words`, and the other words."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--debug", action="store_true")
     parser.add_argument("--import", action="append", nargs="?", default=[], dest="modules")
-    asked, words = parser.parse_known_args(given)
-    return exit_code(lambda: _run(asked.modules, words or ["--help"]), is_debug=asked.debug)
+    return parser.parse_known_args(words)
 
 
 def _run(modules: Iterable[str | None], words: Sequence[str]) -> int:
     """Import `modules` and run the command that `words` begin with."""
     for module in modules:
-        _import(module)
+        import_registering(module)
     name, *rest = words
     if name in ("-h", "--help", "--help-all", "help"):
         width = max(map(len, COMMANDS))
@@ -93,7 +98,7 @@ def find_command(name: str) -> Callable[..., Any]:
     return getattr(shes.import_module(f"shes.{module}"), function)
 
 
-def _import(name: str | None) -> None:
+def import_registering(name: str | None) -> None:
     """Import a module of the user; raise ConfigError if it has no name, is not found, or fails."""
     if not name:
         raise ConfigError("--import needs a value: --import MODULE. See `shes --help`.")

@@ -15,6 +15,7 @@ from shes.envs.gymnasium_ids import SPECS_OF, find_id, gymnasium_id, register_id
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import SimulatorFactory, Task
 from shes.errors import ConfigError, UnknownNameError
+from shes.options import check_options
 from shes.registry import Registry, check_class, check_name_form
 from shes.settings import Settings
 from shes.sim.cpu import CpuSimulator
@@ -73,6 +74,8 @@ EnvironmentMaker: TypeAlias = Environment | ExternalEnvironment
 def _check_environment(_kind: str, environment: Environment) -> None:
     check_class("body", environment.body, Body)
     check_class("task", environment.task, Task, num_arguments=4)
+    check_options(environment.body)
+    check_options(environment.task)
 
 
 ENVIRONMENTS: Registry[Environment] = Registry(
@@ -140,14 +143,17 @@ def register_external(
         score: `return`, or `success`: 1 if `info` reports `success` or `is_success` at the end of the episode, else 0.
 
     Raises:
-        ConfigError: A value is not allowed, or the name is malformed or taken.
+        ConfigError: A value is not allowed, or the name is malformed or taken. The same id, or a function of the same
+            full name, may be registered again.
         UnknownNameError: `score` is unknown.
     """
     check_name_form("environment", name)
-    if name in ENVIRONMENTS or name in INCLUDED:
-        raise ConfigError(f"environment {name!r} comes with SHES. Choose another name.")
     if not callable(make) and not isinstance(make, str):
         raise ConfigError(f"make must be a Gymnasium id or a function that returns an environment, got {make!r}.")
+    source = make.removeprefix(GYMNASIUM) if isinstance(make, str) else make
+    other = EXTERNAL_ENVIRONMENTS.get(name)
+    if name in ENVIRONMENTS or name in INCLUDED or (other is not None and _origin(other.source) != _origin(source)):
+        raise ConfigError(f"environment {name!r} is already taken. Choose another name.")
     if locate is not None and not callable(locate):
         raise ConfigError(f"locate must be a function of an observation and its info, got {locate!r}.")
     view = None if primitive_view is None else tuple(primitive_view)
@@ -157,11 +163,16 @@ def register_external(
         raise UnknownNameError("score", str(score), _SCORES)
     EXTERNAL_ENVIRONMENTS[name] = ExternalEnvironment(
         name=name,
-        source=make.removeprefix(GYMNASIUM) if isinstance(make, str) else make,
+        source=source,
         locate=locate,
         primitive_view=view,
         is_scored_by_success=score == "success",
     )
+
+
+def _origin(source: Any) -> tuple[Any, ...]:
+    """Return the full name of a function or class; otherwise `source`. Functions are compared by it; see `Registry`."""
+    return getattr(source, "__module__", None), getattr(source, "__qualname__", source)
 
 
 def find_environment(name: str) -> EnvironmentMaker:

@@ -15,7 +15,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from shes.registry import Registry, subclass_of
+from shes.options import subclass_of
+from shes.registry import Registry
 from shes.types import F64Array
 
 _DISTANCES = 1 << 20  # distances in memory at a time, at least one row of the archive's length: 40 MB with temporaries

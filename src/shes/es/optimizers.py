@@ -13,7 +13,8 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from shes.registry import Registry, subclass_of
+from shes.options import subclass_of
+from shes.registry import Registry
 from shes.settings import Ge, Gt, Lt, Settings, Unasked
 from shes.types import F32Array, F64Array
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from shes.errors import ConfigError
 from shes.es.mirror import check_population, sign_matrix
-from shes.registry import Registry, subclass_of
+from shes.options import subclass_of
+from shes.registry import Registry
 
 Signs: TypeAlias = NDArray[np.int8]
 """Signs [G, M, L] of every member of a population at each level."""

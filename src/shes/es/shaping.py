@@ -16,7 +16,8 @@ import numpy as np
 
 from shes.errors import ConfigError
 from shes.es.ranking import TIES, centred_ranks, check_finite
-from shes.registry import Registry, subclass_of
+from shes.options import subclass_of
+from shes.registry import Registry
 from shes.settings import Choices, Gt, Lt, Settings
 from shes.types import F64Array
 

@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from shes.errors import ConfigError
-from shes.options import make
-from shes.registry import Registry, subclass_of
+from shes.options import make, subclass_of
+from shes.registry import Registry
 from shes.types import F64Array
 
 NUM_DIRECTIONS = 8

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from shes.errors import ConfigError
-from shes.options import make
-from shes.registry import Registry, subclass_of
+from shes.options import make, subclass_of
+from shes.registry import Registry
 from shes.types import F64Array
 
 METRE_REWARD, NEAR_REWARD = 4.0, 0.2

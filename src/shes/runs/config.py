@@ -181,8 +181,8 @@ class TrainConfig:
             self._check_schedules()
         if "transfer" in self and self.level_names == ("primitive",) and self.learns == (False,):
             raise ConfigError(
-                f"primitive is {self.transfer.primitive!r} and stays as it is, but a run of {self.run.env} has nothing "
-                "else that learns. Set --no-freeze-primitive: it then learns on."
+                f"the primitive {self.transfer.primitive!r} is frozen, so nothing would learn in a run of "
+                f"{self.run.env}. Set --no-freeze-primitive to train it further."
             )
         if "evolution" in self:
             self._check_population()
@@ -203,7 +203,7 @@ class TrainConfig:
                     )
 
     def _check_schedules(self) -> None:
-        """Check that a schedule has an end that it can reach, and a constant none."""
+        """Check that every schedule has a valid end value and that constant settings have none."""
         values = self.settings
         for name, (kind, end) in SCHEDULED.items():
             is_constant, has_end = values[kind] == "constant", values[end] is not None
@@ -213,7 +213,7 @@ class TrainConfig:
                     f"or cosine, or omit {flag(end)}."
                 )
             if not is_constant and not has_end:
-                raise ConfigError(f"{kind} is {values[kind]!r}, but nothing says where to. Set {flag(end)}.")
+                raise ConfigError(f"{kind} is {values[kind]!r}, but {end} is not set. Set {flag(end)}.")
             if values[kind] == "exponential" and not values[end]:
                 raise ConfigError(
                     f"the end of the exponential schedule of {name} must be positive, got {values[end]}. "

@@ -60,5 +60,6 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
         "started": record.get("started"),
         "command": " ".join(record.get("command", [])),
     }
+    del facts["problem"]  # of a run that cannot be read
     settings = {name: value for room in config.to_dict().values() for name, value in room.items()}
     return facts_listing(facts | settings if full else facts)._replace(facts={**facts, "config": record["config"]})

@@ -28,7 +28,7 @@ class RunSettings(Settings):
     """Run."""
 
     env: str
-    """Environment, see `shes envs`; or `gymnasium:ID` for one of Gymnasium."""
+    """Environment name (see `shes envs`) or `gymnasium:ID`."""
     algorithm: Annotated[
         str,
         Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE."),
@@ -69,9 +69,9 @@ class WorkerSettings(Settings):
     device: Annotated[str, Choices(("cpu", *DEVICES)), Execution(), Shown(everyday=True)] = "cpu"
     """Device of the physics: cpu, cuda (an NVIDIA GPU; extra gpu) or warp-cpu (extra warp; for tests)."""
     nconmax: Annotated[int, Ge(1), Execution()] | None = None
-    """Contact buffer of a device, per simulation on average; chosen by the world if none."""
+    """Contact buffer of a device, per simulation on average; by default chosen for the environment's model."""
     njmax: Annotated[int, Ge(1), Execution()] | None = None
-    """Constraint buffer of a device, in rows per simulation; chosen by the world if none."""
+    """Constraint buffer of a device, in rows per simulation; by default chosen for the environment's model."""
 
     @property
     def count(self) -> int:
@@ -88,7 +88,7 @@ class EpisodeSettings(Settings):
     evaluation_horizon: Annotated[int, Ge(1)] | None = None
     """Control steps in an episode of evaluation; as in training if none."""
     evaluation_reset_noise: Annotated[float, Ge(0), Lt(1)] = 0.1
-    """reset_noise in evaluation."""
+    """Reset noise in evaluation episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,8 +197,8 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
 def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
     """Return the settings classes of a run with this record, by room.
 
-    A setting that the record lacks is newer than the run. It has its default, which does what was done before there was
-    the setting. If it was lost instead, the checkpoints tell, which hold the settings as well.
+    A missing setting takes its default. A setting that was deleted by hand is detected, because checkpoints store the
+    settings too.
 
     Raises:
         ConfigError: A room or a setting is unknown.
@@ -206,7 +206,7 @@ def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Setti
     """
     for room, values in rooms.items():
         if not isinstance(values, Mapping):
-            raise ConfigError(f"settings are kept in rooms, and {room!r} is none: {values!r}.")
+            raise ConfigError(f"{room!r} must be an object of settings, got {values!r}.")
     run = rooms.get("run", {})
     if "env" not in run:
         raise ConfigError(_NO_ENVIRONMENT)

@@ -101,7 +101,10 @@ def find_run(run: Path | str) -> Path:
 
 
 def run_text(run: Path | str) -> str:
-    """Return `run` as a string with the same meaning: a `Path` without a separator gets `./`, to be no name."""
+    """Return `run` as a string with the same meaning.
+
+    A `Path` without a separator gets the prefix `./`, so that it is not taken for an agent's name.
+    """
     given = os.fspath(run)
     return given if isinstance(run, str) or os.sep in given else f".{os.sep}{given}"
 

@@ -28,8 +28,8 @@ class RunState:
     best_score: float | None
     """Score of the best evaluation; None before the first one."""
     state: Literal["running", "finished", "stopped", "damaged", "tables only", "unreadable"]
-    """A `stopped` run can be resumed; a run with `tables only` has no checkpoints; of an `unreadable` one, what is not
-    known is None."""
+    """A `stopped` run can be resumed; a run with `tables only` has no checkpoints. Unknown fields of an
+    `unreadable` run are None."""
     problem: str | None = None
     """Why the run is unreadable."""
 

@@ -1,4 +1,4 @@
-"""The learning study: the worth of each piece of the walker's learning, on Ant Flagrun.
+"""The learning study: an ablation of the walker's training method, on Ant Flagrun.
 
 Source: docs/learning.md. Every run ends with the generation that reaches the same number of environment steps; all
 variants are compared with one base.

@@ -43,7 +43,7 @@ def experiment(
 
     Args:
         name: ablation: the paper's choices, a sweep of the settings, transfer and horizon, on Point Gather and Maze;
-            learning: the worth of each part of the walker's learning, on Ant Flagrun; fig3 and fig5: those figures of
+            learning: an ablation of the walker's training method, on Ant Flagrun; fig3 and fig5: those figures of
             the paper, each with SHES as published and with the pieces of the learning study.
         out: Folder of its runs, tables and figures; finished runs in it are kept. If none, below runs/ its name, and
             paper for figures, which share runs.

@@ -83,7 +83,7 @@ def compare_runs(
 
     Args:
         first: A run folder, a folder of runs that differ in the seed only, or a shipped agent.
-        second: The same.
+        second: The run, folder of runs or agent to compare with FIRST.
         episodes: Number of episodes of each run.
         checkpoint: Checkpoint: `best`, `last` or the number of a generation.
         measure: What is compared.

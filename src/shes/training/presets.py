@@ -221,16 +221,18 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
         for name in _OF_EPISODES:
             if name in asked:
                 raise ConfigError(
-                    f"{name} has no effect in a run of {config.run.env} whose primitive is judged by intervals: it "
-                    f"concerns whole episodes; got {asked[name]!r}. "
+                    f"{name} has no effect in a run of {config.run.env} whose primitive is evaluated by intervals: it "
+                    f"applies to whole episodes only; got {asked[name]!r}. "
                     f"Omit {config.setting(name).flag}, or set --primitive-estimate episode."
                 )
     if "perturbation" in asked and sum(config.by_episodes) == 1:
         (learning,) = (name for name, learns in zip(config.level_names, config.by_episodes, strict=True) if learns)
-        role = "learns" if sum(config.learns) == 1 else "is judged by whole episodes"
+        needed, role = "learning levels", "learns"
+        if sum(config.learns) > 1:
+            needed, role = "levels evaluated by whole episodes", "is"
         raise ConfigError(
-            f"perturbation says how two levels share the population, but in this run the {learning} alone {role}; got "
-            f"{asked['perturbation']!r}. Omit --perturbation."
+            f"--perturbation needs two {needed}; in this run only the {learning} {role}; got "
+            f"{asked['perturbation']!r}. Omit it."
         )
 
 

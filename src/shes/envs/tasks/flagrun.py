@@ -29,7 +29,10 @@ _GOALS_AT_ONCE = 16
 
 @dataclass(frozen=True, kw_only=True)
 class FlagrunOptions(TaskOptions):
-    """Options of Flagrun, named like the settings of a learned controller, whose place its random goals take."""
+    """Options of Flagrun.
+
+    They share the names of the controller's settings, because random goals replace the controller.
+    """
 
     controller_interval: Annotated[int, Ge(1), Shared()] = 25
     """Control steps between two goals."""
