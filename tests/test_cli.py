@@ -290,7 +290,7 @@ def test_plot_says_where_the_picture_is(shes, tiny_run, tmp_path, monkeypatch):
 
 def test_bench_speedup_passes_settings_folder_and_network(shes, monkeypatch, tmp_path):
     heard = []
-    monkeypatch.setattr("shes.bench.speedup.speedup_of", lambda *told: heard.append(told) or {"shes_error": 0.5})
+    monkeypatch.setattr("shes.bench.bench.speedup_of", lambda *told: heard.append(told) or {"shes_error": 0.5})
     words = ("--workers", "2", "--out", str(tmp_path), "--latency-us", "20", "--gigabits-per-s", "100", "--json")
     assert json.loads(shes("bench", "speedup", "point-gather", *words)) == {"shes_error": 0.5}
     assert heard == [("point-gather", {"num_workers": 2}, tmp_path, 20.0, 100.0, 0.0)]

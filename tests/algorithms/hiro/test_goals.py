@@ -74,6 +74,7 @@ def test_a_robot_whose_position_is_unknown_has_no_goals():
         GoalSpace.of(task, 1.0)
 
 
+@pytest.mark.extras  # Gymnasium's MuJoCo environments need imageio
 def test_a_goal_of_an_external_robot_is_its_position_where_that_is_known():
     task = find_environment("gymnasium:Ant-v5").make(1)
     task.reset(np.array([0]), [0])
