@@ -28,7 +28,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get
 import numpy as np
 
 from shes.errors import ConfigError, UnknownNameError
-from shes.registry import Registry
+from shes.registry import Registry, full_name
 
 __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
 __all__ += ["Shown", "Unasked", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
@@ -315,7 +315,7 @@ def setting_fields(cls: type) -> dict[str, Setting]:
             kind, item, notes = str, str, (*notes, Choices(get_args(kind)))
         if item not in ((int, float) if kind is tuple else (bool, int, float, str)):
             raise ConfigError(
-                f"{cls.__module__}.{cls.__qualname__}.{field.name} has the type {hints[field.name]}, which a setting "
+                f"{full_name(cls)}.{field.name} has the type {hints[field.name]}, which a setting "
                 "cannot have. Use bool, int, float, str, a Literal of names, a tuple of int or float, or one of these "
                 "or None."
             )
