@@ -24,14 +24,20 @@ class Browser:
         reads, self._to = os.pipe()
         self._from, writes = os.pipe()
 
-        def connect():
-            os.dup2(os.dup2(reads, 100), _READS)
-            os.dup2(os.dup2(writes, 101), _WRITES)
-
+        # bash moves the pipes to their places: a function for that would run between fork and exec, beside threads.
+        places = f'exec "$0" "$@" {_READS}<&{reads} {_WRITES}>&{writes}'
         self._process = subprocess.Popen(
-            [binary, *FLAGS, "--remote-debugging-pipe", f"--user-data-dir={profile}", "about:blank"],
-            preexec_fn=connect,  # noqa: PLW1509 - the tests that use it have no threads
-            pass_fds=(_READS, _WRITES),
+            [
+                "bash",
+                "-c",
+                places,
+                binary,
+                *FLAGS,
+                "--remote-debugging-pipe",
+                f"--user-data-dir={profile}",
+                "about:blank",
+            ],
+            pass_fds=(reads, writes),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )

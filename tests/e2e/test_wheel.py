@@ -41,7 +41,9 @@ def test_the_wheel_holds_the_package_and_nothing_else(wheel):
     assert "shes/py.typed" in package
     assert any(name.endswith("licenses/LICENSE") for name in names)
     agents = {name for name in package if name.startswith("shes/agents/")}
-    assert all(name.endswith((".py", "py.typed")) for name in package - agents)
+    page = {f"shes/viewing/report/page.{kind}" for kind in ("html", "css", "js")}
+    assert page <= package
+    assert all(name.endswith((".py", "py.typed")) for name in package - agents - page)
     assert all(name.endswith((".csv", ".json", ".npz")) for name in agents)
     assert wheel.stat().st_size < 3_000_000
 
