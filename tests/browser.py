@@ -25,18 +25,10 @@ class Browser:
         self._from, writes = os.pipe()
 
         # bash moves the pipes to their places: a function for that would run between fork and exec, beside threads.
-        places = f'exec "$0" "$@" {_READS}<&{reads} {_WRITES}>&{writes}'
+        places = f'exec 9>&{writes} {_READS}<&{reads} {_WRITES}>&9 9>&-; exec "$0" "$@"'
+        command = [binary, *FLAGS, "--remote-debugging-pipe", f"--user-data-dir={profile}", "about:blank"]
         self._process = subprocess.Popen(
-            [
-                "bash",
-                "-c",
-                places,
-                binary,
-                *FLAGS,
-                "--remote-debugging-pipe",
-                f"--user-data-dir={profile}",
-                "about:blank",
-            ],
+            ["bash", "-c", places, *command],
             pass_fds=(reads, writes),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
