@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, Protocol, TypeAlias
 
-from shes.backends.work import Work
+from shes.backends.work import TaskSource
 from shes.cores import num_cores
 from shes.settings import Settings
 
@@ -17,7 +17,7 @@ class Worker(Protocol):
     def receive(self, state: Any) -> None:
         """Store the state that the following tasks refer to."""
 
-    def run(self, work: Work, share: int) -> Iterator[tuple[int, Any]]:
+    def run(self, work: TaskSource, share: int) -> Iterator[tuple[int, Any]]:
         """Take numbered tasks from `work` and yield numbered results in any order.
 
         `share` is the number of units per worker in an even distribution; a task that is not divisible is one unit. A

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from shes.backends.schedule import Part, Schedule
+from shes.backends.division import Division, Part
 from shes.backends.work import num_units
 
 
@@ -25,7 +25,7 @@ class Job:
     def __init__(self, tasks: Sequence[Any], state: State | None, num_workers: int) -> None:
         self.state = state
         sizes = [num_units(task) for task in tasks]
-        self.schedule = Schedule(sizes, num_workers)
+        self.division = Division(sizes, num_workers)
         self.losses: Counter[int] = Counter()
         """How many workers were lost at each task."""
         self._tasks = tasks
@@ -41,9 +41,9 @@ class Job:
         return not self._num_missing
 
     def give(self, units: int, enough: int) -> list[tuple[int, Any]]:
-        """Return the next parts with their numbers; see `Schedule.take`."""
+        """Return the next parts with their numbers; see `Division.take`."""
         first = len(self._parts)
-        self._parts += self.schedule.take(units, enough)
+        self._parts += self.division.take(units, enough)
         return [(number, self.task(number)) for number in range(first, len(self._parts))]
 
     def task(self, number: int) -> Any:
@@ -55,7 +55,7 @@ class Job:
     def take_back(self, numbers: Sequence[int]) -> None:
         """Take back the parts of a lost worker."""
         parts = [self._parts[number] for number in numbers]
-        self.schedule.give_back(parts)
+        self.division.give_back(parts)
         self.losses.update({part.task for part in parts})
 
     def num_losses(self, numbers: Sequence[int]) -> int:

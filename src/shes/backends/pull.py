@@ -178,18 +178,18 @@ class PullBackend(Backend):
     def _start_runs(self) -> None:
         """Tell the workers without work of the first job that wants them."""
         for job in self._jobs:
-            for worker in self._workers if job.schedule.wants_worker else ():
+            for worker in self._workers if job.division.wants_worker else ():
                 if worker.is_started and worker.job is None:
                     self._start_run(worker, job)
-                    if not job.schedule.wants_worker:
+                    if not job.division.wants_worker:
                         break
 
     def _start_run(self, worker: RemoteWorker, job: Job) -> None:
         if job.state is not None and worker.state is not job.state:
             self._send_state(worker, job.state)
         worker.job, worker.is_expected, worker.heard_s = job, True, self._clock_s
-        job.schedule.expect()
-        worker.send("run", job.schedule.share)
+        job.division.expect()
+        worker.send("run", job.division.share)
 
     def _serve(self) -> None:
         """Wait for messages and answer them. Replace workers that have died or given no answer for too long."""
@@ -276,7 +276,7 @@ class PullBackend(Backend):
         """Note that the worker has asked for tasks, or never will."""
         if worker.is_expected and worker.job is not None:
             worker.is_expected = False
-            worker.job.schedule.meet()
+            worker.job.division.meet()
 
     def _replace(self, worker: RemoteWorker, *, is_silent: bool = False) -> None:
         """Replace a worker that died or is silent, and hand out its tasks before all others."""

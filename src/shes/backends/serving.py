@@ -16,7 +16,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from shes.backends.factory import unpickle_factory
-from shes.backends.work import Work
+from shes.backends.work import TaskSource
 from shes.errors import ShesError
 
 ONE_THREAD: dict[str, str] = dict.fromkeys(
@@ -70,7 +70,7 @@ def _serve(connection: Duplex, factory: bytes) -> None:
             return
 
 
-class _Incoming(Work):
+class _Incoming(TaskSource):
     """The tasks of a run, which the parent sends when asked."""
 
     def __init__(self, connection: Duplex) -> None:

@@ -31,7 +31,7 @@ def num_units(task: Any) -> int:
     return task.num_units if isinstance(task, Divisible) else 1
 
 
-class Work(Iterator[tuple[int, Any]]):
+class TaskSource(Iterator[tuple[int, Any]]):
     """Numbered tasks for a worker: one unit at a time as an iterator, or several by `take`."""
 
     @abstractmethod
@@ -48,7 +48,7 @@ class Work(Iterator[tuple[int, Any]]):
         raise StopIteration
 
 
-class TaskList(Work):
+class TaskList(TaskSource):
     """The tasks of a single worker, which are not divided."""
 
     def __init__(self, numbered: Iterable[tuple[int, Any]]) -> None:

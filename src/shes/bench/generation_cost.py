@@ -14,8 +14,8 @@ from shes.algorithms.evolution.algorithm import GenerationReport
 from shes.algorithms.evolution.learners import EvolutionAlgorithm
 from shes.algorithms.evolution.populations import Population, generation_work
 from shes.algorithms.worker import RolloutWorker
+from shes.backends.division import Division
 from shes.backends.job import Job
-from shes.backends.schedule import Schedule
 from shes.backends.work import TaskList
 from shes.bench.lockstep import StepCost
 from shes.bench.random_results import RandomResults
@@ -51,7 +51,7 @@ class Stage:
 
     def sleep_on(self, num_workers: int) -> Sleep:
         """Return what sleeping workers need to know if there are `num_workers`."""
-        share = Schedule([task.num_units for task in self.tasks], num_workers).share
+        share = Division([task.num_units for task in self.tasks], num_workers).share
         return replace(self.sleep, rounds={share: self.worker.rounds(self.generation, share)})
 
 

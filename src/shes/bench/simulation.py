@@ -1,4 +1,4 @@
-"""A generation on any number of workers, in simulated time: the schedule of the backends, and measured costs.
+"""A generation on any number of workers, in simulated time: the backends' own division of tasks, and measured costs.
 
 A parent process answers one message after the other. Messages take the time of the network. Workers run episodes in
 lockstep (`shes.bench.lockstep`).
@@ -122,13 +122,13 @@ class _Simulation:
 
     def run(self, cost: StepCost, rounds: Callable[[int], tuple[int, int]], num_workers: int) -> GenerationTimes:
         """Return the times of the generation on `num_workers` workers."""
-        schedule = self._job.schedule
-        rows, self._enough = rounds(schedule.share)
+        division = self._job.division
+        rows, self._enough = rounds(division.share)
         state_s = self._network.broadcast_s(self._costs.state_bytes, num_workers)
         begin_s = self._costs.begin_s + (0.0 if self._network.cores_per_node else self._costs.copy_s)
         for _ in range(num_workers):
-            if schedule.wants_worker:
-                schedule.expect()
+            if division.wants_worker:
+                division.expect()
                 begun_s = self._handle(0.0, begin_s)
                 self._ask(_Worker(lockstep=Lockstep(cost=cost, rows=rows)), begun_s + state_s)
         while self._events:
@@ -157,7 +157,7 @@ class _Simulation:
         received_s = done_s + self._network.message_s(len(given) * self._costs.task_bytes)
         if worker.is_expected:
             worker.is_expected = False
-            self._job.schedule.meet()
+            self._job.division.meet()
             self._start_s = max(self._start_s, received_s)
         self._at(received_s, partial(self._begin, worker, given))
 

@@ -22,7 +22,7 @@ from shes.backends.backend import WorkerFactory
 from shes.backends.process import SocketWorker
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serving import ONE_THREAD, serve
-from shes.backends.work import Work
+from shes.backends.work import TaskSource
 from shes.bench.lockstep import Lockstep, StepCost
 from shes.bench.random_results import RandomResults
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
@@ -60,7 +60,7 @@ class Sleeper:
         self._generation = state
         self._results.receive(state)
 
-    def run(self, work: Work, share: int) -> Iterator[tuple[int, EpisodeResults]]:
+    def run(self, work: TaskSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Sleep for the tasks of `work`, and yield numbered results."""
         rows, enough = self._sleep.rounds.get(share, (share, share))
         lockstep, tasks = Lockstep(cost=self._sleep.cost, rows=rows), dict[int, EpisodeTask]()

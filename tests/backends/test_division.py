@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shes.backends.division import Division, Part
 from shes.backends.job import Job
-from shes.backends.schedule import Part, Schedule
-from shes.backends.work import TaskList, Work, num_units
+from shes.backends.work import TaskList, TaskSource, num_units
 
 
 class Words:
@@ -43,7 +43,7 @@ def drain(schedule, units, enough):
     enough=st.integers(1, 20),
 )
 def test_every_unit_is_given_once_and_in_order(sizes, workers, units, enough):
-    given = drain(Schedule(sizes, workers), units, min(units, enough))
+    given = drain(Division(sizes, workers), units, min(units, enough))
     assert all(sum(part.units for part in taken) <= units for taken in given)
     kept = [(part.task, unit) for taken in given for part in taken for unit in range(part.start, part.stop)]
     assert kept == [(task, unit) for task, size in enumerate(sizes) for unit in range(size)]
@@ -51,7 +51,7 @@ def test_every_unit_is_given_once_and_in_order(sizes, workers, units, enough):
 
 @given(policies=st.integers(1, 1000), episodes=st.integers(1, 6), workers=st.integers(1, 1200))
 def test_no_worker_gets_more_than_an_even_share(policies, episodes, workers):
-    schedule = Schedule([episodes] * policies, workers)
+    schedule = Division([episodes] * policies, workers)
     share = schedule.share
     assert share == -(-policies * episodes // workers)
     given = drain(schedule, share, share)
@@ -60,13 +60,13 @@ def test_no_worker_gets_more_than_an_even_share(policies, episodes, workers):
 
 
 def test_a_thousand_policies_of_five_episodes_occupy_six_hundred_workers_as_evenly_as_episodes_can():
-    schedule = Schedule([5] * 1000, 600)
+    schedule = Division([5] * 1000, 600)
     given = drain(schedule, schedule.share, schedule.share)
     assert Counter(sum(part.units for part in taken) for taken in given) == {9: 555, 5: 1}
 
 
 def test_the_last_rounds_get_smaller_down_to_what_is_enough():
-    schedule = Schedule([1] * 1000, 2)
+    schedule = Division([1] * 1000, 2)
     sizes = [len(taken) for taken in drain(schedule, 200, 30)]
     assert sizes[:2] == [200, 200]
     assert sorted(sizes[1:-1], reverse=True) == sizes[1:-1]
@@ -75,7 +75,7 @@ def test_the_last_rounds_get_smaller_down_to_what_is_enough():
 
 
 def test_lost_parts_are_given_again_before_all_others():
-    schedule = Schedule([2, 2, 2], 1)
+    schedule = Division([2, 2, 2], 1)
     first, second = schedule.take(3, 3)
     assert (first, second) == (Part(0, 0, 2), Part(1, 0, 1))
     schedule.give_back([first, second])
@@ -84,7 +84,7 @@ def test_lost_parts_are_given_again_before_all_others():
 
 
 def test_workers_are_wanted_as_long_as_those_expected_leave_some_work():
-    schedule = Schedule([3] * 4, 6)  # shares of 2
+    schedule = Division([3] * 4, 6)  # shares of 2
     for _ in range(6):
         assert schedule.wants_worker
         schedule.expect()
@@ -124,7 +124,7 @@ def test_a_task_that_is_not_divisible_is_one_unit(task, units):
 def test_a_single_worker_takes_whole_tasks():
     tasks = [(number, Words("abc")) for number in range(4)]
     work = TaskList(tasks)
-    assert isinstance(work, Work)
+    assert isinstance(work, TaskSource)
     assert [work.take(units) for units in (1, 6, 5)] == [tasks[:1], tasks[1:3], tasks[3:]]
     assert work.take(3) == []
     assert list(TaskList(tasks)) == tasks

@@ -25,7 +25,7 @@ class Part(NamedTuple):
         return self.stop - self.start
 
 
-class Schedule:
+class Division:
     """The units that no worker has yet."""
 
     def __init__(self, sizes: Sequence[int], num_workers: int) -> None:
