@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
+from typing import Protocol
 
 import mujoco
 
-from shes.backends.work import TaskSource
 from shes.envs.registry import EnvironmentMaker
 from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
@@ -93,8 +93,16 @@ def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, epis
     return max(1, int(_SHARE_OF_MEMORY * free_bytes / per_lane))
 
 
+class EpisodeSource(Protocol):
+    """The tasks of all workers, from which one takes its own."""
+
+    def take(self, units: int, enough: int) -> Sequence[NumberedTask]:
+        """Return the next tasks with up to `units` episodes, or near the end at least `enough`; none at the end."""
+        ...
+
+
 def _tasks(
-    work: TaskSource, pending: dict[int, EpisodeTask], rows: int, enough: int
+    work: EpisodeSource, pending: dict[int, EpisodeTask], rows: int, enough: int
 ) -> Generator[NumberedTask | None, None, None]:
     """Yield tasks of `work` and note them in `pending`, so that up to `rows` episodes are pending.
 
@@ -158,7 +166,7 @@ class RolloutWorker:
         """Store the generation that the next tasks belong to."""
         self._generation = state
 
-    def run(self, work: TaskSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
+    def run(self, work: EpisodeSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Run `work`, of which about `share` episodes are for this worker, and yield numbered results.
 
         If a device runs out of memory, tasks without a result are repeated with half as many policies at a time.
@@ -179,7 +187,7 @@ class RolloutWorker:
                     return
 
     def _run(
-        self, work: TaskSource, pending: dict[int, EpisodeTask], share: int
+        self, work: EpisodeSource, pending: dict[int, EpisodeTask], share: int
     ) -> Iterator[tuple[int, EpisodeResults]]:
         """Run tasks that are `pending` already, then `work`. Tasks are `pending` until they have a result."""
         assert self._generation is not None, "receive() comes first"
