@@ -17,7 +17,7 @@ class Table(NamedTuple):
 
 
 class Listing(NamedTuple):
-    """What a command shows."""
+    """Output of a command."""
 
     facts: Any
     """All of it as JSON types."""

@@ -9,29 +9,20 @@ from hypothesis import strategies as st
 from shes.backends.division import Division, Part
 from shes.backends.job import Job
 from shes.backends.work import TaskList, TaskSource, num_units
+from tests.backends.workers import Letters
 
 
-class Words:
-    """A divisible task: its units are letters, and its result is a text."""
-
-    def __init__(self, text):
-        self.text = text
-
-    @property
-    def num_units(self):
-        return len(self.text)
-
-    def part(self, start, stop):
-        return Words(self.text[start:stop])
+class Words(Letters):
+    """A divisible task whose result is a text."""
 
     def join(self, results):
         return "".join(results)
 
 
-def drain(schedule, units, enough):
+def drain(division, units, enough):
     """Return what workers get that ask in turn, each for `units`."""
     given = []
-    while taken := schedule.take(units, enough):
+    while taken := division.take(units, enough):
         given.append(taken)
     return given
 

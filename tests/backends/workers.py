@@ -29,7 +29,7 @@ class Letters:
         return len(self.text)
 
     def part(self, start, stop):
-        return Letters(self.text[start:stop])
+        return type(self)(self.text[start:stop])
 
     def join(self, results):
         return [each for result in results for each in result]

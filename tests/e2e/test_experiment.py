@@ -9,6 +9,7 @@ import signal
 import pytest
 
 from shes.cli import main
+from shes.studies import perform
 from shes.studies.index import STUDIES
 from shes.studies.study import Study
 from shes.studies.tables import Cell
@@ -120,6 +121,21 @@ def test_words_that_are_no_value_of_their_flag_are_refused(words, message, tmp_p
     assert "Traceback" not in err
     assert re.search(message, err)
     assert not (tmp_path / "a").exists()
+
+
+def test_budget_workers_backend_and_parts_arrive_at_the_runs(monkeypatch, tmp_path, capsys):
+    heard = []
+
+    def run(study, out, **options):
+        heard.append(({cell.env for cell in study.cells}, out, options))
+        yield from ()
+
+    monkeypatch.setattr(perform, "run_study", run)
+    monkeypatch.setattr(perform, "time", lambda: 1000.0)
+    flags = ["--budget", "2", "--workers", "3", "--backend", "serial", "--only", "point-maze"]
+    assert main(["experiment", "fig3", "--scale", "smoke", "--out", str(tmp_path), *flags, "--json"]) == 0
+    assert heard == [({"point-maze"}, tmp_path, {"num_workers": 3, "backend": "serial", "until": 1000 + 2 * 3600})]
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["cells"] == 6
 
 
 def test_a_folder_that_is_a_file_or_a_run_is_refused(tmp_path, tiny_run, capsys):

@@ -36,7 +36,7 @@ class TaskSource(Iterator[tuple[int, Any]]):
 
     @abstractmethod
     def take(self, units: int, enough: int | None = None) -> Sequence[tuple[int, Any]]:
-        """Return the next tasks with up to `units` units; none if there are no more.
+        """Return the next tasks, with at most `units` units in all; an empty sequence at the end.
 
         There may be fewer, but not fewer than `enough` of those that are left, so that all workers end at the same
         time. `enough` is `units` if None. A task may be a part of a larger one.

@@ -1,4 +1,4 @@
-"""What a generation costs: the steps of its episodes, their times in lockstep, and the parent's work."""
+"""Measured cost of a generation: the steps of its episodes, their times in lockstep, and the parent's work."""
 
 from __future__ import annotations
 

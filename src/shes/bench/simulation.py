@@ -41,7 +41,7 @@ class Network:
 
 @dataclass(frozen=True, kw_only=True)
 class Costs:
-    """What a generation costs besides its episodes, measured."""
+    """Measured costs of a generation other than its episodes."""
 
     draw_s: float
     """Seconds in which the parent draws the tasks and pickles the state."""

@@ -1,4 +1,4 @@
-"""What the commands print: tables and lines, JSON, the paths of files, and the progress of a drawing."""
+"""Output of the commands: tables and lines, JSON, the paths of files, and the progress of a drawing."""
 
 from __future__ import annotations
 

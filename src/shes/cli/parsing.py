@@ -41,7 +41,7 @@ _HELP_ALL = "--help-all"
 _OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
 """Short flags; the parameter's own name is accepted as an alias."""
 _WRITES = {"plot": "Learning curves", "report": "Report", "render": "Video", "export": "Policy"}
-"""What the files are whose paths a command returns."""
+"""Description of the files that a command writes."""
 
 
 def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:

@@ -44,7 +44,8 @@ def experiment(
     Args:
         name: ablation: the paper's choices, a sweep of the settings, transfer and horizon, on Point Gather and Maze;
             learning: an ablation of the walker's training method, on Ant Flagrun; fig3 and fig5: those figures of
-            the paper, each with SHES as published and with the pieces of the learning study.
+            the paper, with SHES as published and with the pieces of the learning study; fig3 also with HIRO, which
+            needs the extra hiro.
         out: Folder of its runs, tables and figures; finished runs in it are kept. If none, below runs/ its name, and
             paper for figures, which share runs.
         num_workers: Runs at a time, or the workers of each run of scale paper; 0 is one for every core.

@@ -52,7 +52,7 @@ class Actor:
 
 @dataclass
 class Summary:
-    """What the episodes of a generation came to."""
+    """Steps, returns and times of the episodes of a generation."""
 
     num_steps: int = 0
     episodes: list[Mapping[str, float]] = field(default_factory=list)

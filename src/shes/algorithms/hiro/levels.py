@@ -45,7 +45,7 @@ class Hyperparameters:
 
 @dataclass(frozen=True, kw_only=True)
 class Level:
-    """What is fixed about a level."""
+    """Networks, hyperparameters and empty replay buffer of a level."""
 
     name: str
     actor: MLP

@@ -44,7 +44,7 @@ class Panel:
 
     @property
     def title(self) -> str:
-        """What it shows."""
+        """Heading of the panel: the quantity, and the episodes it is of where there are two kinds."""
         words = self.column.removesuffix("_mean").replace("_", " ").replace("env steps per s", "steps per second")
         is_of_both = any(
             name in self.column for name in ("return", "score", "success", "goals_reached", "episode_steps")

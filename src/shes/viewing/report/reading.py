@@ -1,4 +1,4 @@
-"""What the files of runs say, as far as they can be read: a damaged table costs its curves alone."""
+"""Reads the files of runs for a report. A damaged table is noted and only its curves are missing."""
 
 from __future__ import annotations
 
