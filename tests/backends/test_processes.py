@@ -1,5 +1,6 @@
 """The processes backend: workers that die are replaced, those that keep dying end the work, and none is left behind."""
 
+import gc
 import os
 import re
 import signal
@@ -307,10 +308,11 @@ def test_a_task_that_is_never_answered_is_an_error_that_names_the_flag(tmp_path,
 
 def test_replacing_workers_leaves_no_open_file(backend, tmp_path):
     list(backend.map([("add", 1)] * 4))
+    gc.collect()  # else files that earlier tests left to the collector close during this one
     before = psutil.Process().num_fds()
     for i in range(3):
         list(backend.map([("die_once", tmp_path / str(i)), ("add", 1)]))
-    assert psutil.Process().num_fds() == before
+    assert psutil.Process().num_fds() <= before
 
 
 PARENT = """
