@@ -75,11 +75,15 @@ class ExportedAgent:
 
     def decide(self, seen, heading):
         boss = self.spec["controller"]
-        out = self.network("controller", view_of(seen, boss["view"], heading)[0]).astype(np.float64)
+        values, angle = view_of(seen, boss["view"], heading)
+        heading = angle if boss["view"]["kind"] == "nearest" else heading
+        out = self.network("controller", values).astype(np.float64)
+        way = complex(*out[:2]) * unit(heading)
         out *= boss["goal_distance_m"]
         vectors = {
             "vector": complex(*out[:2]),
-            "heading_vector": complex(*out[:2]) * unit(heading),
+            "heading_vector": way * boss["goal_distance_m"],
+            "heading_direction": way / max(abs(way), 1e-9) * boss["goal_distance_m"],
             "one_hot": max(out.max(), 1.0) * unit((out.argmax() + 1) * (np.pi / 4) - np.pi + heading),
         }
         to, least = vectors[boss["output"]], boss["min_component_m"]
@@ -107,6 +111,11 @@ def view_of(seen, view, heading):
     columns = seen if view["columns"] is None else seen[view["columns"]]
     if view["kind"] == "columns":
         return columns, heading
+    if view["kind"] == "nearest":
+        rings = seen[np.array(view["rings"])]
+        nearest, sectors = rings[0].argmax() if rings[0].max() > 0 else rings.shape[1] // 2, rings.shape[1]
+        turned = np.roll(rings, -nearest, axis=1).ravel()
+        return np.concatenate([turned, columns]), heading + ((nearest + 0.5) * 2 * np.pi / sectors - np.pi)
     qpos, qvel = seen[view["qpos"]], seen[view["qvel"]]
     if view["body"] == "point":
         return np.concatenate([qpos[2:], qvel, columns]), 0.0

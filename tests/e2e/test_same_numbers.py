@@ -129,6 +129,8 @@ WITH = {
 """What a setting, or one of its choices, asks of others."""
 OF_THE_ANT = {"symmetry"}
 """Settings that say nothing of a point."""
+OF_GATHER = {"nearest"}
+"""Choices that a maze has not."""
 
 
 def companions(name, choice):
@@ -143,7 +145,7 @@ BY_CHOICE = {
     f"{name}={choice}": {**companions(name, choice), name: choice}
     for name, choices in CHOICES.items()
     for choice in choices
-    if name not in NO_CHOICES | OF_THE_ANT
+    if name not in NO_CHOICES | OF_THE_ANT and choice not in OF_GATHER
 }
 BY_HAND = {
     "clock": {"clock_frequency": 1.5},
@@ -213,7 +215,7 @@ BY_ENVIRONMENT = {
     },
     "ant-gather": {
         "walker": {
-            **WALKER, "controller_view": "egocentric", "controller_output": "heading_vector", "mirrored": "pair",
+            **WALKER, "controller_view": "nearest", "controller_output": "heading_direction", "mirrored": "pair",
             "fitness_shaping": "pair_rank", "primitive_population_size": 8, "primitive_sigma": 0.1,
             "primitive_learning_rate": 0.05, "intervals": 1, "clock_frequency": 1.2,
         },

@@ -55,6 +55,7 @@ CHOICES = {
             "primitive_reward": "metres",
         },
     ),
+    "nearest": ("point-gather", {"controller_view": "nearest", "controller_output": "heading_direction"}),
     "egocentric, alone": (
         "ant-flagrun",
         {"primitive_estimate": "episode", "primitive_view": "egocentric", "symmetry": "rotation"},

@@ -18,7 +18,7 @@ from shes.hierarchy.outputs import (
 )
 
 NAMES = sorted(CONTROLLER_OUTPUTS)
-TURNS_WITH_THE_ROBOT = {"one_hot": True, "heading_vector": True, "vector": False}
+TURNS_WITH_THE_ROBOT = {"one_hot": True, "heading_vector": True, "heading_direction": True, "vector": False}
 HALF = math.sqrt(0.5)
 DIRECTIONS = [(-HALF, -HALF), (0, -1), (HALF, -HALF), (1, 0), (HALF, HALF), (0, 1), (-HALF, HALF), (-1, 0)]
 """Of the eight outputs, for a robot that faces +x: ahead is +x, its left is +y."""
@@ -46,6 +46,9 @@ def _second_implementation(name, output, heading, goal_distance):
     if name == "heading_vector":
         turned = complex(*output) * goal_distance * complex(math.cos(heading), math.sin(heading))
         return (turned.real, turned.imag)
+    if name == "heading_direction":
+        length = math.hypot(*output)
+        return _second_implementation("heading_vector", [x / (length or 1) for x in output], heading, goal_distance)
     best = 0
     for index, value in enumerate(output):
         if value > output[best]:
@@ -215,7 +218,8 @@ def test_outputs_are_made_by_name(name, output, size):
 @pytest.mark.parametrize("refuse", [CONTROLLER_OUTPUTS.find, make_controller_output])
 def test_an_unknown_output_is_refused_with_the_nearest_name(refuse):
     message = (
-        r"unknown controller output 'onehot'\. Did you mean 'one_hot'\? Known: one_hot, heading_vector, vector\. "
+        r"unknown controller output 'onehot'\. Did you mean 'one_hot'\? Known: one_hot, heading_direction, "
+        r"heading_vector, vector\. "
         r"Set --controller-output\. Register your own first: shes\.register_controller_output, or --import MODULE"
     )
     with pytest.raises(UnknownNameError, match=message):

@@ -10,7 +10,7 @@ from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, register_external
 from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
-from shes.hierarchy.views import ColumnsView, EgocentricView
+from shes.hierarchy.views import ColumnsView, EgocentricView, NearestView
 from shes.training.build import build_algorithm, build_task
 from shes.training.presets import make_config
 from tests.contracts.variants import VARIANTS
@@ -245,6 +245,56 @@ def test_a_primitives_egocentric_view_is_the_robots_alone(env):
     names = [f"egocentric {each.name}" for each in body.egocentric]
     assert learner.inputs("primitive")[5:] == tuple(names)
     assert learner.design.primitive.sizes[0] == len(learner.inputs("primitive")) == 3 + 2 + len(names)
+
+
+RINGS, OTHERS = [[1, 2, 3, 4], [6, 7, 8, 9]], [0, 5]
+NEAREST = {  # readings of both rings, those seen, and the angle of the frame to the heading, in eighths of a turn
+    "behind to the right": ([9, 3, 0, 1], [5, 6, 7, 8], [9, 3, 0, 1], [5, 6, 7, 8], -3),
+    "ahead to the left": ([2, 1, 5, 4], [5, 6, 7, 8], [5, 4, 2, 1], [7, 8, 5, 6], 1),
+    "the first of equals": ([0, 2, 2, 1], [5, 6, 7, 8], [2, 2, 1, 0], [6, 7, 8, 5], -1),
+    "behind to the left": ([0, 1, 2, 3], [0, 0, 0, 0], [3, 0, 1, 2], [0, 0, 0, 0], 3),
+    "nothing": ([0, 0, 0, 0], [5, 6, 7, 8], [0, 0, 0, 0], [7, 8, 5, 6], 1),
+}
+
+
+def test_the_nearest_view_turns_the_readings_of_all_rings_to_the_strongest_of_the_first():
+    view, heading = NearestView(RINGS, OTHERS), np.array([0.0, 2.0, -3.0, 1.0, 0.5])
+    observed = np.array([[-1, *food, -2, *poison] for food, poison, *_ in NEAREST.values()], float)
+    before, out = observed.copy(), np.zeros((5, view.size(10)))
+    angle = view.angle(observed, heading)
+    view.write(observed, angle, out)
+    assert angle == pytest.approx(heading + np.pi / 4 * np.array([row[-1] for row in NEAREST.values()]))
+    assert out.tolist() == [[*food, *poison, -1, -2] for *_, food, poison, _ in NEAREST.values()]
+    assert np.array_equal(observed, before)
+    names = view.names([f"value {i}" for i in range(10)])
+    assert len(names) == view.size(10) == len(set(names)) == 10
+    assert names[-2:] == ("value 0", "value 5")
+
+
+@pytest.mark.parametrize("spec", ["shes", "hiro"])
+def test_food_in_any_direction_is_ahead_for_a_controller_that_looks_to_the_nearest(spec):
+    """A goal straight ahead in the view's frame lies in the sector of the nearest food, where it is in the world."""
+    config = make_config("ant-gather", "smoke", {"spec": spec, "reset_noise": 0.1, "controller_view": "nearest"})
+    design, task = build_algorithm(config).design, build_task(config, 64, is_evaluation=False)
+    observed, view = _states(task, 64), design.controller_view
+    assert view.size(task.observation_size) == design.controller.sizes[0] == 21  # ten of each kind, and the time
+    angle, out = view.angle(observed, task.heading), np.zeros((64, 21))
+    view.write(observed, angle, out)
+    offset = np.where(task.present[:, 0, :, None], task.objects[:, 0] - task.position[:, None], np.inf)
+    distance = np.hypot(*np.moveaxis(offset, -1, 0))
+    sees = distance.min(axis=1) < (8 if spec == "shes" else 6)
+    assert sees.sum() > 32
+    x, y = offset[np.arange(64), distance.argmin(axis=1)].T
+    off_centre = np.arctan2(y, x) - angle
+    assert (np.cos(off_centre)[sees] >= np.cos(np.pi / 10) - 1e-9).all()
+    assert (out[sees, 0] == out[sees, :10].max(axis=1)).all()
+    assert not out[~sees, :10].any()
+
+
+def test_a_task_without_sensors_around_the_robot_has_no_nearest_view():
+    message = r"controller_view is 'nearest', but ant-maze has no sensors around the robot, as Gather has\. Set --contr"
+    with pytest.raises(ConfigError, match=message):
+        build_algorithm(make_config("ant-maze", "smoke", {"controller_view": "nearest"}))
 
 
 STRANGE = "own-maze"

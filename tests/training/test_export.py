@@ -35,6 +35,7 @@ KINDS = {
     "ant with two levels": ("ant-gather", {"goal_encoding": "angle", "controller_interval": 5}),
     "one-hot controller": ("ant-maze", {"controller_output": "one_hot", "primitive_view": "proprioception"}),
     "egocentric points": ("point-fall", {**EGOCENTRIC, "controller_view": "egocentric", "goal_encoding": "vector"}),
+    "towards food": ("point-gather", {"controller_view": "nearest", "controller_output": "heading_direction"}),
     "rotations": (
         "ant-push",
         {**EGOCENTRIC, "symmetry": "rotation", "controller_view": "egocentric", "controller_output": "heading_vector"},

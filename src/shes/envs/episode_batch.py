@@ -135,6 +135,14 @@ class EpisodeBatch(ABC):
         """Indices in the observation that the primitive may see; the others are for the controller only."""
 
     @property
+    def sensor_rings(self) -> IntArray:
+        """Indices in the observation of range sensors around the robot [rings, sectors]; none if this is empty.
+
+        Sectors are counter-clockwise; the first begins straight behind the robot. Ring 0 senses what attracts it.
+        """
+        return np.zeros((0, 0), np.int64)
+
+    @property
     @abstractmethod
     def reader(self) -> Reader:
         """The reader of this environment's observations and actions."""

@@ -62,7 +62,9 @@ class HierarchicalAgent(GoalReachingAgent[HierarchicalDesign]):
         """Return the goals that the controllers set."""
         design, seen = self.design, self._controller_inputs[rows]
         observation, heading = given.observation[rows], given.heading[rows]
-        self._controller_view.write(observation, self._controller_view.angle(observation, heading), seen)
+        view = self._controller_view
+        angle = view.angle(observation, heading)
+        view.write(observation, angle, seen)
         if self.is_recording:
             self.moments[CONTROLLER].add(rows, seen)
         scaled = normalise(seen, *self._normalisation[CONTROLLER], design.input_clip)
@@ -70,7 +72,8 @@ class HierarchicalAgent(GoalReachingAgent[HierarchicalDesign]):
         if noise is not None:
             output += noise[due]
         flat = output.reshape(len(scaled), -1)
-        vector = design.controller_output.vector(flat.astype(np.float64), heading, design.goal_distance)
+        towards = angle if view.turns_outputs else heading
+        vector = design.controller_output.vector(flat.astype(np.float64), towards, design.goal_distance)
         if design.has_minimum_goal_distance:
             vector = _push_outward(vector)
         return given.position[rows] + vector

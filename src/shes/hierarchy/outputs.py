@@ -69,6 +69,26 @@ class HeadingVectorOutput(ControllerOutput):
         return np.stack([cosine * ahead - sine * left, sine * ahead + cosine * left], axis=1)
 
 
+class HeadingDirectionOutput(ControllerOutput):
+    """Direction of the goal relative to the heading (ahead, left), at the goal distance.
+
+    Only the ratio of the outputs counts, so that a policy near zero, as at the start of training, acts with full goals.
+
+    Deviation: the outputs of the paper's controller also set the distance.
+    """
+
+    size = 2
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector of length `goal_distance` with the direction of `output`; 0 for outputs of 0."""
+        values = output.astype(np.float64)
+        length = np.sqrt((values * values).sum(axis=1, keepdims=True))
+        return _HEADING_VECTOR.vector(values / np.maximum(length, _LEAST_LENGTH), heading, goal_distance)
+
+
+_HEADING_VECTOR, _LEAST_LENGTH = HeadingVectorOutput(), 1e-9
+
+
 class OneHotOutput(ControllerOutput):
     """The largest of eight outputs selects the direction relative to the heading, and its value the distance.
 
@@ -95,7 +115,12 @@ class OneHotOutput(ControllerOutput):
 
 CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(
     "controller output",
-    {"vector": VectorOutput, "heading_vector": HeadingVectorOutput, "one_hot": OneHotOutput},
+    {
+        "vector": VectorOutput,
+        "heading_vector": HeadingVectorOutput,
+        "heading_direction": HeadingDirectionOutput,
+        "one_hot": OneHotOutput,
+    },
     fix="Set --controller-output. Register your own first: shes.register_controller_output, or --import MODULE.",
     check=subclass_of(ControllerOutput),
 )

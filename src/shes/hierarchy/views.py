@@ -22,6 +22,8 @@ class View(ABC):
 
     is_egocentric: bool = False
     """Whether the values, and the goals beside them, are expressed in the robot's own frame."""
+    turns_outputs: bool = False
+    """Whether a controller's outputs that are relative to the heading are relative to the view's frame instead."""
 
     @abstractmethod
     def size(self, observation_size: int) -> int:
@@ -132,6 +134,65 @@ class EgocentricView(View):
     def on(self, xp: ModuleType) -> EgocentricView:
         """Return this view for arrays of `xp`."""
         return EgocentricView(self.body, *self._places, xp)
+
+
+class NearestView(View):
+    """Sensors around the robot in a frame that is turned towards the nearest thing that they sense, and other values.
+
+    The frame is turned by whole sectors, and the readings are rotated with it: the strongest reading of the first ring
+    is always that of sector 0, the others follow counter-clockwise. Without any reading the frame is that of the sector
+    to the left of straight ahead. What a controller learns for one direction it has thereby learned for all.
+
+    The robot's own state is not among the values: it has no part in where to go, and each input of a controller adds
+    the noise of its weights.
+
+    Source: `docs/learning.md`, "A controller's frame".
+    """
+
+    turns_outputs = True
+
+    def __init__(self, rings: Sequence[Sequence[int]], others: Sequence[int] = (), xp: ModuleType = np) -> None:
+        """See the sensors at `rings` [K, B], then the values at `others`."""
+        self._places = tuple(tuple(ring) for ring in rings), tuple(others)
+        self._rings = xp.asarray(np.array(rings, dtype=np.int64))
+        self._others = _columns(self._places[1], xp)
+        self._sectors = xp.arange(self._rings.shape[1])
+
+    def size(self, observation_size: int) -> int:
+        """Return the number of sensors and of the other values."""
+        return self._rings.size + len(self._places[1])
+
+    def angle(self, observation: F64Array, heading: F64Array) -> F64Array:
+        """Return the bearing of the middle of the nearest sector in the world [N] in radians."""
+        width = 2 * np.pi / len(self._sectors)
+        return heading + ((self._nearest(observation) + 0.5) * width - np.pi)
+
+    def _nearest(self, observation: F64Array) -> IntArray:
+        """Return the sector of the strongest reading of the first ring [N]."""
+        readings = observation[:, self._rings[0]]
+        return np.where(readings.max(axis=1) > 0, readings.argmax(axis=1), len(self._sectors) // 2)
+
+    def write(self, observation: F64Array, angle: F64Array, out: F64Array) -> None:
+        """Rotate the readings and copy the other values; see `View.write`."""
+        sector = (self._nearest(observation)[:, None] + self._sectors) % len(self._sectors)  # [N, B]
+        columns = self._rings[:, sector].swapaxes(0, 1).reshape(len(out), -1)  # [N, K * B]
+        out[:, : self._rings.size] = np.take_along_axis(observation, columns, axis=1)
+        out[:, self._rings.size :] = observation[:, self._others]
+
+    def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
+        """Return the names of the sensors, by sectors from the nearest, and of the other values."""
+        rings, others = self._places
+        turned = (f"{observation_names[ring[0]]} + {i} from nearest" for ring in rings for i in range(len(ring)))
+        return (*turned, *(observation_names[i] for i in others))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the indices of the sensors and of the other values."""
+        rings, others = self._places
+        return {"kind": "nearest", "rings": [list(ring) for ring in rings], "columns": list(others)}
+
+    def on(self, xp: ModuleType) -> NearestView:
+        """Return this view for arrays of `xp`."""
+        return NearestView(*self._places, xp)
 
 
 def _columns(indices: tuple[int, ...], xp: ModuleType) -> slice | IntArray:

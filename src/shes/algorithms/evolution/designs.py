@@ -18,7 +18,7 @@ from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.outputs import make_controller_output
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
-from shes.hierarchy.views import ColumnsView, EgocentricView, View
+from shes.hierarchy.views import ColumnsView, EgocentricView, NearestView, View
 from shes.policies.mlp import MLP
 from shes.settings import flag
 
@@ -131,10 +131,19 @@ def _egocentric(settings: Any, task: EpisodeBatch, setting: str, others: Sequenc
 
 
 def _controller_view(settings: Any, task: EpisodeBatch) -> View:
-    if settings.hierarchy.controller_view == "observation":
+    """Return the view of the controller; raise ConfigError if the robot or the task has none of this kind."""
+    kind, own = settings.hierarchy.controller_view, set(task.proprioception.tolist())
+    if kind == "observation":
         return ColumnsView()
-    others = sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
-    return _egocentric(settings, task, "controller_view", others)
+    if kind == "egocentric":
+        return _egocentric(settings, task, "controller_view", sorted(set(range(task.observation_size)) - own))
+    if not task.sensor_rings.size:
+        raise ConfigError(
+            f"controller_view is 'nearest', but {settings.run.env} has no sensors around the robot, as Gather has. Set "
+            "--controller-view egocentric or observation."
+        )
+    sensors = set(task.sensor_rings.ravel().tolist())
+    return NearestView(task.sensor_rings.tolist(), sorted(set(range(task.observation_size)) - own - sensors))
 
 
 def primitive_view(settings: Any, task: EpisodeBatch) -> View:

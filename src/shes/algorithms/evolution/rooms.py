@@ -153,9 +153,10 @@ class HierarchySettings(PrimitiveSettings):
     """Whether goals nearer than 1 m are moved outward."""
     controller_output: Annotated[str, _registered(CONTROLLER_OUTPUTS, "controller_output")] = "vector"
     """Meaning of the controller's outputs."""
-    controller_view: Literal["observation", "egocentric"] = "observation"
-    """What the controller observes: the task's observation, or egocentric (the robot's state in its own frame, then the
-    rest of the observation)."""
+    controller_view: Literal["observation", "egocentric", "nearest"] = "observation"
+    """What the controller observes: the task's observation; egocentric (the robot's state in its own frame, then the
+    rest of the observation); or nearest (Gather: its sensors and the time without the robot's state, in a frame that is
+    turned by whole sectors to the nearest food)."""
     controller_weight_decay: Annotated[float, Ge(0)] | None = None
     """Weight decay of the controller; none for weight_decay. Without reward, only the decay changes a controller."""
     perturbation: Annotated[str, Choices(PERTURBATIONS, is_described=True)] = "many_to_many"

@@ -127,6 +127,12 @@ class Gather(Task):
         return self.robot_elements() + readings + time
 
     @property
+    def sensor_rings(self) -> IntArray:
+        """Indices in the observation of the readings of food and of poison [2, NUM_BINS]."""
+        first = self.observation_names.index("food_0")
+        return first + np.arange(2 * NUM_BINS).reshape(2, NUM_BINS)
+
+    @property
     def terminated(self) -> BoolArray:
         """Whether the robot has fallen [N]; with hiro also whether everything is collected."""
         fallen = self.body.fallen(self.sim.qpos)
