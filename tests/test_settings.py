@@ -137,6 +137,36 @@ def test_settings_cannot_be_changed():
         EveryKind().whole = 3  # type: ignore[misc]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Explained(Settings):
+    """Settings with texts of any length."""
+
+    short: int = 1
+    """Short (by all means). It fits."""
+    long: int = 1
+    """The first sentence (with a remark). The second one is about something else."""
+    longer: int = 1
+    """The first sentence (with a remark) is long in itself. The second one is about something else."""
+    longest: int = 1
+    """The first sentence (with a remark) does not at all fit two lines as narrow as these. The second does."""
+    choice: Literal["one", "two"] = "one"
+    """What is chosen (of two). one: this, and more about it; two: that, and more about it."""
+
+
+@pytest.mark.parametrize(
+    ("name", "brief"),
+    [
+        ("short", "Short (by all means). It fits."),
+        ("long", "The first sentence (with a remark)."),
+        ("longer", "The first sentence is long in itself."),
+        ("longest", "The first sentence does not at all fit two lines as narrow as these."),
+        ("choice", "What is chosen (of two). one: this, and more about it; two: that, and more about it."),
+    ],
+)
+def test_a_short_text_has_two_lines_and_keeps_the_explanations_of_choices(name, brief):
+    assert setting_fields(Explained)[name].brief("(default: 1)", 30) == brief
+
+
 def test_the_docstring_under_a_field_is_its_text():
     assert field_texts(EveryKind)["whole"] == "A text of two lines."
     assert setting_fields(EveryKind)["whole"].text == "A text of two lines."

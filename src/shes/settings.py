@@ -22,6 +22,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from itertools import pairwise
+from textwrap import wrap
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
 
@@ -152,6 +153,17 @@ class Setting:
             f"{name}: {_summary(cls)}" for names in described for name, cls in registered(names).items()
         )
         return " ".join(filter(None, (field_texts(self.owner).get(self.name, ""), choices and choices + ".")))
+
+    def brief(self, end: str, width: int) -> str:
+        """Return `text`; if it and `end` exceed two lines of `width`, its first sentence, maybe without parentheses.
+
+        All names of choices that `text` explains are kept.
+        """
+        sentence = re.split(r"(?<=\.)\s", self.text, maxsplit=1)[0]
+        explained = [name for name in self.choices if name in self.text]
+        shorter = [sentence, re.sub(r" \([^()]*\)", "", sentence)]
+        texts = [self.text, *(text for text in shorter if all(name in text for name in explained))]
+        return next((text for text in texts if len(wrap(f"{text} {end}", width)) <= 2), texts[-1])
 
     @property
     def flag(self) -> str:
