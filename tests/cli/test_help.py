@@ -12,11 +12,12 @@ import pytest
 from shes.cli import main, parsing
 from shes.cli.command_table import COMMANDS, find_command
 from shes.console import LineConsole
+from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
 from shes.runs.rooms import execution_settings
 from shes.studies import run_comparison
-from shes.training import evaluate, export
+from shes.training import export
 from shes.training.presets import PRESETS, make_config
 from shes.viewing import plot, render
 
@@ -73,10 +74,9 @@ def test_the_help_loads_no_slow_package_and_neither_does_the_package():
 def test_the_choices_are_those_there_are():
     for function, name, known in (
         (plot.plot, "x", plot.X_AXES),
-        (render.render, "camera", render.VIEWS),
+        (render.render, "camera", ("both", *CAMERAS)),
         (export.export, "format", export.FORMATS),
         (run_comparison.compare_runs, "measure", run_comparison.MEASURES),
-        (evaluate.evaluate, "targets", evaluate.TARGETS),
     ):
         assert set(get_args(get_type_hints(function)[name])) == set(known)
 

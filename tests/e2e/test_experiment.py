@@ -89,7 +89,7 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
         ),
         (["ablation", "--seeds", "0"], r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."),
         (["ablation", "--scale", "paper"], r"unknown scale 'paper'\. Known: laptop, smoke\. Set --scale\."),
-        (["fig3", "--scale", "smoke", "--budget", "0"], r"budget must be a number of hours above 0, got 0\.0\."),
+        (["fig3", "--scale", "smoke", "--budget", "0"], r"budget must be a positive number, got 0\.0\. Set --budget\."),
         (["ablation", "--workers", "-1"], r"workers must be a whole number of at least 0, got -1\. Set --workers\."),
     ],
 )

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from shes.settings import Choices, Ge, checked
 from shes.studies.design import (
     Curve,
     CurvePanel,
@@ -20,7 +21,6 @@ from shes.studies.design import (
     StudyDesign,
     Sweep,
     Variant,
-    check_size,
     multiplied,
     sweep_name,
     whole,
@@ -141,14 +141,14 @@ SCALES: dict[str, _Scale] = {
 }
 
 
-def ablation(scale: str = "laptop", seeds: int | None = None) -> Study:
+@checked
+def ablation(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated[int, Ge(1)] | None = None) -> Study:
     """Return the cells of the ablation, with `seeds` seeds of every variant; with those of the scale if None.
 
     Raises:
         UnknownNameError: There is no such scale: `laptop` takes hours on two cores, `smoke` a minute.
         ConfigError: `seeds` is not positive.
     """
-    check_size(scale, seeds, SCALES)
     size = SCALES[scale]
     bases = {env: _base(env, size) for env in _BASES}
     cells = [

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from shes.settings import Choices, Ge, checked
 from shes.studies.design import (
     Curve,
     CurvePanel,
@@ -20,7 +21,6 @@ from shes.studies.design import (
     StudyDesign,
     Sweep,
     Variant,
-    check_size,
     multiplied,
     sweep_name,
     whole,
@@ -178,14 +178,14 @@ def _pieces(whole_episodes: Mapping[str, Any]) -> dict[str, Variant]:
     }
 
 
-def learning(scale: str = "laptop", seeds: int | None = None) -> Study:
+@checked
+def learning(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated[int, Ge(1)] | None = None) -> Study:
     """Return the cells of the learning study, with `seeds` seeds of every variant; with those of the scale if None.
 
     Raises:
         UnknownNameError: There is no such scale: `laptop` takes two hours on two cores, `smoke` a minute.
         ConfigError: `seeds` is not positive.
     """
-    check_size(scale, seeds, SCALES)
     size, groups = SCALES[scale], variants(scale)
     cells = tuple(
         Cell(group=group, variant=name, env=ENV, seed=seed, settings=_settings(variant, size), preset=_PRESET)
