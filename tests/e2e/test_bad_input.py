@@ -51,7 +51,7 @@ WORDS = {
     ),
     "no_environment": (
         ["train", "--preset", "smoke"],
-        r"Missing from shes train: ENV Environment name \(see shes envs\)",
+        r"Missing from shes train: ENV Environment \(shes envs\) or gymnasium:ID",
     ),
     "unknown_environment": (
         ["train", "pint-gather"],

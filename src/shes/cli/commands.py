@@ -43,7 +43,7 @@ def train(
     shes train point-gather --generations 60 --out runs/first
 
     Args:
-        env: Name (see `shes envs`) or `gymnasium:ID`.
+        env: Environment (`shes envs`) or `gymnasium:ID`.
         seed: Seed; each of several becomes a run.
         out: The run folder; if none, below runs/.
         sweep: A run for each value: sigma=0.02,0.05.

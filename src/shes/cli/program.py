@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import shes
 from shes.cli.command_table import COMMANDS, find_command, split_everywhere
-from shes.cli.streams import exit_code
+from shes.cli.exit_code import exit_code
 from shes.errors import ConfigError
 from shes.registry import import_registering
 

@@ -105,7 +105,7 @@ class UpdateRule:
     holds_when_tied: bool = False
     """Whether a level stays unchanged, its optimizer state included, if all its members have the same fitness."""
     fall_price: Annotated[float, Ge(0)] = 0.0
-    """Subtracted from a member's shaped fitness for a fall, zero or positive."""
+    """Subtracted from a member's shaped fitness for a fall, zero or positive. Gather's `fall_penalty` is a reward."""
     shaping: FitnessShaping = CentredRanks()
     optimizer: Optimizer = Adam()
 

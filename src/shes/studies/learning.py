@@ -26,7 +26,7 @@ from shes.studies.design import (
     whole,
 )
 from shes.studies.study import Study, generation_steps
-from shes.studies.tables import Cell
+from shes.studies.study_tables import Cell
 from shes.training.presets import make_config
 
 ENV = "ant-flagrun"
@@ -67,7 +67,7 @@ _BASE: dict[str, Any] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Scale:
+class _LearningScale:
     """The size of the study."""
 
     settings: Mapping[str, Any]
@@ -80,8 +80,8 @@ class _Scale:
     episodes: int
 
 
-SCALES: dict[str, _Scale] = {
-    "laptop": _Scale(
+SCALES: dict[str, _LearningScale] = {
+    "laptop": _LearningScale(
         settings={"evaluation_episodes": 20},
         seeds=5,
         env_steps=660_000,
@@ -90,7 +90,7 @@ SCALES: dict[str, _Scale] = {
         episodes=50,
     ),
     # A test, too short to learn.
-    "smoke": _Scale(
+    "smoke": _LearningScale(
         settings={
             "population_size": 8,
             "horizon": 50,
@@ -197,7 +197,7 @@ def learning(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated
     return Study(cells=cells, episodes=size.episodes, design=_design(labels))
 
 
-def _settings(variant: Variant, size: _Scale) -> dict[str, Any]:
+def _settings(variant: Variant, size: _LearningScale) -> dict[str, Any]:
     """Return the settings of a variant, with the same environment steps and evaluations for all variants."""
     merged = {**_BASE, **size.settings, **variant.changes, "env_steps": size.env_steps}
     settings = {name: value for name, value in merged.items() if value is not None}

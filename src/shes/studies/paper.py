@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from shes.settings import Choices, Ge, checked
 from shes.studies.design import Curve, CurvePanel, Curves, Measure, Reference, StudyDesign
 from shes.studies.study import Study
-from shes.studies.tables import Cell
+from shes.studies.study_tables import Cell
 from shes.training.presets import make_config
 
 TASKS = ("gather", "maze", "push")

@@ -15,7 +15,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.training.build import open_run
 from shes.training.evaluate import fresh_seeds
-from shes.training.play import Agent
+from shes.training.loaded_agent import Agent
 from shes.types import F64Array
 
 _TRAIL_STEPS = 150

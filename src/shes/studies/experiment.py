@@ -19,10 +19,10 @@ from shes.settings import Gt, checked
 from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
 from shes.studies.figures import draw_figures
-from shes.studies.index import STUDIES
+from shes.studies.named_studies import STUDIES
 from shes.studies.running import Outcome, cells_left, check_study, read_summaries, run_study
 from shes.studies.study import Study, cell_steps, choose
-from shes.studies.tables import write_csv, write_tables
+from shes.studies.study_tables import write_csv, write_tables
 from shes.training.progress_display import format_duration
 
 
