@@ -16,7 +16,7 @@ import griffe  # a dependency of mkdocstrings-python
 
 import shes
 from shes.cli import main
-from shes.cli.program import COMMANDS
+from shes.cli.command_table import COMMANDS
 from shes.envs.registry import ENVIRONMENTS
 from shes.runs.config import TrainConfig
 from shes.settings import Unasked, setting_fields

@@ -1,6 +1,7 @@
 """Settings told once: the annotation of a field says what it may be, and the error says so."""
 
-from dataclasses import FrozenInstanceError, dataclass, make_dataclass
+import inspect
+from dataclasses import FrozenInstanceError, dataclass, make_dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -18,6 +19,7 @@ from shes.settings import (
     Lt,
     Settings,
     Shown,
+    checked,
     field_texts,
     out_of_range,
     setting_fields,
@@ -135,6 +137,76 @@ def test_what_may_be_none_is_and_no_layer_is_a_choice():
 def test_settings_cannot_be_changed():
     with pytest.raises(FrozenInstanceError):
         EveryKind().whole = 3  # type: ignore[misc]
+
+
+@checked
+def area(width: Annotated[int, Ge(1)], height: Annotated[float, Gt(0)] = -1, *rest: object, unit: Literal["m"] = "m"):
+    """Return the arguments."""
+    return width, height, rest, unit
+
+
+@checked
+@dataclass(frozen=True)
+class Box:
+    """A class whose fields are checked."""
+
+    width: Annotated[int, Ge(1)] | None
+    content: object = None
+
+
+def test_arguments_are_checked_and_converted_wherever_they_stand():
+    assert area(np.int64(2), 3, None, "x") == (2, 3.0, (None, "x"), "m")
+    assert {type(each) for each in area(np.int64(2), 3)[:2]} == {int, float}
+    assert area(width=1) == (1, -1, (), "m")  # a default is not checked
+    assert str(inspect.signature(area)) == str(inspect.signature(area.__wrapped__))
+    assert Box(None) == Box(None, None)
+    assert Box(np.int64(3), content=0).width == 3
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: area(0), ConfigError, r"width must be a whole number of at least 1, got 0\. Set --width\."),
+        (lambda: area(1, height=True), ConfigError, r"height must be a positive number, got True\. Set --height\."),
+        (lambda: area(1, unit="cm"), UnknownNameError, r"unknown unit 'cm'\. .*Known: m\. Set --unit\."),
+        (lambda: Box(width=0), ConfigError, r"width must be a whole number of at least 1, got 0"),
+        (lambda: replace(Box(1), width=-1), ConfigError, r"width must be .*got -1"),
+        (area, TypeError, "width"),
+    ],
+)
+def test_an_argument_out_of_range_is_refused(call, error, message):
+    with pytest.raises(error, match=message):
+        call()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explained(Settings):
+    """Settings with texts of any length."""
+
+    short: int = 1
+    """Short (by all means). It fits."""
+    long: int = 1
+    """The first sentence (with a remark). The second one is about something else."""
+    longer: int = 1
+    """The first sentence (with a remark) is long in itself. The second one is about something else."""
+    longest: int = 1
+    """The first sentence (with a remark) does not at all fit two lines as narrow as these. The second does."""
+    choice: Literal["one", "two"] = "one"
+    """What is chosen (of two). one: this, and more about it; two: that, and more about it."""
+
+
+@pytest.mark.parametrize(
+    ("name", "brief"),
+    [
+        ("short", "Short (by all means). It fits."),
+        ("long", "The first sentence (with a remark)."),
+        ("longer", "The first sentence is long in itself."),
+        ("longest", "The first sentence does not at all fit two lines as narrow as these."),
+        ("choice", "What is chosen (of two). one: this, and more about it; two: that, and more about it."),
+    ],
+)
+def test_a_short_text_has_two_lines_and_keeps_the_explanations_of_choices(name, brief):
+    assert setting_fields(Explained)[name].brief("(default: 1)", 30) == brief
 
 
 def test_the_docstring_under_a_field_is_its_text():

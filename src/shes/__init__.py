@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from shes.training.evaluate import Evaluation, evaluate
     from shes.training.export import export
     from shes.training.listening import StopTraining
-    from shes.training.play import Agent, load
+    from shes.training.loaded_agent import Agent, load
     from shes.training.train import Run, resume, train
     from shes.viewing.plot import plot
     from shes.viewing.render import render
@@ -59,13 +59,13 @@ __all__ = [
 
 # Imported on first access: worker processes import this package, too, but need none of these.
 _HOMES = {
-    "Agent": "shes.training.play",
+    "Agent": "shes.training.loaded_agent",
     "Evaluation": "shes.training.evaluate",
     "Run": "shes.training.train",
     "StopTraining": "shes.training.listening",
     "evaluate": "shes.training.evaluate",
     "export": "shes.training.export",
-    "load": "shes.training.play",
+    "load": "shes.training.loaded_agent",
     "plot": "shes.viewing.plot",
     "register_algorithm": "shes.algorithms.registry",
     "register_controller_output": "shes.hierarchy.outputs",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
@@ -9,7 +10,7 @@ from typing import TypeVar
 
 from shes.errors import ConfigError, UnknownNameError
 
-__all__ = ["Registry", "check_class", "check_name_form", "full_name"]
+__all__ = ["Registry", "check_class", "check_name_form", "full_name", "import_registering"]
 
 T = TypeVar("T")
 
@@ -126,3 +127,23 @@ def full_name(entry: object) -> str:
     if isinstance(entry, tuple):
         return " with ".join(full_name(part) for part in entry)
     return f"{entry.__module__}.{entry.__qualname__}" if isinstance(entry, type) else repr(entry)
+
+
+def import_registering(name: str | None) -> None:
+    """Import a module of the user; raise ConfigError if it has no name, is not found, or fails."""
+    if not name:
+        raise ConfigError("--import needs a value: --import MODULE. See `shes --help`.")
+    try:
+        importlib.import_module(name)
+    except (Exception, SystemExit) as error:
+        problem = (
+            f"the module failed: {type(error).__name__}: {str(error).rstrip('.')}. "
+            "Correct it; --debug shows where it failed."
+        )
+        if isinstance(error, ModuleNotFoundError) and error.name and f"{name}.".startswith(f"{error.name}."):
+            file = f" Give a module's name, not a file: --import {name[:-3]}." if name.endswith(".py") else ""
+            problem = (
+                f"there is no module {error.name!r}. Is it installed or on PYTHONPATH?{file} "
+                "For a module in this folder: PYTHONPATH=. shes ..."
+            )
+        raise ConfigError(f"--import {name}: {problem}") from error

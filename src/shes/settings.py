@@ -7,7 +7,8 @@ class SearchSettings(Settings):
     "Radius of the search, in metres."
 ```
 
-The check, the flag, the help, the record and the documentation of `radius` are derived from these two lines.
+The check, the flag, the help, the record and the documentation of `radius` are derived from these two lines. The
+arguments of a function are checked alike if it is decorated with `checked`.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ import operator
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import cache
+from functools import cache, wraps
 from itertools import pairwise
+from textwrap import wrap
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -31,7 +33,9 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.registry import Registry, full_name
 
 __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
-__all__ += ["Shown", "Unasked", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
+__all__ += ["Shown", "Unasked", "checked", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,7 @@ class Needs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Setting:
-    """The description of a field of a `Settings` class."""
+    """The description of a field of a `Settings` class, or of a parameter."""
 
     name: str
     kind: Any
@@ -141,8 +145,8 @@ class Setting:
     """Default value; `dataclasses.MISSING` if the setting is required."""
     notes: tuple[Any, ...]
     """Annotations."""
-    owner: type
-    """The class of which it is a field."""
+    owner: Any
+    """The class of which it is a field, or the function of which it is a parameter."""
 
     @property
     def text(self) -> str:
@@ -152,6 +156,17 @@ class Setting:
             f"{name}: {_summary(cls)}" for names in described for name, cls in registered(names).items()
         )
         return " ".join(filter(None, (field_texts(self.owner).get(self.name, ""), choices and choices + ".")))
+
+    def brief(self, end: str, width: int) -> str:
+        """Return `text`; if it and `end` exceed two lines of `width`, its first sentence, maybe without parentheses.
+
+        All names of choices that `text` explains are kept.
+        """
+        sentence = re.split(r"(?<=\.)\s", self.text, maxsplit=1)[0]
+        explained = [name for name in self.choices if name in self.text]
+        shorter = [sentence, re.sub(r" \([^()]*\)", "", sentence)]
+        texts = [self.text, *(text for text in shorter if all(name in text for name in explained))]
+        return next((text for text in texts if len(wrap(f"{text} {end}", width)) <= 2), texts[-1])
 
     @property
     def flag(self) -> str:
@@ -292,6 +307,34 @@ class Settings:
         }
 
 
+def checked(function: F) -> F:
+    """Return `function`, or the class, which now checks the arguments whose annotations say what is allowed.
+
+    A call raises as `Setting.checked` does, which also converts the values.
+    """
+    if isinstance(function, type):
+        function.__init__ = checked(function.__init__)
+        return function  # type: ignore[return-value] - it is of its own type
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        given = signature.bind(*args, **kwargs)
+        for name, parameter in _parameters(function).items():
+            if name in given.arguments:
+                given.arguments[name] = parameter.checked(given.arguments[name])
+        return function(*given.args, **given.kwargs)
+
+    return call  # type: ignore[return-value] - of the same signature
+
+
+@cache
+def _parameters(function: Callable[..., Any]) -> dict[str, Setting]:
+    hints = get_type_hints(function, include_extras=True)
+    found = {name: _described(name, hint, function) for name, hint in hints.items()}
+    return {name: parameter for name, parameter in found.items() if parameter.notes}
+
+
 @cache
 def setting_fields(cls: type) -> dict[str, Setting]:
     """Return the settings of a class by name, those of its base classes first.
@@ -302,34 +345,40 @@ def setting_fields(cls: type) -> dict[str, Setting]:
     hints = get_type_hints(cls, include_extras=True)
     found = {}
     for field in fields(cls):
-        kind, notes = _unwrapped(hints[field.name])
-        is_optional = get_origin(kind) in (Union, UnionType) and NoneType in get_args(kind)
-        if is_optional:
-            kind, inner = _unwrapped(Union[tuple(each for each in get_args(kind) if each is not NoneType)])  # noqa: UP007
-            notes += inner
-        item, length = kind, None
-        if get_origin(kind) is tuple:
-            item, length, inner = _items(get_args(kind))
-            kind, notes = tuple, notes + inner
-        if get_origin(kind) is Literal and all(isinstance(name, str) for name in get_args(kind)):
-            kind, item, notes = str, str, (*notes, Choices(get_args(kind)))
-        if item not in ((int, float) if kind is tuple else (bool, int, float, str)):
+        default = field.default_factory() if field.default_factory is not MISSING else field.default
+        setting = found[field.name] = _described(field.name, hints[field.name], cls, default)
+        if setting.item not in ((int, float) if setting.kind is tuple else (bool, int, float, str)):
             raise ConfigError(
                 f"{full_name(cls)}.{field.name} has the type {hints[field.name]}, which a setting "
                 "cannot have. Use bool, int, float, str, a Literal of names, a tuple of int or float, or one of these "
                 "or None."
             )
-        found[field.name] = Setting(
-            name=field.name,
-            kind=kind,
-            item=item,
-            length=length,
-            is_optional=is_optional,
-            default=field.default_factory() if field.default_factory is not MISSING else field.default,
-            notes=notes,
-            owner=cls,
-        )
     return found
+
+
+def _described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setting:
+    """Return the description of the field or parameter of `owner` that is annotated by `hint`."""
+    kind, notes = _unwrapped(hint)
+    is_optional = get_origin(kind) in (Union, UnionType) and NoneType in get_args(kind)
+    if is_optional:
+        kind, inner = _unwrapped(Union[tuple(each for each in get_args(kind) if each is not NoneType)])  # noqa: UP007
+        notes += inner
+    item, length = kind, None
+    if get_origin(kind) is tuple:
+        item, length, inner = _items(get_args(kind))
+        kind, notes = tuple, notes + inner
+    if get_origin(kind) is Literal and all(isinstance(name, str) for name in get_args(kind)):
+        kind, item, notes = str, str, (*notes, Choices(get_args(kind)))
+    return Setting(
+        name=name,
+        kind=kind,
+        item=item,
+        length=length,
+        is_optional=is_optional,
+        default=default,
+        notes=notes,
+        owner=owner,
+    )
 
 
 def _items(kinds: tuple[Any, ...]) -> tuple[Any, int | None, tuple[Any, ...]]:

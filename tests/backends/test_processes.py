@@ -263,7 +263,7 @@ def test_a_worker_that_is_stopped_between_two_maps_blocks_no_broadcast():
 
 def test_a_worker_that_is_stopped_while_it_sends_a_result_is_replaced(monkeypatch):
     with ProcessesBackend(lambda: Worker(at_once=1), 1, worker_timeout_s=1) as backend:
-        (process,) = backend._workers
+        (process,) = backend.workers
         pid = process.popen.pid
 
         def wait_and_stop(timeout_s):
@@ -274,8 +274,8 @@ def test_a_worker_that_is_stopped_while_it_sends_a_result_is_replaced(monkeypatc
                 runs.wait_until(lambda: psutil.Process(pid).status() == psutil.STATUS_STOPPED, "it is stopped")
             return ready
 
-        wait = backend._ready
-        monkeypatch.setattr(backend, "_ready", wait_and_stop)
+        wait = backend.ready_workers
+        monkeypatch.setattr(backend, "ready_workers", wait_and_stop)
         assert [len(result) for result in backend.map([("repeat", 10_000_000)] * 2)] == [10_000_000] * 2
         assert pid not in backend.pids()
 

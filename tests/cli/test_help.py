@@ -3,19 +3,21 @@
 import re
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import get_args, get_type_hints
 
 import pytest
 
 from shes.cli import main, parsing
-from shes.cli.program import COMMANDS, find_command
+from shes.cli.command_table import COMMANDS, find_command
 from shes.console import LineConsole
+from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
 from shes.runs.rooms import execution_settings
 from shes.studies import run_comparison
-from shes.training import evaluate, export
+from shes.training import export
 from shes.training.presets import PRESETS, make_config
 from shes.viewing import plot, render
 
@@ -54,6 +56,15 @@ def test_every_command_explains_itself(shes, command):
     assert "-h, --help" in text
 
 
+def test_no_module_of_the_command_line_knows_one_that_knows_it():
+    known = {
+        file.stem: set(re.findall(r"\bcli\.(\w+)", file.read_text())) - {file.stem}
+        for file in Path(parsing.__file__).parent.glob("*.py")
+    }
+    assert "completion" in known["program"]
+    TopologicalSorter(known).prepare()  # raises CycleError
+
+
 def test_the_help_loads_no_slow_package_and_neither_does_the_package():
     code = "import sys; from shes.cli import main; main(['--help']); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -63,10 +74,9 @@ def test_the_help_loads_no_slow_package_and_neither_does_the_package():
 def test_the_choices_are_those_there_are():
     for function, name, known in (
         (plot.plot, "x", plot.X_AXES),
-        (render.render, "camera", render.VIEWS),
+        (render.render, "camera", ("both", *CAMERAS)),
         (export.export, "format", export.FORMATS),
         (run_comparison.compare_runs, "measure", run_comparison.MEASURES),
-        (evaluate.evaluate, "targets", evaluate.TARGETS),
     ):
         assert set(get_args(get_type_hints(function)[name])) == set(known)
 
@@ -98,9 +108,20 @@ def test_with_json_a_command_prints_nothing_but_its_facts(capsys):
 # The settings of a run.
 
 
-def test_the_help_of_train_fits_two_screens_and_shows_what_the_preset_sets(shes):
+@pytest.mark.parametrize("env", [*ENVIRONMENTS, None])
+def test_the_help_of_train_fits_two_screens(shes, env):
+    text = shes("train", *([env] if env else []), "--help")
+    assert sum(-(-max(len(line), 1) // 80) for line in text.splitlines()) <= 48
+    _, algorithm, *others = re.split(r"\n  --(?=\w)", text.partition("everyday options")[2])
+    assert algorithm.startswith("algorithm ")
+    assert len(others) == 10
+    for entry in others:
+        assert len(entry.strip().splitlines()) <= 2
+        assert "(default: " in " ".join(entry.split())
+
+
+def test_the_help_of_train_shows_what_the_preset_sets(shes):
     text = shes("train", "point-gather", "--preset", "paper", "--help")
-    assert len(text.splitlines()) <= 60
     assert "preset paper for point-gather" in text
     assert re.search(r"--sigma FLOAT.*?\(default: 0\.02\)", text, re.DOTALL)
     assert re.search(r"--population-size INT.*?\(default: 1000\)", text, re.DOTALL)
@@ -133,6 +154,16 @@ def test_no_group_of_the_help_repeats_its_name(shes):
     titles = re.findall(r"^ (\w+) options +\n -+ \n +(.*?) *\n", text, re.MULTILINE)
     assert ("evolution", "Population and update.") in titles
     assert [room for room, title in titles if title.rstrip(".").lower() == room] == []
+
+
+def test_the_short_help_leaves_out_what_all_of_the_help_says(shes):
+    short, full = (" ".join(shes("train", flag).replace("│", "").split()) for flag in ("--help", "--help-all"))
+    for text in (
+        "--num-workers INT", "{cpu,warp-cpu,cuda}", "[INT [INT ...]]", "extra warp; for tests", "(paper: 256 256 256)",
+    ):  # fmt: skip
+        assert (text in short, text in full) == (False, True)
+    for text in ("--workers INT", "cpu, cuda or warp-cpu. (default: cpu)", "(Table I: 1000). (default: 200)"):
+        assert text in short
 
 
 def test_no_hidden_layers_are_shown_as_a_word(shes):

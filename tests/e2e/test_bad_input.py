@@ -51,7 +51,7 @@ WORDS = {
     ),
     "no_environment": (
         ["train", "--preset", "smoke"],
-        r"Missing from shes train: ENV Environment name \(see shes envs\)",
+        r"Missing from shes train: ENV Environment \(shes envs\) or gymnasium:ID",
     ),
     "unknown_environment": (
         ["train", "pint-gather"],
@@ -400,7 +400,7 @@ def test_a_checkpoint_that_does_not_exist_is_refused_by_naming_those_that_do(ref
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--episodes", "0"], r"episodes must be at least 1, got 0\. Set --episodes"),
+        (["--episodes", "0"], r"episodes must be a whole number of at least 1, got 0\. Set --episodes"),
         (["--seed", "-1"], r"seed must be a whole number of at least 0, got -1\. Set --seed"),
         (["--workers", "-1"], r"num_workers must be .*got -1\. Set --workers"),
         (["--checkpoint", "../x"], r"there is no checkpoint"),

@@ -9,10 +9,10 @@ import signal
 import pytest
 
 from shes.cli import main
-from shes.studies import perform
-from shes.studies.index import STUDIES
+from shes.studies import experiment
+from shes.studies.named_studies import STUDIES
 from shes.studies.study import Study
-from shes.studies.tables import Cell
+from shes.studies.study_tables import Cell
 from tests.e2e import runs
 
 TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}
@@ -89,7 +89,7 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
         ),
         (["ablation", "--seeds", "0"], r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."),
         (["ablation", "--scale", "paper"], r"unknown scale 'paper'\. Known: laptop, smoke\. Set --scale\."),
-        (["fig3", "--scale", "smoke", "--budget", "0"], r"budget must be a number of hours above 0, got 0\.0\."),
+        (["fig3", "--scale", "smoke", "--budget", "0"], r"budget must be a positive number, got 0\.0\. Set --budget\."),
         (["ablation", "--workers", "-1"], r"workers must be a whole number of at least 0, got -1\. Set --workers\."),
     ],
 )
@@ -130,8 +130,8 @@ def test_budget_workers_backend_and_parts_arrive_at_the_runs(monkeypatch, tmp_pa
         heard.append(({cell.env for cell in study.cells}, out, options))
         yield from ()
 
-    monkeypatch.setattr(perform, "run_study", run)
-    monkeypatch.setattr(perform, "time", lambda: 1000.0)
+    monkeypatch.setattr(experiment, "run_study", run)
+    monkeypatch.setattr(experiment, "time", lambda: 1000.0)
     flags = ["--budget", "2", "--workers", "3", "--backend", "serial", "--only", "point-maze"]
     assert main(["experiment", "fig3", "--scale", "smoke", "--out", str(tmp_path), *flags, "--json"]) == 0
     assert heard == [({"point-maze"}, tmp_path, {"num_workers": 3, "backend": "serial", "until": 1000 + 2 * 3600})]

@@ -14,7 +14,8 @@ from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.push import Push
 from shes.envs.tasks.target_task import BlockOptions
 from shes.errors import ConfigError
-from shes.settings import setting_fields
+from shes.es.level import UpdateRule
+from shes.settings import field_texts, setting_fields
 
 assert shes
 
@@ -32,6 +33,11 @@ def test_every_task_has_the_common_options_and_its_own():
     assert {each.task for each in ENVIRONMENTS.values()} == set(OWN)
     for task, own in OWN.items():
         assert setting_fields(task.Options).keys() == COMMON | own
+
+
+def test_the_penalty_for_a_fall_is_told_from_the_price_of_one():
+    assert "`fall_price` changes the fitness alone" in setting_fields(GatherOptions)["fall_penalty"].text
+    assert "`fall_penalty` is a reward" in field_texts(UpdateRule)["fall_price"]
 
 
 @pytest.mark.parametrize(

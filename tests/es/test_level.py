@@ -316,13 +316,13 @@ def test_a_decoupled_decay_is_adamw(table):
 
 @pytest.mark.parametrize("price", [-0.1, float("nan"), float("inf")])
 def test_a_fall_price_out_of_range_is_refused(price):
-    with pytest.raises(ConfigError, match=r"fall_price must be zero or positive, got "):
+    with pytest.raises(ConfigError, match=r"fall_price must be zero or a positive number, got "):
         UpdateRule(fall_price=price)
 
 
 @pytest.mark.parametrize("decay", [-0.1, float("nan"), float("inf")])
 def test_a_weight_decay_out_of_range_is_refused(decay):
-    with pytest.raises(ConfigError, match=f"weight_decay must be zero or positive, got {decay}"):
+    with pytest.raises(ConfigError, match=f"weight_decay must be zero or a positive number, got {decay}"):
         UpdateRule(weight_decay=decay)
 
 

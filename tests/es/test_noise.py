@@ -323,7 +323,9 @@ def test_a_missing_file_is_a_storage_error_for_a_worker(tmp_path):
 
 @pytest.mark.parametrize("size", [0, -5])
 def test_a_size_that_is_not_positive_is_refused(tmp_path, size):
-    with pytest.raises(ConfigError, match=rf"noise_table_size must be positive, got {size}.*--noise-table-size"):
+    with pytest.raises(
+        ConfigError, match=rf"size must be a whole number of at least 1, got {size}.*--noise-table-size"
+    ):
         NoiseTable.open(size, directory=tmp_path)
 
 

@@ -137,7 +137,9 @@ def test_the_weights_do_not_depend_on_how_the_biases_start():
 
 @pytest.mark.parametrize("hidden", [(0,), (64, -1)])
 def test_a_layer_that_is_not_positive_is_refused(hidden):
-    with pytest.raises(ConfigError, match=r"hidden layers must be positive numbers, got \(.*--hidden"):
+    with pytest.raises(
+        ConfigError, match=r"hidden must be positive whole numbers, e\.g\. --hidden 64 64, got \(.*--hidden"
+    ):
         MLP(3, hidden, 2)
 
 

@@ -273,7 +273,7 @@ def test_an_agent_keeps_no_episodes_that_go_on(tmp_path):
         ({"description": " "}, r"description must be one line of text, got ' '"),
         ({"commands": []}, r"commands must name at least one, got \[\]\. Set --command"),
         ({"commands": ["shes train '"]}, r"commands must be a shell's, got \"shes train '\" \(No closing quotation\)"),
-        ({"episodes": 0}, r"episodes must be at least 1, got 0\. Set --episodes"),
+        ({"episodes": 0}, r"episodes must be a whole number of at least 1, got 0\. Set --episodes"),
     ],
 )
 def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):

@@ -10,9 +10,9 @@ from PIL import Image
 from shes.studies import figures
 from shes.studies.comparison import compare
 from shes.studies.figures import draw_figures
-from shes.studies.index import STUDIES
+from shes.studies.named_studies import STUDIES
 from shes.studies.study import choose
-from shes.studies.tables import Summary
+from shes.studies.study_tables import Summary
 
 pytestmark = pytest.mark.extras  # the fast tests have three minutes
 

@@ -23,8 +23,8 @@ from shes.studies import paper as papers
 from shes.studies import running
 from shes.studies.comparison import compare
 from shes.studies.design import Curves, sweep_name
-from shes.studies.index import STUDIES
-from shes.studies.perform import experiment, with_progress
+from shes.studies.experiment import experiment, with_progress
+from shes.studies.named_studies import STUDIES
 from shes.studies.running import cells_left, check_study, read_summaries, run_cell, run_study
 from shes.studies.significance import (
     check_scipy,
@@ -35,7 +35,7 @@ from shes.studies.significance import (
     superiority,
 )
 from shes.studies.study import Study, cell_config, cell_steps, choose, generation_steps
-from shes.studies.tables import Cell, Summary, read_tables, write_tables
+from shes.studies.study_tables import Cell, Summary, read_tables, write_tables
 from shes.training import session
 from shes.training import train as training
 from shes.training.evaluate import evaluate

@@ -245,7 +245,7 @@ def test_an_interval_is_about_two_standard_errors_wide():
 def test_wrong_arguments_are_refused(seeds, tmp_path):
     with pytest.raises(ConfigError, match="plot needs at least one run folder: shes plot RUN"):
         plot([])
-    with pytest.raises(UnknownNameError, match=r"unknown x axis 'generatio'\. Did you mean 'generation'\?.*Set --x"):
+    with pytest.raises(UnknownNameError, match=r"unknown x 'generatio'\. Did you mean 'generation'\?.*Set --x"):
         plot(seeds, x="generatio")
     with pytest.raises(ConfigError, match=r"out must end in \.png, \.pdf or \.svg, got '.*a\.foo'\. Set --out"):
         plot(seeds, tmp_path / "a.foo")

@@ -52,20 +52,20 @@ class MpiBackend(PullBackend):
                 "program under mpiexec or srun: mpiexec -n 3 python -m mpi4py.futures -m shes train ... --backend mpi."
             )
         super().__init__(self._comm.Get_size() - 1, worker_warning_s, None)
-        self._workers: list[_Rank] = []
+        self.workers: list[_Rank] = []
         self._pool: Any = None
         self._served: list[Any] = []  # one future for every rank
-        self._start_missing()
+        self.start_workers()
 
     def broadcast(self, state: Any) -> None:
         """Send `state` to all ranks together."""
-        self._start_missing()
+        self.start_workers()
         self._state = State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL))
         self._broadcast(self._state)
 
     def close(self) -> None:
         """End every worker after the episodes at work; the ranks stay in the pool."""
-        workers, self._workers = self._workers, []
+        workers, self.workers = self.workers, []
         for worker in workers:
             worker.send("close")
         while not all(future.done() for future in self._served):
@@ -78,31 +78,37 @@ class MpiBackend(PullBackend):
             self._pool = None
             _HELD.remove(self)
 
-    def _start_missing(self) -> None:
-        if self._workers:
+    def start_workers(self) -> None:
+        """Begin to serve in all ranks, unless they do.
+
+        Raises:
+            ConfigError: Another backend has the ranks.
+        """
+        if self.workers:
             return
         if _HELD:
             raise ConfigError("another backend mpi of this program has the ranks. Close it first.")
         _HELD.append(self)
         self._pool = self._futures.MPIPoolExecutor(main=False)
         self._served = [self._pool.submit(_serve_rank, self._factory) for _ in range(self.num_workers)]
-        self._workers = [_Rank(self._comm, rank) for rank in range(1, self._comm.Get_size())]
+        self.workers = [_Rank(self._comm, rank) for rank in range(1, self._comm.Get_size())]
 
     def _broadcast(self, state: State) -> None:
         """Send the state along a tree, and receive what workers send meanwhile: a worker that sends cannot join in."""
-        for worker in self._workers:
+        for worker in self.workers:
             worker.state = state
             worker.send("broadcast", len(state.pickled))
         request = self._comm.Ibcast([state.pickled, self._mpi.BYTE], root=0)
         while not request.Test():
-            self._collect(self._workers)
+            self._collect(self.workers)
             sleep(_SHORTEST_NAP_S)
 
-    def _ready(self, timeout_s: float) -> Sequence[RemoteWorker]:
+    def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:
+        """Wait at most `timeout_s` for messages, with naps; return the workers that have sent some."""
         end, nap_s = monotonic() + timeout_s, _SHORTEST_NAP_S
         while True:
-            self._collect(self._workers)
-            found = [worker for worker in self._workers if worker.inbox]
+            self._collect(self.workers)
+            found = [worker for worker in self.workers if worker.inbox]
             if found or monotonic() >= end:
                 return found
             sleep(nap_s)
@@ -116,7 +122,8 @@ class MpiBackend(PullBackend):
             worker = workers[source - 1]
             worker.inbox.append(self._comm.recv(source=worker.rank, tag=_TAG))
 
-    def _advice(self, worker: RemoteWorker) -> str:
+    def advice(self, worker: RemoteWorker) -> str:
+        """Not called: no rank is ever replaced."""
         raise AssertionError("MPI ends the whole job when a rank dies")
 
 

@@ -40,26 +40,28 @@ class ProcessesBackend(PullBackend):
         self._factory = pickle_factory(factory)
         self._import_path = os.pathsep.join(import_path())
         self._selector = DefaultSelector()  # of the workers' connections: asking each in turn would take too long
-        self._start_missing()
+        self.start_workers()
 
     def close(self) -> None:
         """End every worker process."""
-        workers, self._workers = self._workers, []
+        workers, self.workers = self.workers, []
         for worker in workers:
             worker.kill()
         for worker in workers:
-            self._end(worker)
+            self.end_worker(worker)
 
     def pids(self) -> list[int]:
         """Return the process ids of the workers."""
-        return [worker.popen.pid for worker in self._workers]
+        return [worker.popen.pid for worker in self.workers]
 
-    def _start_missing(self) -> None:
+    def start_workers(self) -> None:
+        """Start the processes that are missing.
+
+        Raises:
+            WorkerError: The system allows no more processes or open files.
+        """
         try:
-            while len(self._workers) < self.num_workers:
-                worker = self._start_worker()
-                self._workers.append(worker)
-                self._selector.register(worker.connection, EVENT_READ, worker)
+            self._start_missing()
         except OSError as error:
             self.close()
             raise WorkerError(
@@ -67,25 +69,34 @@ class ProcessesBackend(PullBackend):
                 "Lower --workers, or raise the limit on processes and open files (ulimit)."
             ) from error
 
+    def _start_missing(self) -> None:
+        while len(self.workers) < self.num_workers:
+            worker = self._start_worker()
+            self.workers.append(worker)
+            self._selector.register(worker.connection, EVENT_READ, worker)
+
     def _start_worker(self) -> SocketWorker:
         return WorkerProcess(self._factory, self._import_path, self.worker_timeout_s)
 
-    def _send_state(self, worker: RemoteWorker, state: State) -> None:
+    def send_state(self, worker: RemoteWorker, state: State) -> None:
         """Send `state`, in a message that is pickled once for all workers."""
         assert isinstance(worker, SocketWorker)
         state.stored = state.stored or pickle.dumps(("state", state.pickled), pickle.HIGHEST_PROTOCOL)
         worker.state = state
         worker.send_pickled(state.stored)
 
-    def _ready(self, timeout_s: float) -> Sequence[RemoteWorker]:
+    def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:
+        """Wait at most `timeout_s` for messages; return the workers whose sockets have some, or are closed."""
         return [key.data for key, _ in self._selector.select(timeout_s)]
 
-    def _end(self, worker: RemoteWorker) -> None:
+    def end_worker(self, worker: RemoteWorker) -> None:
+        """End a worker that is replaced, and wait for its messages no more."""
         assert isinstance(worker, SocketWorker)
         self._selector.unregister(worker.connection)
-        super()._end(worker)
+        super().end_worker(worker)
 
-    def _advice(self, worker: RemoteWorker) -> str:
+    def advice(self, worker: RemoteWorker) -> str:
+        """Return advice for a process that was killed, or that ended itself."""
         if isinstance(worker, WorkerProcess) and worker.popen.returncode == -signal.SIGKILL:
             return "Usually memory ran out: lower --workers or --chunk-size."
         return "It may have printed the reason above; --backend serial does the same work in this process."

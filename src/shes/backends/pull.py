@@ -98,7 +98,11 @@ class RemoteWorker(ABC):
 
 
 class PullBackend(Backend):
-    """Workers in other processes, which ask for tasks."""
+    """Workers in other processes, which ask for tasks.
+
+    A subclass fills `workers` in `start_workers`, which its constructor calls, and defines `ready_workers`, `advice`
+    and `close`. It may override `send_state`, `end_worker` and `look_around`.
+    """
 
     def __init__(self, num_workers: int, worker_warning_s: float | None, worker_timeout_s: float | None) -> None:
         """Begin without workers. See `SilenceSettings` for the limits of silence."""
@@ -113,29 +117,30 @@ class PullBackend(Backend):
         self._state: State | None = None  # the last broadcast
         self._beside: list[Job] = []  # to be done beside the next `map`
         self._jobs: list[Job] = []  # of the `map` under way
-        self._workers: list[Any] = []
+        self.workers: list[Any] = []
+        """The workers that are not known to have died."""
 
     @abstractmethod
-    def _start_missing(self) -> None:
-        """Start the workers that are missing."""
+    def start_workers(self) -> None:
+        """Start the workers that are missing from `workers`: at first, after a loss, and before work."""
 
     @abstractmethod
-    def _ready(self, timeout_s: float) -> Sequence[RemoteWorker]:
+    def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:
         """Wait at most `timeout_s` for messages; return the workers that have sent some, or are gone."""
 
     @abstractmethod
-    def _advice(self, worker: RemoteWorker) -> str:
+    def advice(self, worker: RemoteWorker) -> str:
         """Return advice to the user about a worker that ended."""
 
     def broadcast(self, state: Any) -> None:
         """Send `state` to every worker, and later to the replacements of lost ones."""
         self._state = State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL))
-        self._start_missing()
-        for worker in self._workers:
-            self._send_state(worker, self._state)
+        self.start_workers()
+        for worker in self.workers:
+            self.send_state(worker, self._state)
 
-    def _send_state(self, worker: RemoteWorker, state: State) -> None:
-        """Send `state` to one worker."""
+    def send_state(self, worker: RemoteWorker, state: State) -> None:
+        """Send `state` to one worker, and note it there. `state.stored` is for what all workers share."""
         worker.state = state
         worker.send("state", state.pickled)
 
@@ -162,12 +167,12 @@ class PullBackend(Backend):
         self._jobs = list(jobs)
         self._beside = [job for job in self._beside if job not in self._jobs]
         try:
-            self._start_missing()
+            self.start_workers()
             self._start_runs()
             while not all(job.is_done for job in self._jobs):
                 self._serve()
                 yield from wanted.finished()
-            while any(worker.job is not None for worker in self._workers):
+            while any(worker.job is not None for worker in self.workers):
                 self._serve()
             is_finished = True
         finally:
@@ -178,7 +183,7 @@ class PullBackend(Backend):
     def _start_runs(self) -> None:
         """Tell the workers without work of the first job that wants them."""
         for job in self._jobs:
-            for worker in self._workers if job.division.wants_worker else ():
+            for worker in self.workers if job.division.wants_worker else ():
                 if worker.is_started and worker.job is None:
                     self._start_run(worker, job)
                     if not job.division.wants_worker:
@@ -186,7 +191,7 @@ class PullBackend(Backend):
 
     def _start_run(self, worker: RemoteWorker, job: Job) -> None:
         if job.state is not None and worker.state is not job.state:
-            self._send_state(worker, job.state)
+            self.send_state(worker, job.state)
         worker.job, worker.is_expected, worker.heard_s = job, True, self._clock_s
         job.division.expect()
         worker.send("run", job.division.share)
@@ -194,7 +199,7 @@ class PullBackend(Backend):
     def _serve(self) -> None:
         """Wait for messages and answer them. Replace workers that have died or given no answer for too long."""
         start = monotonic()
-        ready = self._ready(self._tick_s)
+        ready = self.ready_workers(self._tick_s)
         # Time in which this process has been stopped, for example by Ctrl-Z together with its workers, does not count.
         self._clock_s += min(monotonic() - start, self._tick_s)
         for worker in ready:
@@ -211,9 +216,13 @@ class PullBackend(Backend):
                 self._end_silence(worker)
         if self._clock_s >= self._judged_s + self._tick_s:
             self._judged_s = self._clock_s
-            for worker in [each for each in self._workers if each.job is not None]:
+            for worker in [each for each in self.workers if each.job is not None]:
                 self._judge_silence(worker)
+        self.look_around()
         self._start_runs()
+
+    def look_around(self) -> None:
+        """Do what is due beside messages; called at least once a second while there is work. By default nothing."""
 
     def _silent_s(self, worker: RemoteWorker) -> float:
         """Return the seconds that this process has waited for a message of the worker since the last one."""
@@ -222,7 +231,7 @@ class PullBackend(Backend):
     def _end_silence(self, worker: RemoteWorker) -> None:
         """Note that the worker has sent a message."""
         if worker.is_told:
-            self._tell(f"worker {worker.name} answers again, after {self._silent_s(worker):.0f} s")
+            self.tell(f"worker {worker.name} answers again, after {self._silent_s(worker):.0f} s")
         worker.heard_s, worker.is_told = self._clock_s, False
 
     def _judge_silence(self, worker: RemoteWorker) -> None:
@@ -242,7 +251,7 @@ class PullBackend(Backend):
         ):
             worker.is_told = True
             end = "never replaced" if self.worker_timeout_s is None else f"replaced after {limit_s:.0f} s"
-            self._tell(
+            self.tell(
                 f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end} (--worker-timeout-s)"
             )
 
@@ -280,8 +289,8 @@ class PullBackend(Backend):
 
     def _replace(self, worker: RemoteWorker, *, is_silent: bool = False) -> None:
         """Replace a worker that died or is silent, and hand out its tasks before all others."""
-        self._workers.remove(worker)
-        self._end(worker)
+        self.workers.remove(worker)
+        self.end_worker(worker)
         lost = tuple(worker.numbers)
         worst = 0
         if worker.job is not None:
@@ -291,22 +300,23 @@ class PullBackend(Backend):
         self._deaths_in_a_row += 1
         silence = f"no answer for {self._silent_s(worker):.0f} s"
         end = f"was ended ({silence})" if is_silent else f"died ({worker.ending})"
-        self._tell(f"worker {worker.name} {end}; {len(lost)} tasks are done again")
+        self.tell(f"worker {worker.name} {end}; {len(lost)} tasks are done again")
         if worst >= MAX_LOSSES or self._deaths_in_a_row >= MAX_LOSSES * self.num_workers:
             fault = f"giving {silence}" if is_silent else f"dying ({worker.cause})"
-            advice = "If its work takes so long, raise --worker-timeout-s." if is_silent else self._advice(worker)
+            advice = "If its work takes so long, raise --worker-timeout-s." if is_silent else self.advice(worker)
             raise WorkerError(
                 f"workers keep {fault} {f'on the same task, {worst} times' if worst else 'at once'}. "
                 f"{advice} Everything up to the last checkpoint is kept."
             )
-        self._start_missing()
+        self.start_workers()
         self._start_runs()
 
-    def _end(self, worker: RemoteWorker) -> None:
-        """End a worker that is replaced."""
+    def end_worker(self, worker: RemoteWorker) -> None:
+        """End a worker that is replaced; it has left `workers`."""
         worker.end()
 
-    def _tell(self, event: str) -> None:
+    def tell(self, event: str) -> None:
+        """Tell the user of an event, if anyone listens; see `on_event`."""
         if self.on_event is not None:
             self.on_event(event)
 

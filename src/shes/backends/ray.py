@@ -73,7 +73,7 @@ class RayBackend(PullBackend):
         self._events: SimpleQueue[_RayWorker] = SimpleQueue()
         self._looked_at = 0.0
         self._waits_since: float | None = None
-        self._start_missing()
+        self.start_workers()
 
     @classmethod
     def all_workers(cls) -> int:
@@ -82,7 +82,7 @@ class RayBackend(PullBackend):
 
     def close(self) -> None:
         """End every worker, and leave the cluster if this object has joined or started it."""
-        workers, self._workers = self._workers, []
+        workers, self.workers = self.workers, []
         for worker in workers:
             worker.end()
         if self._has_joined:
@@ -91,7 +91,7 @@ class RayBackend(PullBackend):
             for state in filter(None, (self._factory, self._state)):
                 state.stored = None
 
-    def _send_state(self, worker: RemoteWorker, state: State) -> None:
+    def send_state(self, worker: RemoteWorker, state: State) -> None:
         """Send a reference to `state`, which every node fetches once."""
         worker.state = state
         worker.send("state", self._put(state))
@@ -108,41 +108,38 @@ class RayBackend(PullBackend):
             _join(self._ray, self._address)
             self._has_joined = True
 
-    def _start_missing(self) -> None:
+    def start_workers(self) -> None:
         """Create a worker for every CPU of the cluster that has none. Ray starts it when the CPU is free."""
         self._join()
         self._looked_at = monotonic()
         self.num_workers = max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
-        while len(self._workers) < self.num_workers:
+        while len(self.workers) < self.num_workers:
             actor = self._actor.options(scheduling_strategy="SPREAD").remote(self._put(self._factory), import_path())
-            self._workers.append(_RayWorker(self._ray, actor, self._events))
+            self.workers.append(_RayWorker(self._ray, actor, self._events))
 
-    def _serve(self) -> None:
-        super()._serve()
+    def look_around(self) -> None:
+        """Now and then, use the nodes that have joined the cluster. Tell of one that has no CPU for any worker."""
         if monotonic() >= self._looked_at + _LOOK_S:
-            self._start_missing()
-            self._start_runs()
-        self._judge_wait()
-
-    def _judge_wait(self) -> None:
-        """Tell of a cluster that has no CPU for any worker."""
-        if any(worker.is_started for worker in self._workers):
+            self.start_workers()
+        if any(worker.is_started for worker in self.workers):
             self._waits_since = None
         elif self._waits_since is None:
             self._waits_since = monotonic()
         elif self.worker_warning_s is not None and monotonic() >= self._waits_since + self.worker_warning_s:
             self._waits_since = monotonic()
-            self._tell("no worker has started yet: every CPU of the Ray cluster is taken (see `ray status`)")
+            self.tell("no worker has started yet: every CPU of the Ray cluster is taken (see `ray status`)")
 
-    def _ready(self, timeout_s: float) -> Sequence[RemoteWorker]:
+    def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:
+        """Wait at most `timeout_s` for the calls that fetch messages; return the workers whose calls have ended."""
         found: list[_RayWorker] = []
         with suppress(Empty):
             found.append(self._events.get(timeout=timeout_s))
             while True:
                 found.append(self._events.get_nowait())
-        return [worker for worker in found if worker in self._workers]
+        return [worker for worker in found if worker in self.workers]
 
-    def _advice(self, worker: RemoteWorker) -> str:
+    def advice(self, worker: RemoteWorker) -> str:
+        """Return where the reason is to be found."""
         return "Ray's logs on the node say more: see `ray logs`. --backend serial does the same work in this process."
 
 

@@ -1,10 +1,10 @@
-"""The commands that are more than a function of the library: `train` and `resume`."""
+"""The commands that are more than a function of the library: `train`, `resume` and `completion`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -16,28 +16,37 @@ from shes.training.runs_folder import RunsFolder
 from shes.training.train import Run
 from shes.training.variations import read_sweep, vary
 
+_BASH = "complete -o default -C 'shes --complete' shes"
+_SCRIPTS = {
+    "bash": _BASH,
+    "zsh": f"autoload -Uz compinit bashcompinit && compinit && bashcompinit\n{_BASH}",
+    "fish": "complete --command shes --arguments '(COMP_LINE=(commandline --cut-at-cursor) shes --complete)'",
+    "tcsh": "complete shes 'p@*@`shes --complete`@'",
+}
+"""Script of each shell. It puts the line into COMP_LINE; tcsh, into COMMAND_LINE."""
+
 
 def train(
     env: str,
     settings: dict[str, Any],
     *,
-    seed: tuple[int, ...] = (1,),
+    seed: Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT ...")] = (1,),
     out: Path | None = None,
     sweep: Annotated[
-        tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE,VALUE ...")
+        tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=X,Y ...")
     ] = (),
 ) -> Run | Listing:
-    """Train on an environment. Ctrl-C stops and loses nothing, and shes resume continues.
+    """Train on an environment. Ctrl-C loses nothing: shes resume goes on.
 
-    Several seeds or a sweep make a folder of runs. The same command, or shes resume, goes on with those that are left.
+    Each of several seeds, or of the values of a sweep, becomes a run.
 
     shes train point-gather --generations 60 --out runs/first
 
     Args:
-        env: Environment name (see `shes envs`) or `gymnasium:ID`.
+        env: Environment (`shes envs`) or `gymnasium:ID`.
         seed: Seed; each of several becomes a run.
-        out: The run folder; a new one below runs/ if none.
-        sweep: Values of a setting, each of which becomes a run: sigma=0.02,0.05.
+        out: The run folder; if none, below runs/.
+        sweep: A run for each value: sigma=0.02,0.05.
     """
     preset = settings.pop("preset", "laptop")
     swept = read_sweep(text for texts in sweep for text in texts)
@@ -67,3 +76,12 @@ def resume(run: str, settings: dict[str, Any]) -> Run | Listing:
             f"--generations {2 * max(config.run.generations for config in folder.configs.values())}"
         )
     return folder.train_shown(list(folder.configs))
+
+
+def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
+    """Print a script by which a shell completes commands, flags, environments, runs and other names.
+
+    For bash: shes completion bash >> ~/.bashrc
+    """
+    print(_SCRIPTS[shell])
+    return 0

@@ -1,4 +1,4 @@
-"""`shes completion`: shells ask `shes --complete` for the words that may stand at the cursor: those of the help."""
+"""`shes --complete`: the words that may stand at the cursor of a shell, taken from the help."""
 
 from __future__ import annotations
 
@@ -9,34 +9,15 @@ import re
 from collections.abc import Iterable
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
-from typing import Literal
 from unittest.mock import patch
 
+from shes.cli.command_table import COMMANDS, EVERYWHERE, find_command, split_everywhere
 from shes.cli.parsing import call
-from shes.cli.program import COMMANDS, find_command, import_registering, split_everywhere
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, ShesError
+from shes.registry import import_registering
 from shes.runs.shipped import shipped_names
-
-_BASH = "complete -o default -C 'shes --complete' shes"
-_SCRIPTS = {
-    "bash": _BASH,
-    "zsh": f"autoload -Uz compinit bashcompinit && compinit && bashcompinit\n{_BASH}",
-    "fish": "complete --command shes --arguments '(COMP_LINE=(commandline --cut-at-cursor) shes --complete)'",
-    "tcsh": "complete shes 'p@*@`shes --complete`@'",
-}
-"""Script of each shell. It puts the line into COMP_LINE; tcsh, into COMMAND_LINE."""
-EVERYWHERE = ("--help", "--help-all", "--import", "--debug")
-
-
-def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
-    """Print a script by which a shell completes commands, flags, environments, runs and other names.
-
-    For bash: shes completion bash >> ~/.bashrc
-    """
-    print(_SCRIPTS[shell])
-    return 0
 
 
 def print_completions() -> int:

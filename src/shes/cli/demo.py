@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 import shes
-from shes.cli.streams import INTERRUPTED, exit_code
+from shes.cli.exit_code import INTERRUPTED, exit_code
 from shes.console import LineConsole
 
 __all__ = ["main"]

@@ -13,7 +13,7 @@ from rich.progress import Progress
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from shes.cli.streams import TERMINATED, TO_ASCII
+from shes.cli.exit_code import TERMINATED, TO_ASCII
 from shes.console import LineConsole
 from shes.listing import Listing
 

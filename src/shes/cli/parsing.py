@@ -37,6 +37,7 @@ __all__ = ["DEFAULT_ENV", "call"]
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
 _HELP_ALL = "--help-all"
+_BRIEF_WIDTH = 53  # characters beside the flags, in 80 columns
 
 _OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
 """Short flags; the parameter's own name is accepted as an alias."""
@@ -153,10 +154,9 @@ def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequen
     if "env" not in named:
         groups["settings"] = _group("A setting that is not given keeps its value.", offered, values)
     elif _HELP_ALL not in asking:
-        title = f"Values of preset {config.run.preset} for {config.run.env}. "
-        title += f"Use {_HELP_ALL} to list all {len(offered)} settings."
+        title = f"Values of preset {config.run.preset} for {config.run.env}. All {len(offered)} settings: {_HELP_ALL}."
         everyday = {name: each for name, each in offered.items() if each.is_everyday}
-        groups["everyday"] = _group(title, everyday, values)
+        groups["everyday"] = _group(title, everyday, values, is_brief=True)
     else:
         for name, room in config.rooms.items():
             title = (type(room).__doc__ or "").partition("\n")[0]
@@ -165,7 +165,7 @@ def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequen
     return TypedDict("Settings", groups)  # type: ignore[misc] - the keys are known at run time only
 
 
-def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any]) -> Any:
+def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any], *, is_brief: bool = False) -> Any:
     """Return a `TypedDict` whose keys tyro makes flags of. Keys not given are left out. Help shows `values`."""
     keys: dict[str, Any] = {}
     for name, each in settings.items():
@@ -175,17 +175,29 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
         value = values[name]
         if isinstance(value, tuple):  # the only one that may be empty has the sizes of hidden layers
             value = " ".join(map(str, value)) or "none (linear)"
+        default = f"(default: {'none' if value is None else value})"
+        metavar, text = "none|RUN" if name in TRANSFERRED else None, each.text
+        if is_brief:
+            text = each.brief(default, _BRIEF_WIDTH)
+            metavar = metavar or _brief_metavar(each, text)
         shown = tyro.conf.arg(
             name=each.flag[2:],
-            aliases=None if each.flag == flag(name) else (flag(name),),
-            help=each.text,
-            help_behavior_hint=f"(default: {'none' if value is None else value})",
-            metavar="none|RUN" if name in TRANSFERRED else None,
+            aliases=None if is_brief or each.flag == flag(name) else (flag(name),),
+            help=text,
+            help_behavior_hint=default,
+            metavar=metavar,
         )
         keys[name] = Annotated[kind | None if each.is_optional else kind, shown]
     group = TypedDict("Settings", keys, total=False)  # type: ignore[misc] - as above
     group.__doc__ = title
     return group
+
+
+def _brief_metavar(setting: Setting, text: str) -> str | None:
+    """Return a short metavar for several numbers, and for names that `text` explains."""
+    if setting.kind is tuple and setting.length is None:
+        return f"{setting.item.__name__.upper()} ..."
+    return "NAME" if setting.choices and all(name in text for name in setting.choices) else None
 
 
 # Rules for values that tyro by itself reads otherwise.

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.errors import ConfigError
 from shes.es.gradient import group_weights, weighted_noise_sum
 from shes.es.noise import NoiseTable
 from shes.es.novelty import NoveltyState
@@ -20,6 +20,7 @@ from shes.es.optimizers import Adam, Optimizer, OptimizerState
 from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
+from shes.settings import Ge, checked
 from shes.types import F32Array, F64Array, IntArray
 
 
@@ -88,11 +89,12 @@ class LevelParameters:
         return tuple(cls.of(level.theta, level.statistics) for level in levels)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class UpdateRule:
     """How the fitness of a population becomes a step of one level."""
 
-    weight_decay: float = 0.0
+    weight_decay: Annotated[float, Ge(0)] = 0.0
     """Coefficient of the weight decay (lambda), zero or positive."""
     decouples_decay: bool = False
     """Whether `-learning_rate * weight_decay * theta` is added to the step instead of `-weight_decay * theta` to the
@@ -102,16 +104,10 @@ class UpdateRule:
     """
     holds_when_tied: bool = False
     """Whether a level stays unchanged, its optimizer state included, if all its members have the same fitness."""
-    fall_price: float = 0.0
-    """Subtracted from a member's shaped fitness for a fall, zero or positive."""
+    fall_price: Annotated[float, Ge(0)] = 0.0
+    """Subtracted from a member's shaped fitness for a fall, zero or positive. Gather's `fall_penalty` is a reward."""
     shaping: FitnessShaping = CentredRanks()
     optimizer: Optimizer = Adam()
-
-    def __post_init__(self) -> None:
-        """Raise ConfigError if a coefficient is negative or not finite."""
-        for name in ("weight_decay", "fall_price"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise ConfigError(f"{name} must be zero or positive, got {getattr(self, name)}.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,13 +15,14 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
-from typing import IO
+from typing import IO, Annotated
 from weakref import WeakValueDictionary
 
 import numpy as np
 
 from shes.errors import ConfigError, StorageError
 from shes.free_space import free_disk, free_memory
+from shes.settings import Ge, Shown, checked
 from shes.storage import remove_abandoned, storage_errors, write_atomically
 from shes.types import F32Array
 
@@ -113,7 +114,13 @@ class NoiseTable:
             )
 
     @classmethod
-    def open(cls, size: int, seed: int = NOISE_SEED, directory: Path | None = None) -> NoiseTable:
+    @checked
+    def open(
+        cls,
+        size: Annotated[int, Ge(1), Shown(flag="--noise-table-size")],
+        seed: int = NOISE_SEED,
+        directory: Path | None = None,
+    ) -> NoiseTable:
         """Open the cached table of `size` normals from `seed`. If its file is missing or damaged, generate it first.
 
         The checksums of all blocks are checked, once for every run. With the file in the system's cache this takes 0.05
@@ -124,8 +131,6 @@ class NoiseTable:
             ConfigError: `size` is not positive, or the table fits neither the memory nor the disk.
             StorageError: The cache folder cannot be written.
         """
-        if size <= 0:
-            raise ConfigError(f"noise_table_size must be positive, got {size}. Set --noise-table-size.")
         path = _path(size, seed, directory)
         remove_abandoned(path.parent, "noise-*")  # of tables of any size, whose builders were killed
         if not cls._is_intact(path, size, seed):

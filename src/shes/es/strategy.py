@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from operator import index
-from typing import Any, SupportsIndex
+from typing import Annotated, Any, SupportsIndex
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,7 @@ from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, Signs
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.options import make, options_of
+from shes.settings import Ge, Gt, checked
 from shes.types import F32Array, F64Array, IntArray
 
 
@@ -57,35 +58,29 @@ class EvolutionStrategy:
         ShapeError: `initial` or `state` does not fit `dim`.
     """
 
+    @checked
     def __init__(
         self,
         dim: int | Sequence[int],
         *,
-        population_size: int,
-        sigma: float,
-        learning_rate: float = 0.01,
+        population_size: Annotated[int, Ge(1)],
+        sigma: Annotated[float, Gt(0)],
+        learning_rate: Annotated[float, Gt(0)] = 0.01,
         weight_decay: float = 0.0,
         mirrored: str = "quad",
         perturbation: str = "many_to_many",
         fitness_shaping: str = "centred_rank",
         optimizer: str = "adam",
         initial: ArrayLike | Sequence[ArrayLike] | None = None,
-        seed: int = 0,
+        seed: Annotated[int, Ge(0)] = 0,
         noise_table_size: int = 1_000_000,
         state: TrainState | None = None,
         **options: Any,
     ) -> None:
         dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
         self._single = not isinstance(dim, Sequence)
-        if not dims or not all(_is_whole(size, 1) for size in dims):
+        if not dims or not all(map(_is_positive, dims)):
             raise ConfigError(f"dim must be a positive whole number, or one per level, got {dim!r}.")
-        for name, number in {"sigma": sigma, "learning_rate": learning_rate}.items():
-            if not 0 < number < float("inf"):
-                raise ConfigError(f"{name} must be a positive number, got {number}.")
-        if not _is_whole(population_size, 1):
-            raise ConfigError(f"population_size must be a positive whole number, got {population_size!r}.")
-        if not _is_whole(seed, 0):
-            raise ConfigError(f"seed must be a whole number of at least 0, got {seed!r}.")
         _check_options(options)
         self.dims: tuple[int, ...] = tuple(int(size) for size in dims)
         self.population_size, self.mirrored = population_size, mirrored
@@ -168,9 +163,9 @@ class EvolutionStrategy:
         return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
 
 
-def _is_whole(value: object, least: int) -> bool:
-    """Return whether `value` is a whole number of at least `least`."""
-    return isinstance(value, SupportsIndex) and not isinstance(value, bool) and index(value) >= least
+def _is_positive(value: object) -> bool:
+    """Return whether `value` is a positive whole number."""
+    return isinstance(value, SupportsIndex) and not isinstance(value, bool) and index(value) > 0
 
 
 def _check_options(options: dict[str, Any]) -> None:

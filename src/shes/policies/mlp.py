@@ -8,11 +8,11 @@ its number of rows stays the same. Callers therefore never change the row count 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import ClassVar, TypeAlias
+from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
 
-from shes.errors import ConfigError
+from shes.settings import Example, Ge, checked
 from shes.types import F32Array
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
@@ -46,13 +46,12 @@ class MLP:
     hidden_activation: ClassVar[str] = "tanh"
     """Activation of the hidden layers, for an exported agent. That of the output is tanh."""
 
-    def __init__(self, num_inputs: int, hidden: tuple[int, ...], num_outputs: int) -> None:
-        """Create a network with layers of these sizes; raise ConfigError unless all are positive."""
+    @checked
+    def __init__(
+        self, num_inputs: int, hidden: Annotated[tuple[int, ...], Ge(1), Example("64 64")], num_outputs: int
+    ) -> None:
+        """Create a network with layers of these sizes; raise ConfigError unless the hidden ones are positive."""
         self.sizes = (num_inputs, *hidden, num_outputs)
-        if min(self.sizes) < 1:
-            raise ConfigError(
-                f"hidden layers must be positive numbers, got {hidden}. Set --hidden, e.g. --hidden 64 64."
-            )
         self.num_params = sum((fan_in + 1) * fan_out for fan_in, fan_out in pairwise(self.sizes))
 
     def initial(

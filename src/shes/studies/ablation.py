@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from shes.settings import Choices, Ge, checked
 from shes.studies.design import (
     Curve,
     CurvePanel,
@@ -20,13 +21,12 @@ from shes.studies.design import (
     StudyDesign,
     Sweep,
     Variant,
-    check_size,
     multiplied,
     sweep_name,
     whole,
 )
 from shes.studies.study import Study
-from shes.studies.tables import Cell
+from shes.studies.study_tables import Cell
 from shes.training.presets import make_config
 
 ENVS = ("point-gather", "point-maze")
@@ -108,7 +108,7 @@ _TRANSFERRED = ("frozen", "unfrozen")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Scale:
+class _AblationScale:
     """The size of the ablation."""
 
     settings: Mapping[str, Any]
@@ -119,10 +119,10 @@ class _Scale:
     episodes: int
 
 
-SCALES: dict[str, _Scale] = {
-    "laptop": _Scale(settings={}, seeds=10, sweep_seeds=5, horizons=(500, 1000), episodes=100),
+SCALES: dict[str, _AblationScale] = {
+    "laptop": _AblationScale(settings={}, seeds=10, sweep_seeds=5, horizons=(500, 1000), episodes=100),
     # A test, too short to learn.
-    "smoke": _Scale(
+    "smoke": _AblationScale(
         settings={
             "population_size": 8,
             "generations": 4,
@@ -141,14 +141,14 @@ SCALES: dict[str, _Scale] = {
 }
 
 
-def ablation(scale: str = "laptop", seeds: int | None = None) -> Study:
+@checked
+def ablation(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated[int, Ge(1)] | None = None) -> Study:
     """Return the cells of the ablation, with `seeds` seeds of every variant; with those of the scale if None.
 
     Raises:
         UnknownNameError: There is no such scale: `laptop` takes hours on two cores, `smoke` a minute.
         ConfigError: `seeds` is not positive.
     """
-    check_size(scale, seeds, SCALES)
     size = SCALES[scale]
     bases = {env: _base(env, size) for env in _BASES}
     cells = [
@@ -167,7 +167,7 @@ def ablation(scale: str = "laptop", seeds: int | None = None) -> Study:
 
 
 def _variants(
-    bases: Mapping[str, Mapping[str, Any]], size: _Scale
+    bases: Mapping[str, Mapping[str, Any]], size: _AblationScale
 ) -> Iterator[tuple[str, str, str, Mapping[str, Any]]]:
     """Yield environment, group, name and changed settings of every variant."""
     yield _PRIMITIVE_ENV, "transfer", BASE, {}
@@ -185,7 +185,7 @@ def _variants(
         yield "point-maze", "horizon", f"horizon-{steps}", {**longer, **_equal_steps(bases["point-maze"], longer)}
 
 
-def _design(horizon: int, size: _Scale) -> StudyDesign:
+def _design(horizon: int, size: _AblationScale) -> StudyDesign:
     """Return the comparisons and figures of the ablation, whose maze has episodes of `horizon` steps."""
     transfers = tuple(Curve("transfer", variant) for variant in _TRANSFERS)
     longer = (Curve("horizon", f"horizon-{steps}", f"{steps} steps") for steps in size.horizons)
@@ -217,7 +217,7 @@ def _design(horizon: int, size: _Scale) -> StudyDesign:
     )
 
 
-def _base(env: str, size: _Scale) -> dict[str, Any]:
+def _base(env: str, size: _AblationScale) -> dict[str, Any]:
     """Return the settings of a base, with those that are swept or scaled even if they are the preset's."""
     settings = {**_BASES[env], **size.settings}
     there = make_config(env, "laptop", settings).settings

@@ -11,7 +11,7 @@ from shes.runs.tables import Row
 from shes.studies.design import StudyDesign
 from shes.studies.significance import holm, interquartile_mean, mann_whitney, permutation_test, superiority
 from shes.studies.study import Study
-from shes.studies.tables import Summary
+from shes.studies.study_tables import Summary
 from shes.types import F64Array
 from shes.viewing.curves import interval
 

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from shes.errors import ConfigError, UnknownNameError
-
 
 class Variant(NamedTuple):
     """Runs that differ from the base in some settings."""
@@ -121,14 +119,6 @@ class StudyDesign:
     def metric(self, env: str) -> Measure:
         """Return the measure compared on `env`; the score if none is."""
         return self.metrics.get(env, Measure("best_score", "score"))
-
-
-def check_size(scale: str, seeds: int | None, scales: Mapping[str, Any]) -> None:
-    """Raise UnknownNameError for an unknown scale, ConfigError for a number of seeds below 1."""
-    if scale not in scales:
-        raise UnknownNameError("scale", scale, scales, "Set --scale.")
-    if seeds is not None and seeds < 1:
-        raise ConfigError(f"seeds must be a whole number of at least 1, got {seeds}. Set --seeds.")
 
 
 def sweep_name(setting: str, factor: float) -> str:

@@ -16,7 +16,7 @@ from shes.storage import write_atomically
 from shes.studies.comparison import Comparison
 from shes.studies.design import Curve, CurvePanel, Curves, Forest, Sweep, sweep_name
 from shes.studies.study import Study
-from shes.studies.tables import Cell, Summary
+from shes.studies.study_tables import Cell, Summary
 from shes.types import F64Array
 from shes.viewing.curves import interpolate, interval
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+from shes.settings import Choices, Ge, checked
 from shes.studies.design import (
     Curve,
     CurvePanel,
@@ -20,13 +21,12 @@ from shes.studies.design import (
     StudyDesign,
     Sweep,
     Variant,
-    check_size,
     multiplied,
     sweep_name,
     whole,
 )
 from shes.studies.study import Study, generation_steps
-from shes.studies.tables import Cell
+from shes.studies.study_tables import Cell
 from shes.training.presets import make_config
 
 ENV = "ant-flagrun"
@@ -67,7 +67,7 @@ _BASE: dict[str, Any] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Scale:
+class _LearningScale:
     """The size of the study."""
 
     settings: Mapping[str, Any]
@@ -80,8 +80,8 @@ class _Scale:
     episodes: int
 
 
-SCALES: dict[str, _Scale] = {
-    "laptop": _Scale(
+SCALES: dict[str, _LearningScale] = {
+    "laptop": _LearningScale(
         settings={"evaluation_episodes": 20},
         seeds=5,
         env_steps=660_000,
@@ -90,7 +90,7 @@ SCALES: dict[str, _Scale] = {
         episodes=50,
     ),
     # A test, too short to learn.
-    "smoke": _Scale(
+    "smoke": _LearningScale(
         settings={
             "population_size": 8,
             "horizon": 50,
@@ -178,14 +178,14 @@ def _pieces(whole_episodes: Mapping[str, Any]) -> dict[str, Variant]:
     }
 
 
-def learning(scale: str = "laptop", seeds: int | None = None) -> Study:
+@checked
+def learning(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated[int, Ge(1)] | None = None) -> Study:
     """Return the cells of the learning study, with `seeds` seeds of every variant; with those of the scale if None.
 
     Raises:
         UnknownNameError: There is no such scale: `laptop` takes two hours on two cores, `smoke` a minute.
         ConfigError: `seeds` is not positive.
     """
-    check_size(scale, seeds, SCALES)
     size, groups = SCALES[scale], variants(scale)
     cells = tuple(
         Cell(group=group, variant=name, env=ENV, seed=seed, settings=_settings(variant, size), preset=_PRESET)
@@ -197,7 +197,7 @@ def learning(scale: str = "laptop", seeds: int | None = None) -> Study:
     return Study(cells=cells, episodes=size.episodes, design=_design(labels))
 
 
-def _settings(variant: Variant, size: _Scale) -> dict[str, Any]:
+def _settings(variant: Variant, size: _LearningScale) -> dict[str, Any]:
     """Return the settings of a variant, with the same environment steps and evaluations for all variants."""
     merged = {**_BASE, **size.settings, **variant.changes, "env_steps": size.env_steps}
     settings = {name: value for name, value in merged.items() if value is not None}

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from shes.studies.design import Curve, CurvePanel, Curves, Measure, Reference, StudyDesign, check_size
+from shes.settings import Choices, Ge, checked
+from shes.studies.design import Curve, CurvePanel, Curves, Measure, Reference, StudyDesign
 from shes.studies.study import Study
-from shes.studies.tables import Cell
+from shes.studies.study_tables import Cell
 from shes.training.presets import make_config
 
 TASKS = ("gather", "maze", "push")
@@ -197,9 +198,14 @@ def figure_5(scale: str = "laptop", seeds: int | None = None) -> Study:
     return _study("fig5", scale, seeds, dict.fromkeys((METHODS, TRANSFER), (PUBLISHED, PIECES)))
 
 
-def _study(figure: str, scale: str, seeds: int | None, groups: Mapping[str, tuple[str, ...]]) -> Study:
+@checked
+def _study(
+    figure: str,
+    scale: Annotated[str, Choices(SCALES)],
+    seeds: Annotated[int, Ge(1)] | None,
+    groups: Mapping[str, tuple[str, ...]],
+) -> Study:
     """Return the runs of a figure with these forms of each group."""
-    check_size(scale, seeds, SCALES)
     size = SCALES[scale]
     cells = tuple(
         cell

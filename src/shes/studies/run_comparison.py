@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.listing import Listing, Table
 from shes.runs.folder import RunFolder
+from shes.settings import Ge, checked
 from shes.studies.significance import check_scipy, permutation_test
 from shes.training.evaluate import Evaluation, evaluate
 from shes.training.runs_folder import find_runs
@@ -62,15 +63,16 @@ class RunComparison:
         return Listing(asdict(self), parts)
 
 
+@checked
 def compare_runs(
     first: Path | str,
     second: Path | str,
     *,
-    episodes: int = 50,
+    episodes: Annotated[int, Ge(2)] = 50,
     checkpoint: str = "best",
     measure: Literal["score", "return", "success"] = "score",
     num_workers: int = 0,
-    seed: int = 0,
+    seed: Annotated[int, Ge(0)] = 0,
 ) -> RunComparison:
     """Compare two runs, or two folders of runs that differ in the seed, on the same fresh episodes.
 
@@ -97,8 +99,6 @@ def compare_runs(
         MissingExtraError: SciPy is not installed.
         ShesError: Raised by `evaluate`.
     """
-    if measure not in MEASURES:
-        raise UnknownNameError("measure", measure, MEASURES, "Set --measure.")
     check_scipy()
     sides = [_repetitions(each) for each in (first, second)]
     counts = [len(side) for side in sides]
@@ -110,8 +110,6 @@ def compare_runs(
     envs = [side[0].read_config().run.env for side in sides]
     if envs[0] != envs[1]:
         raise ConfigError(f"{first} is a run of {envs[0]}, {second} of {envs[1]}. Compare runs of one environment.")
-    if episodes < 2:
-        raise ConfigError(f"episodes must be at least 2, got {episodes}. Set --episodes.")
 
     def values(run: RunFolder) -> F64Array:
         found: Evaluation = evaluate(

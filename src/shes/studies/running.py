@@ -27,7 +27,7 @@ from shes.runs.tables import Row, read_csv, read_wall_time
 from shes.storage import storage_errors, write_atomically
 from shes.studies.significance import check_scipy
 from shes.studies.study import ALONE, CHECKPOINTS, Study, cell_config
-from shes.studies.tables import Cell, Summary, read_tables
+from shes.studies.study_tables import Cell, Summary, read_tables
 from shes.training.build import open_run
 from shes.training.evaluate import evaluate
 from shes.training.train import differing, resume_run, start_run
@@ -144,12 +144,12 @@ def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
     # The path of the primitive is not compared: the same folder may have another path.
     there, wanted = (
         {
-            **settings.numbers(),
-            "generations": settings.run.generations,
-            "env_steps": settings.run.env_steps,
-            "primitive": settings.settings.get("primitive") is not None,
+            **each.numbers(),
+            "generations": each.run.generations,
+            "env_steps": each.run.env_steps,
+            "primitive": each.settings.get("primitive") is not None,
         }
-        for settings in (folder.read_config(), config)
+        for each in (folder.read_config(), config)
     )
     if others := differing(there, wanted):
         raise RunFolderError(

@@ -12,7 +12,7 @@ from typing import Any
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.studies.design import StudyDesign
-from shes.studies.tables import Cell
+from shes.studies.study_tables import Cell
 from shes.training.presets import make_config
 
 CHECKPOINTS = ("best", "last")

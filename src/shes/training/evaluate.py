@@ -5,28 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 
 from shes.algorithms.contract import Algorithm, AnyState
 from shes.algorithms.roll_out import RollOutBeside
 from shes.backends.backend import Backend
-from shes.errors import ConfigError, UnknownNameError
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.listing import Listing, facts_listing
 from shes.runs.device import check_asked_device
 from shes.runs.log import logger
+from shes.settings import Ge, checked
 from shes.training.build import build_backend, open_run
 from shes.training.limits import Workload, check_limits
 from shes.types import F64Array
 
 StateT = TypeVar("StateT", bound=AnyState)
-
-TARGETS = ("evaluation", "training")
-"""Phases whose targets and reset noise an evaluation can have."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,16 +151,17 @@ def _evaluation(results: PopulationResults, count: int, primitive: int | None) -
     )
 
 
+@checked
 def evaluate(
     run: Path | str,
     *,
-    episodes: int = 50,
+    episodes: Annotated[int, Ge(1)] = 50,
     checkpoint: str = "best",
     num_workers: int = 0,
     device: Literal["cpu", "cuda", "warp-cpu"] = "cpu",
     nconmax: int | None = None,
     njmax: int | None = None,
-    seed: int | None = None,
+    seed: Annotated[int, Ge(0)] | None = None,
     targets: Literal["evaluation", "training"] = "evaluation",
 ) -> Evaluation:
     """Evaluate a checkpoint of a run on episodes that its training did not use, not even to choose the checkpoint.
@@ -189,12 +187,6 @@ def evaluate(
         UnknownNameError: `targets` or `device` is unknown.
         MissingExtraError: The device needs a package that is not installed.
     """
-    if targets not in TARGETS:
-        raise UnknownNameError("targets", targets, TARGETS, "Set --targets.")
-    if episodes < 1:
-        raise ConfigError(f"episodes must be at least 1, got {episodes}. Set --episodes.")
-    if seed is not None and seed < 0:
-        raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
     buffers = {name: size for name, size in (("nconmax", nconmax), ("njmax", njmax)) if size is not None}
     execution = {"num_workers": num_workers, "device": device, **buffers}
     opened = open_run(run, checkpoint, **execution, evaluation_episodes=episodes)

@@ -21,10 +21,11 @@ from shes.envs.bodies.body import Body
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.root import yaw
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.es.level import LevelParameters
 from shes.hierarchy.hierarchical import MIN_COMPONENT_M
 from shes.policies.mlp import MLP
+from shes.settings import checked
 from shes.storage import write_atomically
 from shes.training.build import OpenedRun, open_run
 from shes.training.onnx_graph import onnx_model
@@ -35,6 +36,7 @@ Networks = Mapping[str, tuple[MLP, LevelParameters]]
 """The network of each level by name, with its parameters and its normalisation."""
 
 
+@checked
 def export(
     run: Path | str,
     out: Path | str | None = None,
@@ -63,8 +65,6 @@ def export(
         MissingExtraError: `onnx` is not installed.
         StorageError: A file cannot be written.
     """
-    if format not in FORMATS:
-        raise UnknownNameError("format", format, FORMATS, "Set --format.")
     path = Path(f"policy.{format}" if out is None else out)
     if path.suffix != f".{format}":
         raise ConfigError(f"a file of format {format} ends with .{format}, got {str(path)!r}. Set --out or --format.")

@@ -13,14 +13,11 @@ import numpy as np
 
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
-from shes.errors import ConfigError
-from shes.settings import out_of_range
 from shes.training.build import open_run
 from shes.training.evaluate import fresh_seeds
-from shes.training.play import Agent
+from shes.training.loaded_agent import Agent
 from shes.types import F64Array
 
-_MOST = 100_000  # steps and episodes; a video of so many steps takes a day
 _TRAIL_STEPS = 150
 _GOAL_RADIUS_M = 0.45
 _ABOVE_GROUND_M = 0.03
@@ -53,10 +50,6 @@ class Playback:
         sensors: bool = False,
     ) -> None:
         """Load `checkpoint` of `run`, called `label`; for the other arguments and errors see `render`."""
-        if seed is not None and seed < 0:
-            raise ConfigError(f"seed must be a whole number of at least 0, got {seed}. Set --seed.")
-        if steps is not None and (not isinstance(steps, int) or not 1 <= steps < _MOST):
-            raise out_of_range("steps", steps, f"a whole number of at least 1 and less than {_MOST}")
         opened = open_run(run, checkpoint)
         config, state = opened.config, opened.state
         self.name = f"{label} · {_age(state.generation)}" if label else _age(state.generation)
@@ -67,9 +60,7 @@ class Playback:
         self._state, self._seed, self._has_sensors = state, seed, sensors
 
     def seed_of(self, episode: int) -> int:
-        """Return the seed of episode `episode` of those that `evaluate` runs; raise ConfigError if out of range."""
-        if not 0 <= episode < _MOST:
-            raise out_of_range("episode", episode, f"a whole number of at least 0 and less than {_MOST}")
+        """Return the seed of episode `episode` of those that `evaluate` runs."""
         return fresh_seeds(self._state, episode + 1, self._seed)[episode]
 
     def play(self, seed: int) -> Iterator[Moment]:

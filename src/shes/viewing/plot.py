@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from shes.errors import ConfigError, RunFolderError, UnknownNameError
+from shes.errors import ConfigError, RunFolderError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
+from shes.settings import checked
 from shes.storage import write_atomically
 from shes.training.runs_folder import find_runs
 from shes.types import F64Array
@@ -44,6 +45,7 @@ Panel = tuple[str, str, str]
 """Table, column, title."""
 
 
+@checked
 def plot(
     runs: Path | str | Sequence[Path | str],
     out: Path | str = "curves.png",
@@ -72,8 +74,6 @@ def plot(
     given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
     if not given:
         raise ConfigError("plot needs at least one run folder: shes plot RUN... --out curves.png")
-    if x not in X_AXES:
-        raise UnknownNameError("x axis", x, X_AXES, "Set --x.")
     target = Path(out)
     opened = [folder for run in given for folder in find_runs(run)]
     folders = list({folder.path.resolve(): folder for folder in opened}.values())  # a run named twice counts once

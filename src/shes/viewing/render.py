@@ -6,26 +6,26 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from shes.drawing.drawer import Drawer, Picture
-from shes.drawing.renderer import CAMERAS
 from shes.drawing.rendering import make_drawer
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
+from shes.settings import Ge, Le, Lt, checked, out_of_range
 from shes.viewing.playback import Moment, Playback
 from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
 
-VIEWS = ("both", *CAMERAS)
-
+_MOST = 100_000  # steps and episodes; a video of so many steps takes a day
 _CAPTION_PIXELS = 28
 _BAR, _INK = (28, 32, 38, 200), (240, 243, 246)
 _SMALLEST_FONT = 8
 _HELD_S = 0.7  # time for which the last frame is held
 
 
+@checked
 def render(
     runs: Path | str | Sequence[Path | str],
     out: Path | str = "walk.mp4",
@@ -33,10 +33,10 @@ def render(
     checkpoints: str | Sequence[str] = ("best",),
     labels: str | Sequence[str] = (),
     camera: Literal["both", "follow", "top"] = "both",
-    episode: int = 0,
-    seed: int | None = None,
-    size: int = 480,
-    steps: int | None = None,
+    episode: Annotated[int, Ge(0), Lt(_MOST)] = 0,
+    seed: Annotated[int, Ge(0)] | None = None,
+    size: Annotated[int, Ge(64), Le(1080)] = 480,
+    steps: Annotated[int, Ge(1), Lt(_MOST)] | None = None,
     sensors: bool = False,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Path:
@@ -68,14 +68,15 @@ def render(
     Raises:
         RunFolderError: One of `runs` is neither a run folder nor a shipped agent.
         CheckpointError: A checkpoint is missing or damaged.
-        UnknownNameError: `camera` is not one of `VIEWS`.
+        UnknownNameError: There is no such `camera`.
         ConfigError: There is no run, the numbers of runs, checkpoints and labels do not go together, another argument
             is out of range, or the environment has no pictures.
         StorageError: The video cannot be written.
     """
     target = Path(out)
     check_video_path(target)
-    _check_arguments(camera, size)
+    if size % 2:
+        raise out_of_range("size", size, "an even number of pixels")
     shown = _shown(runs, checkpoints, labels)
     playbacks = [Playback(run, name, seed, steps, label=label, sensors=sensors) for run, name, label in shown]
     drawers: list[Drawer] = []
@@ -100,14 +101,6 @@ def render(
         for each in (*drawers, *(playback.task for playback in playbacks)):
             each.close()
     return target
-
-
-def _check_arguments(camera: str, size: int) -> None:
-    """Check the arguments of `render` that need no run."""
-    if camera not in VIEWS:
-        raise UnknownNameError("camera", camera, VIEWS, "Set --camera.")
-    if size % 2 or not 64 <= size <= 1080:
-        raise ConfigError(f"size must be an even number of pixels from 64 to 1080, got {size}. Set --size.")
 
 
 def _shown(

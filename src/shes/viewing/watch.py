@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from itertools import count
 from pathlib import Path
+from typing import Annotated
 
 from shes.drawing.rendering import open_window
+from shes.settings import Ge, checked
 from shes.viewing.playback import Playback
 
 
-def watch(run: Path | str, *, checkpoint: str = "best", seed: int | None = None, sensors: bool = True) -> None:
+@checked
+def watch(
+    run: Path | str, *, checkpoint: str = "best", seed: Annotated[int, Ge(0)] | None = None, sensors: bool = True
+) -> None:
     """Show the episodes that `evaluate` runs in a window, in real time, until it is closed. It needs a display.
 
     Args:

@@ -55,7 +55,8 @@ class GatherOptions(TaskOptions):
     """Options of Gather."""
 
     fall_penalty: bool = True
-    """hiro: whether the reward of the step of a fall is -10 instead of that of its pickups."""
+    """hiro: whether the reward of the step of a fall is -10 instead of that of its pickups. It is part of the return;
+    `fall_price` changes the fitness alone."""
 
     def check(self) -> None:
         """Check that `fall_penalty` has an effect."""

@@ -14,7 +14,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import Marker
 from shes.training.build import build_task, open_run
 from shes.training.evaluate import fresh_seeds
-from shes.training.play import Agent
+from shes.training.loaded_agent import Agent
 from shes.types import F64Array, IntArray
 from shes.viewing.report.curves import Figure, numbers
 

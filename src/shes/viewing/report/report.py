@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from itertools import count
 from pathlib import Path
+from typing import Annotated
 
 from shes.errors import ConfigError
 from shes.runs.shipped import shipped_name
-from shes.settings import out_of_range
+from shes.settings import Ge, Shown, checked
 from shes.storage import write_atomically
 from shes.viewing.report.curves import X_AXES, line_look
 from shes.viewing.report.page import check_plotly, page, toolbar
@@ -20,14 +21,15 @@ from shes.viewing.report.sections import Sections
 _NAME = "report.html"
 
 
+@checked
 def report(
     runs: Path | str | Sequence[Path | str],
     out: Path | str | None = None,
     *,
     labels: str | Sequence[str] = (),
-    episodes: int = 20,
-    seed: int | None = None,
-    num_workers: int = 0,
+    episodes: Annotated[int, Ge(1)] = 20,
+    seed: Annotated[int, Ge(0)] | None = None,
+    num_workers: Annotated[int, Ge(0), Shown(flag="--workers")] = 0,
     video: bool = True,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Path:
@@ -55,9 +57,6 @@ def report(
         MissingExtraError: plotly is not installed.
         StorageError: The page cannot be written.
     """
-    for name, value, least in (("episodes", episodes, 1), ("workers", num_workers, 0), ("seed", seed or 0, 0)):
-        if value < least:
-            raise out_of_range(name, value, f"a whole number of at least {least}")
     given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
     read = read_runs(given, [labels] if isinstance(labels, str) else list(labels))
     target = _checked_path(out, read.runs)

@@ -10,22 +10,23 @@ from operator import attrgetter
 from pathlib import Path
 from shlex import quote
 from time import monotonic, time
-from typing import Literal
+from typing import Annotated, Literal
 
 from shes.console import LineConsole
-from shes.errors import ConfigError
 from shes.listing import Listing, Table
 from shes.runs.rooms import WorkerSettings
+from shes.settings import Gt, checked
 from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
 from shes.studies.figures import draw_figures
-from shes.studies.index import STUDIES
+from shes.studies.named_studies import STUDIES
 from shes.studies.running import Outcome, cells_left, check_study, read_summaries, run_study
 from shes.studies.study import Study, cell_steps, choose
-from shes.studies.tables import write_csv, write_tables
+from shes.studies.study_tables import write_csv, write_tables
 from shes.training.progress_display import format_duration
 
 
+@checked
 def experiment(
     name: Literal["ablation", "learning", "fig3", "fig5"],
     *,
@@ -35,7 +36,7 @@ def experiment(
     scale: Literal["paper", "laptop", "smoke"] = "laptop",
     seeds: int | None = None,
     only: Sequence[str] | None = None,
-    budget: float | None = None,
+    budget: Annotated[float, Gt(0)] | None = None,
 ) -> Listing:
     """Run a study of many runs and draw its figures. The same command continues a study that was stopped.
 
@@ -62,8 +63,6 @@ def experiment(
     """
     study, say = STUDIES[name](scale, seeds), LineConsole().print_line
     out = out or Path("runs") / ("paper" if name.startswith("fig") else name)
-    if budget is not None and not budget > 0:
-        raise ConfigError(f"budget must be a number of hours above 0, got {budget}. Set --budget.")
     until = math.inf if budget is None else time() + 3600 * budget
     num_workers = WorkerSettings(num_workers=num_workers).count
     chosen = choose(study, only)

@@ -14,7 +14,7 @@ from shes.es.streams import Purpose
 from shes.runs.folder import RunFolder
 from shes.training.build import build_task
 from shes.training.evaluate import evaluate, evaluation_seeds
-from shes.training.play import load
+from shes.training.loaded_agent import load
 from tests.e2e import runs
 
 
