@@ -27,7 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "render": ("viewing.render.render", "make a video of a run's policy"),
     "watch": ("viewing.watch.watch", "watch a run's policy in a window"),
     "export": ("training.export.export", "write a run's policy to a file that needs no SHES"),
-    "experiment": ("studies.perform.experiment", "run a study of many runs, with tables and figures"),
+    "experiment": ("studies.command.experiment", "run a study of many runs, with tables and figures"),
     "bench": ("bench.bench.bench", "measure the speed of this machine"),
     "completion": ("cli.completion.completion", "print a script that completes commands and flags with the Tab key"),
 }
