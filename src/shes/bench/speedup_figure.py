@@ -21,12 +21,12 @@ PAPER_SECONDS: Mapping[str, Mapping[int, float]] = {
 """Raw times of the authors' code by cores, in seconds: SHES on Ant Maze with threads, S-ES over MPI."""
 _COLORS = ("#c44e00", "#1f77b4", "#2a7f3f")
 _NAMES = {"shes": "SHES", "es": "S-ES"}
-_KINDS: dict[str, dict[str, Any]] = {
-    "projected": {"linestyle": "-"},
-    "measured": {"marker": "o"},
-    "asleep": {"marker": "s", "mfc": "none"},
+_KINDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "projected": ("projected", {"linestyle": "-"}),
+    "measured": ("measured", {"marker": "o"}),
+    "asleep": ("sleeping workers", {"marker": "s", "mfc": "none"}),
 }
-_KIND_WORDS = {"projected": "projected", "measured": "measured", "asleep": "sleeping workers"}
+"""Name and look of each kind of row."""
 
 
 class SpeedupLine(NamedTuple):
@@ -61,10 +61,10 @@ def speedup_figure(lines: Sequence[SpeedupLine], title: str, size: tuple[float, 
         if raw := PAPER_SECONDS.get(line.authors):
             label = f"{_NAMES[line.authors]}, authors' code"
             axis.plot(list(raw), [raw[1] / s for s in raw.values()], "x", color=color, label=label)
-        for kind, look in _KINDS.items():
+        for kind, (words, look) in _KINDS.items():
             if points := _points(line.rows, kind):
                 style: dict[str, Any] = {"linestyle": "", "color": color, **look}
-                axis.plot(*zip(*points, strict=True), **style, label=f"{line.words}, {_KIND_WORDS[kind]}")
+                axis.plot(*zip(*points, strict=True), **style, label=f"{line.words}, {words}")
     axis.set(xscale="log", yscale="log", xlabel="cores", ylabel="speed-up", title=title)
     axis.legend(frameon=False, fontsize=8)
     axis.spines[["top", "right"]].set_visible(False)
