@@ -43,8 +43,8 @@ def experiment(
         backend: Backend of the runs of scale paper, such as ray.
         scale: paper: Table I, ten runs of up to ten hours, for experiments of the paper only; laptop: hours on two
             cores; smoke: minutes, as a test.
-        seeds: Seeds of every variant; if none 10, and 5 in a sweep, in learning and for the ant, 3 in fig4 and fig6
-            (smoke: 2 or 1).
+        seeds: Seeds of every variant; if none 10, of scale laptop 5 in a sweep, in learning and for the ant, and 3 in
+            fig4 and fig6; of scale smoke 1 or 2.
         only: Groups or environments to run, groups beside the base; all if none. ablation: choices, horizon, sweep,
             transfer; learning: alternatives, form, pieces, sweep; table1: methods; fig3: methods; fig4: workers;
             fig5: methods, transfer; fig6: speedup.
