@@ -2,13 +2,17 @@
 
 import csv
 import json
+import math
 import os
 import re
+import shutil
 import signal
+from pathlib import Path
 
 import pytest
 
 from shes.cli import main
+from shes.envs.registry import ENVIRONMENTS
 from shes.studies import experiment
 from shes.studies.named_studies import STUDIES
 from shes.studies.study import Study
@@ -217,7 +221,7 @@ COMPARISONS = {"ablation": 2 * (1 + 9 + 20 + 3 + 3) + 3, "learning": 1 + 10 + 1 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("name", COMPARISONS)
 def test_a_whole_study_of_scale_smoke_has_its_tables_and_figures(tmp_path, name):
     process = runs.start("experiment", name, "--scale", "smoke", "--out", tmp_path, "--json")
     out, err = process.communicate(timeout=500)
@@ -228,3 +232,57 @@ def test_a_whole_study_of_scale_smoke_has_its_tables_and_figures(tmp_path, name)
     assert found["cells"] == len(table(tmp_path / "runs.csv")) == len(study.cells)
     assert found["failed"] == {}
     assert len(found["comparisons"]) == len(table(tmp_path / "comparison.csv")) == COMPARISONS[name]
+
+
+@pytest.fixture(scope="module")
+def of_the_paper(tmp_path_factory):
+    """The folder that the experiments of the paper share."""
+    return tmp_path_factory.mktemp("paper")
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(pytest.param(name, marks=pytest.mark.extras) for name in ("fig4", "fig5", "fig6")),
+        *(pytest.param(name, marks=pytest.mark.hiro) for name in ("table1", "fig3")),
+    ],
+)
+def test_an_experiment_of_the_paper_has_tables_from_which_anyone_draws_its_figures(name, of_the_paper, tmp_path):
+    words = ("experiment", name, "--scale", "smoke", "--workers", "2", "--out")
+    process = runs.start(*words, of_the_paper, "--json")
+    out, err = process.communicate(timeout=500)
+    assert (process.returncode, err) == (0, "")
+    study, found = STUDIES[name]("smoke"), json.loads(out.splitlines()[-1])
+    assert (found["cells"], found["failed"], found["stopped"]) == (len(study.cells), {}, [])
+    drawn = {f"{Path(figure.file).stem}.{form}" for figure in study.design.figures for form in ("png", "svg")}
+    assert {Path(path).name for path in found["figures"]} == drawn
+    comparisons = table(of_the_paper / f"{name}.csv")
+    assert len(comparisons) == len(found["comparisons"])
+    assert {row["variant"] for row in comparisons} == set(study.design.labels)
+    for row in comparisons:
+        filled = ["seeds", "score_mean", "score_iqm_low", "score_iqm_high", "hours", "hardware", "versions"]
+        filled += [] if name == "fig6" else ["success_mean"]
+        filled += ["mann_whitney_p", "superiority"] if row["against"] else []
+        assert all(row[column] for column in filled), row
+
+    for file in of_the_paper.glob("*.csv"):
+        shutil.copy(file, tmp_path)
+    assert main([*words, str(tmp_path)]) == 0
+    assert not any(path.is_dir() for path in tmp_path.iterdir())  # nothing was run again
+    for picture in tmp_path.glob("*.png"):
+        assert picture.read_bytes() == (of_the_paper / picture.name).read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("env", [env for env in ENVIRONMENTS if env.startswith("ant-")])
+def test_a_whole_generation_of_preset_paper(tmp_path, env):
+    process = runs.start("train", env, "--preset", "paper", "--generations", "1", "--out", tmp_path / "run")
+    _, err = process.communicate(timeout=3500)
+    assert (process.returncode, err) == (0, "")
+    (row,) = table(tmp_path / "run" / "progress.csv")
+    policies = 256 if env == "ant-flagrun" else 1000
+    assert policies * 5 <= int(row["env_steps"]) <= policies * 5 * 500
+    assert all(math.isfinite(float(row[column])) for column in row if column.endswith("return_mean"))
+    assert runs.state(tmp_path / "run").generation == 1

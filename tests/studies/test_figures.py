@@ -14,7 +14,8 @@ from shes.studies.named_studies import STUDIES
 from shes.studies.study import choose
 from shes.studies.study_tables import Summary
 
-pytestmark = pytest.mark.extras  # the fast tests have three minutes
+# The fast tests have three minutes; the first test that needs the figures waits for all of them.
+pytestmark = [pytest.mark.extras, pytest.mark.timeout(400)]
 
 MADE = {name: make(seeds=3) for name, make in STUDIES.items()}
 STUDY = MADE["ablation"]
@@ -22,6 +23,7 @@ COMPARED = [measure.column for study in MADE.values() for measure in study.desig
 COURSE = [measure.column for study in MADE.values() for measure in study.design.curves.values()]
 COURSES = (0.0, 0.2, 0.5, 0.4, 0.9, 0.8)
 """The course of a run's measure, as parts of its score."""
+FORMS = ("as published", "with the pieces")
 DRAWN = [(name, figure.file.removesuffix(".png")) for name, study in MADE.items() for figure in study.design.figures]
 
 
@@ -37,6 +39,8 @@ def summaries_of(cells):
                 "env_steps": 250_000 * (step + 1) + cell.seed,
                 "seconds": 900.0 * (step + 1) + cell.seed,
                 **dict.fromkeys(COURSE, score * COURSES[step]),
+                "kind": ("measured", "projected", "asleep")[step % 3],
+                "cores": 2**step,
             }
             for step in range(6)
         )
@@ -166,8 +170,29 @@ def test_figure_3_has_published_scores_and_a_running_best_that_never_falls(all_d
 def test_figure_5_begins_a_transferred_run_where_its_primitive_ended(all_drawn, name, of_primitive):
     for axis in all_drawn["fig5"][0][name].axes:
         starts = {line.get_label().split(" (")[0]: line.get_xdata()[0] for line in axis.lines}
-        for form in ("as published", "with the pieces"):
+        for form in FORMS:
             assert starts[f"SHES-TL {form}"] - starts[f"SHES {form}"] == pytest.approx(of_primitive, rel=0.01)
+
+
+def test_figure_4_has_a_curve_for_every_number_of_workers_over_hours(all_drawn):
+    (gather, *others) = all_drawn["fig4"][0]["fig4"].axes
+    words = [f"SHES {form}, {n} worker{'s' * (n > 1)} (3 seeds)" for form in FORMS for n in (1, 2)]
+    assert [line.get_label() for line in gather.lines] == words
+    assert len(others) == 5
+    assert gather.get_xlabel() == "hours"
+
+
+def test_figure_6_has_both_forms_and_flat_es_as_means_over_seeds(all_drawn):
+    (axis,) = all_drawn["fig6"][0]["fig6"].axes
+    lines = {line.get_label(): line for line in axis.lines}
+    for name in ("SHES as published", "SHES with the pieces", "S-ES"):
+        for kind in ("projected", "measured", "sleeping workers"):
+            assert len(lines[f"{name}, {kind}"].get_xdata()) == 2
+    study = MADE["fig6"]
+    own = [found for name, found in summaries_of(study.cells).items() if "/published/" in name]
+    expected = np.mean([found.curve[1]["speedup"] for found in own])
+    assert lines["SHES as published, projected"].get_ydata()[0] == pytest.approx(expected)
+    assert {"perfect", "paper, Figure 6 (slope)", "SHES, authors' code", "S-ES, authors' code"} <= lines.keys()
 
 
 def test_only_what_is_finished_is_drawn(tmp_path, monkeypatch):

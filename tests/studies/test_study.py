@@ -19,7 +19,7 @@ from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownN
 from shes.runs.folder import RunFolder
 from shes.studies import ablation as ablations
 from shes.studies import learning as lessons
-from shes.studies import paper as papers
+from shes.studies import paper_scales as papers
 from shes.studies import running
 from shes.studies.comparison import compare
 from shes.studies.design import Curves, sweep_name
@@ -56,14 +56,18 @@ def cell(variant="base", seed=5, env="point-gather", group="choices", primitive=
 
 
 def rows(path):
-    """Return a table's rows without the column of seconds."""
+    """Return a table's rows without time and workers."""
     with path.open(newline="") as file:
-        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+        return [
+            {name: value for name, value in row.items() if name not in ("seconds", "workers")}
+            for row in csv.DictReader(file)
+        ]
 
 
 def without_seconds(summary):
+    """Return a summary without what depends on the execution."""
     curve = tuple({**row, "seconds": 0} for row in summary.curve)
-    return replace(summary, row={**summary.row, "seconds": 0}, curve=curve)
+    return replace(summary, row={**summary.row, "seconds": 0, "workers": 0}, curve=curve)
 
 
 @pytest.fixture(scope="module")

@@ -68,18 +68,36 @@ def bench_speedup(
     facts: dict[str, Any] = {}
     for name in ("shes", "es"):
         config = make(name)
-        algorithm = _evolution_strategy(config)
-        state = algorithm.start(config.run.seed)
-        measured = {n: _measure(config, algorithm, state, n, seconds) for n in range(1, config.workers.count + 1)}
-        report, update_s = measured[max(measured)]
-        stages = measure_stages(algorithm, state, report, update_s)
-        found = _rows(stages, {n: each for n, (each, _) in measured.items()}, network, cores, sleepers)
+        found = measure_speedup(config, network=network, cores=cores, sleepers=sleepers, seconds=seconds)
         rows += [{"env": config.run.env, "algorithm": name, **row} for row in found]
         facts |= {f"{name}_{key}": value for key, value in _facts(found).items()}
     out.mkdir(parents=True, exist_ok=True)
     write_rows(out / "speedup.csv", rows)
     draw_speedup(read_rows(out / "speedup.csv"), out / "speedup.png")
     return facts
+
+
+def measure_speedup(
+    config: TrainConfig,
+    *,
+    network: Network,
+    cores: Sequence[int] = CORES,
+    sleepers: Sequence[int] = SLEEPERS,
+    seconds: float = 0.0,
+) -> list[Row]:
+    """Return measured and projected times of a generation and their speed-ups. See `bench_speedup`."""
+    algorithm = _evolution_strategy(config)
+    state = algorithm.start(config.run.seed)
+    measured = {n: _measure(config, algorithm, state, n, seconds) for n in range(1, config.workers.count + 1)}
+    report, update_s = measured[max(measured)]
+    stages = measure_stages(algorithm, state, report, update_s)
+    return _rows(stages, {n: each for n, (each, _) in measured.items()}, network, cores, sleepers)
+
+
+def settings_of(env: str, algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of `settings` that `algorithm` has on `env`."""
+    own = settings_in(rooms_of(RunSettings.of({"env": env, "algorithm": algorithm})).values())
+    return {name: value for name, value in settings.items() if name in own}
 
 
 def speedup_of(
@@ -96,8 +114,7 @@ def speedup_of(
         raise ConfigError(f"gigabits_per_s must be a positive number, got {gigabits_per_s}. Set --gigabits-per-s.")
 
     def make(algorithm: str) -> TrainConfig:
-        own = settings_in(rooms_of(RunSettings.of({"env": env, "algorithm": algorithm})).values())
-        kept = {name: value for name, value in settings.items() if name in own or algorithm == "shes"}
+        kept = dict(settings) if algorithm == "shes" else settings_of(env, algorithm, settings)
         return make_config(env, kept.pop("preset", "laptop"), {**kept, "algorithm": algorithm})
 
     network = Network(latency_s=latency_us / 1e6, bytes_per_s=gigabits_per_s * 1e9 / 8)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from statistics import fmean
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
 
 from shes.storage import write_atomically
 
@@ -17,33 +19,62 @@ PAPER_SECONDS: Mapping[str, Mapping[int, float]] = {
     "es": {1: 6345, 24: 523, 48: 310, 72: 199, 120: 148, 240: 84.6},
 }
 """Raw times of the authors' code by cores, in seconds: SHES on Ant Maze with threads, S-ES over MPI."""
+_COLORS = ("#c44e00", "#1f77b4", "#2a7f3f")
 _NAMES = {"shes": "SHES", "es": "S-ES"}
-_COLORS = {"shes": "#c44e00", "es": "#1f77b4"}
+_KINDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "projected": ("projected", {"linestyle": "-"}),
+    "measured": ("measured", {"marker": "o"}),
+    "asleep": ("sleeping workers", {"marker": "s", "mfc": "none"}),
+}
+"""Name and look of each kind of row."""
+
+
+class SpeedupLine(NamedTuple):
+    """What is drawn in one colour."""
+
+    words: str
+    rows: Sequence[Mapping[str, Any]]
+    """Rows with the columns `kind`, `cores` and `speedup`."""
+    authors: str = ""
+    """Key of `PAPER_SECONDS`; without, there are no times of the authors' code."""
 
 
 def draw_speedup(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Draw the rows of `speedup.csv` to `path`, a PNG file."""
-    figure, axis = plt.subplots(figsize=(7, 5), dpi=150)
-    most = max(int(row["cores"]) for row in rows)
-    axis.plot([1, most], [1, most], color="black", linewidth=0.8, label="perfect")
-    axis.plot(*zip(*PAPER_SLOPE, strict=True), color="black", linestyle=":", label="paper, Figure 6 (slope)")
-    for algorithm in dict.fromkeys(str(row["algorithm"]) for row in rows):
-        name, color = _NAMES[algorithm], _COLORS[algorithm]
-        raw = PAPER_SECONDS[algorithm]
-        axis.plot(list(raw), [raw[1] / s for s in raw.values()], "x", color=color, label=f"{name}, authors' code")
-        own = [row for row in rows if row["algorithm"] == algorithm]
-        axis.plot(*_points(own, "projected"), "-", color=color, label=f"{name}, projected")
-        axis.plot(*_points(own, "measured"), "o", color=color, label=f"{name}, measured")
-        axis.plot(*_points(own, "asleep"), "s", color=color, mfc="none", label=f"{name}, sleeping workers")
-    axis.set(xscale="log", yscale="log", xlabel="cores", ylabel="speed-up", title=str(rows[0]["env"]))
-    axis.legend(frameon=False, fontsize=8)
-    axis.spines[["top", "right"]].set_visible(False)
-    figure.tight_layout()
-    write_atomically(path, lambda file: figure.savefig(file, format="png"))
+    algorithms = dict.fromkeys(str(row["algorithm"]) for row in rows)
+    lines = [
+        SpeedupLine(_NAMES[name], [row for row in rows if row["algorithm"] == name], authors=name)
+        for name in algorithms
+    ]
+    figure = speedup_figure(lines, str(rows[0]["env"]))
+    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=150))
     plt.close(figure)
 
 
-def _points(rows: Iterable[Mapping[str, Any]], kind: str) -> tuple[list[float], list[float]]:
-    """Return cores and speed-ups of the rows of one kind, by cores."""
-    points = sorted((float(row["cores"]), float(row["speedup"])) for row in rows if row["kind"] == kind)
-    return [cores for cores, _ in points], [speedup for _, speedup in points]
+def speedup_figure(lines: Sequence[SpeedupLine], title: str, size: tuple[float, float] = (7, 5)) -> Figure:
+    """Return a figure of speed-up over cores, the mean of the rows of each kind and number; `size` is in inches."""
+    figure, axis = plt.subplots(figsize=size, layout="constrained")
+    most = max(int(row["cores"]) for line in lines for row in line.rows)
+    axis.plot([1, most], [1, most], color="black", linewidth=0.8, label="perfect")
+    axis.plot(*zip(*PAPER_SLOPE, strict=True), color="black", linestyle=":", label="paper, Figure 6 (slope)")
+    for line, color in zip(lines, _COLORS, strict=False):
+        if raw := PAPER_SECONDS.get(line.authors):
+            label = f"{_NAMES[line.authors]}, authors' code"
+            axis.plot(list(raw), [raw[1] / s for s in raw.values()], "x", color=color, label=label)
+        for kind, (words, look) in _KINDS.items():
+            if points := _points(line.rows, kind):
+                style: dict[str, Any] = {"linestyle": "", "color": color, **look}
+                axis.plot(*zip(*points, strict=True), **style, label=f"{line.words}, {words}")
+    axis.set(xscale="log", yscale="log", xlabel="cores", ylabel="speed-up", title=title)
+    axis.legend(frameon=False, fontsize=8)
+    axis.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _points(rows: Iterable[Mapping[str, Any]], kind: str) -> list[tuple[float, float]]:
+    """Return cores and mean speed-ups of the rows of one kind, by cores."""
+    by_cores: dict[float, list[float]] = {}
+    for row in rows:
+        if row["kind"] == kind:
+            by_cores.setdefault(float(row["cores"]), []).append(float(row["speedup"]))
+    return [(cores, fmean(by_cores[cores])) for cores in sorted(by_cores)]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from shes.runs.tables import Row
 from shes.studies.design import StudyDesign
+from shes.studies.origin import ORIGIN, joined
 from shes.studies.significance import holm, interquartile_mean, mann_whitney, permutation_test, superiority
 from shes.studies.study import Study
 from shes.studies.study_tables import Summary
@@ -47,6 +49,15 @@ class Comparison:
     """Two-sided p of a Mann-Whitney U test, without correction."""
     superiority: float | None = None
     """Probability that a seed of this variant exceeds one of the other; 0.5 is no effect."""
+    success_mean: float | None = None
+    """Mean success rate of the best checkpoints; None without evaluations."""
+    success_error: float | None = None
+    """Its standard error over seeds."""
+    hours: float | None = None
+    """Mean time of a run."""
+    hardware: str | None = None
+    versions: str | None = None
+    commit: str | None = None
 
     def row(self) -> Row:
         """Return the columns of the row."""
@@ -62,18 +73,36 @@ class Comparison:
 
 def compare(study: Study, summaries: Mapping[str, Summary]) -> list[Comparison]:
     """Return the comparisons of all variants with a finished run: with the base of their task, and in pairs."""
-    design, scores = study.design, dict[tuple[str, str, str], list[float]]()
+    design, rows = study.design, dict[tuple[str, str, str], list[Row]]()
     for cell in study.cells:
         if cell.name in summaries and cell.env in design.metrics:
-            place = (cell.env, cell.group, cell.variant)
-            scores.setdefault(place, []).append(summaries[cell.name].row[design.metrics[cell.env].column])
+            rows.setdefault((cell.env, cell.group, cell.variant), []).append(summaries[cell.name].row)
+    scores = {place: [row[design.metrics[place[0]].column] for row in found] for place, found in rows.items()}
     found: list[Comparison] = []
     for env in design.metrics:
         for group in design.groups:
             variants = {variant: np.array(v) for (e, g, variant), v in scores.items() if (e, g) == (env, group)}
             base = scores.get((env, *design.base))
             found += _compare_group(design, group, env, variants, None if base is None else np.array(base))
-    return found
+    return [replace(each, **_facts(rows[each.env, each.group, each.variant])) for each in found]
+
+
+def _facts(rows: Sequence[Row]) -> dict[str, Any]:
+    """Return the facts of the runs of a variant that are not compared."""
+    success, seconds = (
+        [row[name] for row in rows if row.get(name) is not None] for name in ("best_success", "seconds")
+    )
+    return {
+        "success_mean": float(np.mean(success)) if success else None,
+        "success_error": _standard_error(success),
+        "hours": float(np.mean(seconds)) / 3600 if seconds else None,
+        **{name: joined(row.get(name) for row in rows) for name in ORIGIN},
+    }
+
+
+def _standard_error(values: Sequence[float] | F64Array) -> float | None:
+    """Return the standard error of the mean of a sample; None if it has less than two values."""
+    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
 
 def _compare_group(
@@ -103,7 +132,7 @@ def _compare_group(
                 score_mean=float(values.mean()),
                 score_low=float(low[0]),
                 score_high=float(high[0]),
-                score_error=float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None,
+                score_error=_standard_error(values),
                 score_iqm=iqm,
                 score_iqm_low=iqm_low,
                 score_iqm_high=iqm_high,

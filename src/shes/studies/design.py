@@ -91,6 +91,14 @@ class Curves:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Speedup:
+    """A figure: speed-up over the number of cores, with a line per variant."""
+
+    file: str
+    group: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class StudyDesign:
     """The comparisons and figures of a study."""
 
@@ -106,7 +114,7 @@ class StudyDesign:
     """Names of variants in words."""
     paired: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
     """Further comparisons within a group: second with first variant."""
-    figures: tuple[Forest | Sweep | Curves, ...] = ()
+    figures: tuple[Forest | Sweep | Curves | Speedup, ...] = ()
     formats: tuple[str, ...] = ("png",)
     """File formats of every figure."""
     steps_per_s: int = 30_000

@@ -23,12 +23,15 @@ from shes.studies.named_studies import STUDIES
 from shes.studies.running import Outcome, cells_left, check_study, read_summaries, run_study
 from shes.studies.study import Study, cell_steps, choose
 from shes.studies.study_tables import write_csv, write_tables
+from shes.studies.table1 import settings_beside
 from shes.training.progress_display import format_duration
+
+_OF_THE_PAPER = ("table1", "fig3", "fig4", "fig5", "fig6")
 
 
 @checked
 def experiment(
-    name: Literal["ablation", "learning", "fig3", "fig5"],
+    name: Literal["ablation", "learning", "table1", "fig3", "fig4", "fig5", "fig6"],
     *,
     out: Path | None = None,
     num_workers: int = 0,
@@ -44,25 +47,29 @@ def experiment(
 
     Args:
         name: ablation: the paper's choices, a sweep of the settings, transfer and horizon, on Point Gather and Maze;
-            learning: an ablation of the walker's training method, on Ant Flagrun; fig3 and fig5: those figures of
-            the paper, with SHES as published and with the pieces of the learning study; fig3 also with HIRO, which
-            needs the extra hiro.
+            learning: an ablation of the walker's training method, on Ant Flagrun; the others: Table I and the figures
+            of the paper, with SHES as published and with the pieces of the learning study; table1 and fig3 also with
+            HIRO, which needs the extra hiro.
         out: Folder of its runs, tables and figures; finished runs in it are kept. If none, below runs/ its name, and
-            paper for figures, which share runs.
-        num_workers: Runs at a time, or the workers of each run of scale paper; 0 is one for every core.
+            paper for the experiments of the paper, which share runs.
+        num_workers: Runs at a time, or the workers of each run of scale paper; 0 is one for every core. fig4 has
+            numbers of its own, fig6 measures all up to this one.
         backend: Backend of the runs of scale paper, such as ray.
-        scale: paper: Table I, ten runs of up to ten hours, for figures only; laptop: hours on two cores; smoke:
-            minutes, as a test.
-        seeds: Seeds of every variant; if none 10, and 5 in a sweep, in learning and for the ant (smoke: 2).
+        scale: paper: Table I, ten runs of up to ten hours, for experiments of the paper only; laptop: hours on two
+            cores; smoke: minutes, as a test.
+        seeds: Seeds of every variant; if none 10, of scale laptop 5 in a sweep, in learning and for the ant, and 3 in
+            fig4 and fig6; of scale smoke 1 or 2.
         only: Groups or environments to run, groups beside the base; all if none. ablation: choices, horizon, sweep,
-            transfer; learning: alternatives, form, pieces, sweep; fig3: methods; fig5: methods, transfer.
+            transfer; learning: alternatives, form, pieces, sweep; table1: methods; fig3: methods; fig4: workers;
+            fig5: methods, transfer; fig6: speedup.
         budget: Hours after which all runs stop; the same command continues them.
 
     Raises:
         ShesError: Raised by `choose` or `run_study`.
     """
     study, say = STUDIES[name](scale, seeds), LineConsole().print_line
-    out = out or Path("runs") / ("paper" if name.startswith("fig") else name)
+    is_paper = name in _OF_THE_PAPER
+    out = out or Path("runs") / ("paper" if is_paper else name)
     until = math.inf if budget is None else time() + 3600 * budget
     num_workers = WorkerSettings(num_workers=num_workers).count
     chosen = choose(study, only)
@@ -86,7 +93,8 @@ def experiment(
     comparisons = compare(study, summaries)
     write_tables(study.ordered(), summaries, out)
     rows = [each.row() for each in comparisons]
-    write_csv(out / "comparison.csv", rows)
+    table = f"{name}.csv" if is_paper else "comparison.csv"  # experiments of the paper share their folder
+    write_csv(out / table, rows)
     figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
     facts = {
         "out": str(out),
@@ -98,13 +106,20 @@ def experiment(
     }
     files = (
         *([f"The time is over: {len(stopped)} runs are left. The same command continues them."] if stopped else ()),
-        f"Tables: runs.csv, curves.csv, comparison.csv in {quote(str(out))}",
+        f"Tables: runs.csv, curves.csv, {table} in {quote(str(out))}",
         f"Figures: {' '.join(map(quote, figures)) or 'none'}",
     )
     errors = [f"{cell} failed: {error}" for cell, error in failed.items()]
     if failed:
         errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
-    return Listing(facts, [*_parts(study.design, comparisons), *files], errors)
+    parts = [*_parts(study.design, comparisons), *files]
+    if name == "table1":
+        rows = settings_beside()
+        write_csv(out / "table1-settings.csv", rows)
+        texts = [["-" if value is None else f"{value}" for value in row.values()] for row in rows]
+        headings = ("Table I", "SHES, SHES-TL", "scale paper", "HIRO", "scale paper")
+        facts, parts = {**facts, "settings": rows}, [Table(headings, texts), *parts]
+    return Listing(facts, parts, errors)
 
 
 def _parts(design: StudyDesign, comparisons: Iterable[Comparison]) -> Iterator[Table | str]:

@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
+from shes.bench.speedup_figure import SpeedupLine, speedup_figure
 from shes.storage import write_atomically
 from shes.studies.comparison import Comparison
-from shes.studies.design import Curve, CurvePanel, Curves, Forest, Sweep, sweep_name
+from shes.studies.design import Curve, CurvePanel, Curves, Forest, Speedup, Sweep, sweep_name
 from shes.studies.study import Study
 from shes.studies.study_tables import Cell, Summary
 from shes.types import F64Array
@@ -232,4 +233,23 @@ def _draw_curve(
         axis.plot(grid, best, color=color, linewidth=1, linestyle="--")
 
 
-_DRAW: dict[type, Callable[..., Figure]] = {Forest: _draw_forest, Sweep: _draw_sweep, Curves: _draw_curves}
+def _draw_speedup(results: _Results, figure_of: Speedup) -> Figure:
+    """Return a figure of speed-up over cores, the mean over seeds."""
+    places = [place for place in results.summaries if place[1] == figure_of.group]
+    lines = [
+        SpeedupLine(
+            words=results.design.label(variant),
+            rows=[row for run in results.summaries[env, group, variant] for row in run.curve],
+            authors={results.design.base[1]: "shes", "es": "es"}.get(variant, ""),
+        )
+        for env, group, variant in places
+    ]
+    return speedup_figure(lines, _title(places[0][0]), (_WIDTH, 0.7 * _WIDTH))
+
+
+_DRAW: dict[type, Callable[..., Figure]] = {
+    Forest: _draw_forest,
+    Sweep: _draw_sweep,
+    Curves: _draw_curves,
+    Speedup: _draw_speedup,
+}

@@ -25,8 +25,9 @@ from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.tables import Row, read_csv, read_wall_time
 from shes.storage import storage_errors, write_atomically
+from shes.studies.origin import origin_columns
 from shes.studies.significance import check_scipy
-from shes.studies.study import ALONE, CHECKPOINTS, Study, cell_config
+from shes.studies.study import ALONE, CHECKPOINTS, Study, cell_config, cell_workers
 from shes.studies.study_tables import Cell, Summary, read_tables
 from shes.training.build import open_run
 from shes.training.evaluate import evaluate
@@ -59,15 +60,16 @@ def run_cell(
         out: Folder of the study.
         episodes: Number of episodes of each evaluation.
         until: Time, as of `time.time`, at which training stops; the summary is None if that is before its end.
-        workers: Backend and number of workers of the run.
+        workers: Backend and number of workers of the run, unless the cell has its own.
 
     Raises:
         ShesError: Raised by `start_run`, `resume` or `evaluate`; its folder may hold a run with other settings.
     """
     path = out / cell.name
-    summary = _read_summary(path)
+    summary = read_summary(path)
     if summary is not None:
         return summary
+    workers = cell_workers(cell, workers)
     config = cell_config(cell, out, workers)
     folder = RunFolder(path)
     if folder.config.is_file():
@@ -85,10 +87,7 @@ def run_cell(
         is_late = left == own < math.inf  # its own limit: the last generation may have ended just before
         if not (is_late or _is_over(config, folder)):
             return None
-    summary = _summarise(cell, folder, episodes)
-    text = json.dumps({"row": summary.row, "curve": summary.curve})
-    write_atomically(path / _SUMMARY, lambda file: file.write(text.encode()))
-    return summary
+    return write_summary(path, _summarise(cell, folder, episodes))
 
 
 def _is_over(config: TrainConfig, folder: RunFolder) -> bool:
@@ -112,6 +111,7 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
         "generations": last.generation,
         "env_steps": last.env_steps,
         "seconds": read_csv(folder.progress)["wall_time_s"][-1],
+        "workers": folder.read_config().workers.count,
     }
     for checkpoint in CHECKPOINTS:
         found = evaluate(folder.path, episodes=episodes, checkpoint=checkpoint, num_workers=1).summary()
@@ -125,6 +125,8 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
         }
     random = evaluate(folder.path, episodes=episodes, checkpoint="last", num_workers=1, targets="training").summary()
     row |= {"last_training_success": random["success_rate"], "last_training_return": random["return_mean"]}
+    record = folder.read_record()
+    row |= origin_columns([record, *record.get("resumed", [])])
     table, progress = read_csv(folder.evaluation), read_csv(folder.progress)
     outer = f"{open_run(folder.path, 'last').algorithm.level_names[0]}_return_mean"
     curve: list[Row] = []
@@ -220,7 +222,8 @@ def run_study(
             run: Callable[[Sequence[Cell]], Iterator[Outcome]]
             if study.has_large_runs:
                 workers = {"backend": backend, "num_workers": num_workers}
-                one = partial(run_cell, out=out, episodes=study.episodes, until=until, workers=workers)
+                run_one = study.run_cell or partial(run_cell, episodes=study.episodes)
+                one = partial(run_one, out=out, until=until, workers=workers)
                 run = partial(_run_in_turn, one)
             else:
                 factory = partial(StudyWorker, out, study.episodes, until)
@@ -279,7 +282,7 @@ def check_study(study: Study, out: Path) -> None:
 # Summaries.
 
 
-def _read_summary(path: Path) -> Summary | None:
+def read_summary(path: Path) -> Summary | None:
     """Return the summary of the cell in the folder at `path`; None if it is not finished."""
     file = path / _SUMMARY
     try:
@@ -291,13 +294,22 @@ def _read_summary(path: Path) -> Summary | None:
         raise RunFolderError(f"{file} cannot be read: {error!r}. Remove it to have it made again.") from error
 
 
+def write_summary(path: Path, summary: Summary) -> Summary:
+    """Write the summary of the finished cell in the folder at `path`, which may not exist yet, and return it."""
+    text = json.dumps({"row": summary.row, "curve": summary.curve})
+    with storage_errors(path):
+        path.mkdir(parents=True, exist_ok=True)
+    write_atomically(path / _SUMMARY, lambda file: file.write(text.encode()))
+    return summary
+
+
 def read_summaries(study: Study, out: Path) -> dict[str, Summary]:
     """Return the summaries of the finished cells by name, from their folders or the tables, in order of execution."""
     cells = study.ordered()
     # A folder takes precedence over a row: a cell with an unfinished folder is unfinished.
     without = [cell for cell in cells if not (out / cell.name).exists()]
     tables = read_tables(without, out) if without else {}
-    found = {cell.name: tables.get(cell.name) or _read_summary(out / cell.name) for cell in cells}
+    found = {cell.name: tables.get(cell.name) or read_summary(out / cell.name) for cell in cells}
     return {name: summary for name, summary in found.items() if summary is not None}
 
 
@@ -305,6 +317,6 @@ def cells_left(study: Study, out: Path) -> list[Cell]:
     """Return the cells still to be run, in order, with primitives whose folder is needed but no longer exists."""
     done = set(read_summaries(study, out))
     for cell in reversed(study.ordered()):  # a cell comes after its primitive
-        if cell.primitive is not None and cell.name not in done and _read_summary(out / cell.primitive) is None:
+        if cell.primitive is not None and cell.name not in done and read_summary(out / cell.primitive) is None:
             done.discard(cell.primitive)
     return [cell for cell in study.ordered() if cell.name not in done]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -12,7 +12,7 @@ from typing import Any
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.studies.design import StudyDesign
-from shes.studies.study_tables import Cell
+from shes.studies.study_tables import Cell, Summary
 from shes.training.presets import make_config
 
 CHECKPOINTS = ("best", "last")
@@ -30,6 +30,9 @@ class Study:
     design: StudyDesign = field(default_factory=StudyDesign)
     has_large_runs: bool = False
     """Whether every run has all workers for itself; otherwise each has one, and several run at a time."""
+    run_cell: Callable[..., Summary | None] | None = None
+    """Function that runs a cell of a study with large runs, in place of `shes.studies.running.run_cell`; it takes no
+    `episodes`."""
 
     def __post_init__(self) -> None:
         """Raise ConfigError if two cells have the same name, or a primitive comes from no cell."""
@@ -92,10 +95,16 @@ ALONE: Mapping[str, Any] = MappingProxyType({"backend": "serial", "num_workers":
 """Settings of a run that is its own worker."""
 
 
+def cell_workers(cell: Cell, workers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings `workers` of a run, in which those of its cell take precedence."""
+    return {name: cell.settings.get(name, value) for name, value in workers.items()}
+
+
 def cell_config(cell: Cell, out: Path, workers: Mapping[str, Any] = ALONE) -> TrainConfig:
     """Return the settings of the run of `cell` in the study at `out`, in which the run of its primitive exists."""
     transfer = {} if cell.primitive is None else {"primitive": out / cell.primitive}
-    return make_config(cell.env, cell.preset, {**cell.settings, **transfer, "seed": cell.seed, **workers})
+    own = {**transfer, "seed": cell.seed, **cell_workers(cell, workers)}
+    return make_config(cell.env, cell.preset, {**cell.settings, **own})
 
 
 def cell_steps(cell: Cell, episodes: int) -> int:

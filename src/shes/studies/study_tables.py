@@ -13,10 +13,11 @@ from typing import Any
 from shes.errors import RunFolderError
 from shes.runs.tables import Row, csv_text
 from shes.storage import write_atomically
+from shes.studies.origin import ORIGIN
 
 _SETTINGS = "settings"  # the column with the digest of a row's settings
 _PLACE = ("group", "variant", "env", "seed")
-_WORDS = frozenset({"group", "variant", "env", _SETTINGS})  # columns of text
+_WORDS = frozenset({"group", "variant", "env", "kind", _SETTINGS, *ORIGIN})  # columns of text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,10 +123,10 @@ def _check_columns(row: Mapping[str, str]) -> None:
 
 
 def _value(name: str, text: str) -> Any:
-    if name in _WORDS:
-        return text
     if not text:
         return None
+    if name in _WORDS:
+        return text
     return int(text) if text.lstrip("-").isdigit() else float(text)
 
 

@@ -116,6 +116,11 @@ def video_card(title: str, subtitle: str, uri: str) -> str:
     return f'<div class="card">{_heading(title, subtitle)}{video}</div>'
 
 
+def image_card(title: str, uri: str) -> str:
+    """Return a picture."""
+    return f'<div class="card">{_heading(title, "")}<img alt="{escape(title)}" src="{uri}"></div>'
+
+
 def _heading(title: str, subtitle: str) -> str:
     return f"<h3>{escape(title)}</h3>" + (paragraph(subtitle, "hint") if subtitle else "")
 

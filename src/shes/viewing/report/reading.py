@@ -21,6 +21,8 @@ from shes.viewing.groups import Group, group_runs, name_groups
 
 Table = dict[str, F64Array]
 """Columns by name, with a value per row."""
+RUNS_OF_STUDY = "runs.csv"
+"""Table of the runs of an experiment, in its folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +84,7 @@ def read_runs(runs: Sequence[Path | str], labels: Sequence[str] = ()) -> Reporte
     """Return what the files of `runs` say, in groups.
 
     Args:
-        runs: Run folders, folders of runs, or names of shipped agents.
+        runs: Run folders, folders of runs or experiments, or names of shipped agents. An experiment may have no runs.
         labels: Label of each of `runs`: those of one label are a group. By default the groups are those of `shes plot`.
 
     Raises:
@@ -100,7 +102,7 @@ def read_runs(runs: Sequence[Path | str], labels: Sequence[str] = ()) -> Reporte
     label_of: dict[Path, str] = {}
     errors: dict[str, ShesError] = {}
     for number, given in enumerate(runs):
-        for folder in find_runs(given):
+        for folder in [] if is_without_runs(Path(given)) else find_runs(given):
             place = folder.path.resolve()
             if place in read:
                 continue
@@ -110,7 +112,7 @@ def read_runs(runs: Sequence[Path | str], labels: Sequence[str] = ()) -> Reporte
                 errors[run_name(folder)] = error
             else:
                 label_of[place] = labels[number] if labels else ""
-    if not read:
+    if errors and not read:
         raise next(iter(errors.values()))
     folders = [run.folder for run in read.values()]
     if labels:
@@ -129,6 +131,11 @@ def read_runs(runs: Sequence[Path | str], labels: Sequence[str] = ()) -> Reporte
         groups_over_time=reported(over_time),
         left_out=[f"{name} is left out: {error}" for name, error in errors.items()],
     )
+
+
+def is_without_runs(folder: Path) -> bool:
+    """Return whether `folder` holds tables of an experiment and no runs."""
+    return (folder / RUNS_OF_STUDY).is_file() and not any(folder.glob("**/config.json"))
 
 
 def run_name(folder: RunFolder) -> str:

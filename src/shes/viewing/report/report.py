@@ -35,15 +35,16 @@ def report(
 ) -> Path:
     """Write a report of `runs`, one HTML page that needs no network, and return its path.
 
-    What cannot be read, or done with one of the runs, is noted in the report. Runs are grouped as by `plot`. It needs
-    plotly (extra report). Without a graphics card a video takes half a minute; --no-video omits them.
+    What cannot be read, or done with one of the runs, is noted in the report. Runs are grouped as by `plot`. The folder
+    of an experiment also has its figures and comparisons. It needs plotly (extra report). Without a graphics card a
+    video takes half a minute; --no-video omits them.
 
     shes report runs/seeds runs/other --out report.html
 
     Args:
-        runs: Run folders, folders of runs, or names of shipped agents.
-        out: Path of the page, .html. If none, report.html in the run folder; for several runs or a shipped agent, in
-            the working directory.
+        runs: Run folders, folders of runs, folders of experiments, or names of shipped agents.
+        out: Path of the page, .html. If none, report.html in the run folder; for several runs, an experiment or
+            a shipped agent, in the working directory.
         labels: Label of each of the runs; those with the same label are a group.
         episodes: Number of fresh episodes on which the best checkpoint of each run is evaluated.
         seed: Seed of these episodes; derived from that of each run if none.
@@ -67,9 +68,11 @@ def report(
     results = sections.results(episodes, seed, num_workers)
     pictures = sections.pictures(episodes, seed, has_videos=video)
     settings = sections.settings()
+    experiments = sections.experiments([Path(each) for each in given])
     runs_and_notes = sections.runs()  # after all that may add a note
     body = [
         runs_and_notes,
+        experiments,
         results,
         toolbar(),
         learning,
@@ -89,8 +92,8 @@ def report(
 
 def _checked_path(out: Path | str | None, runs: Sequence[ReportedRun]) -> Path:
     """Return the path of the page; raise ConfigError if it cannot be one."""
-    first = runs[0].folder.path
-    home = Path() if len(runs) > 1 or shipped_name(first) else first
+    is_one = len(runs) == 1 and not shipped_name(runs[0].folder.path)
+    home = runs[0].folder.path if is_one else Path()
     target = home / _NAME if out is None else Path(out)
     if target.suffix.lower() != ".html":
         raise ConfigError(f"out must end in .html, got {str(out)!r}. Set --out.")
@@ -102,6 +105,8 @@ def _checked_path(out: Path | str | None, runs: Sequence[ReportedRun]) -> Path:
 
 
 def _title(runs: Sequence[ReportedRun]) -> str:
+    if not runs:
+        return "Report of an experiment"
     envs = ", ".join(dict.fromkeys(run.config.run.env for run in runs))
     return f"Report: {runs[0].name}" if len(runs) == 1 else f"Report: {len(runs)} runs of {envs}"
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 from shes.drawing.opengl import find_opengl
@@ -12,6 +13,7 @@ from shes.runs.shipped import read_agent, shipped_name
 from shes.training.evaluate import Evaluation
 from shes.viewing.report.configuration import changed_settings, differing_settings
 from shes.viewing.report.curves import SECTIONS, X_AXES, Figure, constants, curve_figure, panels_of
+from shes.viewing.report.experiment import experiment_section
 from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes
 from shes.viewing.report.page import cards, details, map_card, paragraph, plots, section, table, video_card
 from shes.viewing.report.reading import ReportedRun, ReportedRuns
@@ -132,6 +134,16 @@ class Sections:
                 or paragraph(f"{run.name}: as {preset}.")
             )
         return section("Settings", *parts)
+
+    def experiments(self, given: Sequence[Path]) -> str:
+        """Return the figures and comparisons of those folders in `given` that are an experiment's."""
+        found: list[str] = []
+        for folder in dict.fromkeys(given):
+            try:
+                found.append(experiment_section(folder))
+            except ShesError as error:
+                self.read.left_out.append(f"An experiment is left out: {error}")
+        return "\n".join(filter(None, found))
 
     def runs(self) -> str:
         """Return the runs, and the notes on what could not be done so far."""

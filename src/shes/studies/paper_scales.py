@@ -1,0 +1,174 @@
+"""The sizes of the paper's experiments, and the settings of the method as published and of the one with the pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from shes.studies.design import Reference
+from shes.training.presets import make_config
+
+TASKS = ("gather", "maze", "push")
+PUBLISHED, PIECES = "published", "pieces"
+
+REFERENCES: dict[str, tuple[Reference, ...]] = {
+    "ant-gather": (
+        Reference("SHES (paper)", 3.74),
+        Reference("HIRO (Nachum)", 3.02),
+        Reference("SNN4HRL", 1.92),
+        Reference("VIME", 1.42),
+        Reference("FuN", 0.85),
+    ),
+    "ant-maze": (Reference("HIRO (Nachum)", 0.99), Reference("FuN", 0.16), Reference("SNN4HRL, VIME", 0.0)),
+    "ant-push": (Reference("HIRO (Nachum)", 0.92), Reference("FuN", 0.06), Reference("SNN4HRL, VIME", 0.02)),
+}
+"""Published scores: Nachum et al. 2018, Table 1 (FuN with cosine similarity); SHES paper, 1.24 times HIRO's."""
+
+_BRANCHES = {"primitive_estimate": "interval", "intervals": 2}
+_VIEWS = {"primitive_view": "egocentric", "goal_encoding": "angle_metres"}
+_PLAIN = {"output_weights": "zero", "weight_decay": 0.0}
+_POINT: dict[str, Any] = {"controller_interval": 10, "population_size": 160, "sigma": 0.1, "learning_rate": 0.04}
+_POINT_BRANCHES = {"primitive_population_size": 400, "primitive_sigma": 0.1, "primitive_learning_rate": 0.03}
+_ANT_PUBLISHED: dict[str, Any] = {
+    "hidden": (64, 64),
+    "population_size": 240,
+    "sigma": 0.07,
+    "learning_rate": 0.02,
+    "noise_table_size": 25_000_000,
+}
+_FORMS: dict[tuple[str, str], dict[str, Any]] = {
+    ("point", PUBLISHED): _POINT,
+    ("point", PIECES): {
+        **_POINT,
+        **_VIEWS,
+        **_BRANCHES,
+        **_PLAIN,
+        **_POINT_BRANCHES,
+        "minimum_goal_distance": False,
+    },
+    ("ant", PUBLISHED): _ANT_PUBLISHED,
+    ("ant", PIECES): {},
+}
+"""Settings over the preset, by body and form. For the ant, the preset `laptop` has the pieces: the form as published is
+over `smoke`, which has none."""
+_ALONE: dict[tuple[str, str], dict[str, Any]] = {
+    ("point", PUBLISHED): _POINT,
+    ("point", PIECES): {**_POINT, **_VIEWS, **_BRANCHES, **_PLAIN, "population_size": 400, "learning_rate": 0.03},
+    ("ant", PUBLISHED): _ANT_PUBLISHED,
+    ("ant", PIECES): {},
+}
+"""The same for a primitive that is trained alone."""
+_PIECES = (
+    *("primitive_view", "symmetry", "goal_encoding", "clock_frequency", "primitive_estimate", "intervals"),
+    *("fall_price", "output_weights", "weight_decay", "hold_tied", "controller_view", "controller_output"),
+    *("minimum_goal_distance", "primitive_population_size", "primitive_sigma", "primitive_learning_rate"),
+)
+"""Settings that are pieces; the others of a preset say how large networks and population are."""
+OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")
+"""Settings, beside `primitive_...`, that come with a transferred primitive or have no effect on a frozen one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """The size of the experiments."""
+
+    preset: str
+    seeds: Mapping[str, int]
+    """Number of seeds by body."""
+    settings: Mapping[str, Any]
+    episodes: int
+    env_steps: Mapping[str, int] = field(default_factory=dict)
+    """Environment steps of training, by environment; without, the preset's generations."""
+    branched_population: int | None = None
+    """Size of a population of branched pairs beside controllers, if it is not the form's."""
+    hiro: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of HIRO over `hiro_preset`. Its steps take much longer, because each comes with updates."""
+    hiro_preset: str = "laptop"
+    timed_seeds: Mapping[str, int]
+    """Number of seeds by body, where time is measured: of runs with several numbers of workers, and of generations."""
+    num_workers: tuple[int, ...] = (1, 2)
+    """Numbers of workers that are compared."""
+    timed_env: str = "ant-maze"
+    """Environment of the generations that are timed; that of the authors' raw times."""
+    sleepers: tuple[int, ...] = (200, 600)
+    """Numbers of sleeping workers that validate the projection of their time."""
+
+    def form(self, body: str, task: str, form: str) -> dict[str, Any]:
+        """Return the settings of a form over the preset: of two levels, or of a primitive alone for Flagrun."""
+        settings = dict((_ALONE if task == "flagrun" else _FORMS)[body, form])
+        if self.preset == "paper" and form == PUBLISHED:
+            settings = {}
+        elif self.preset != "laptop" and (body, form) == ("ant", PIECES):
+            laptop = make_config(f"ant-{task}", "laptop").settings
+            settings = {name: laptop[name] for name in _PIECES if name in laptop}
+        if self.branched_population is not None and "primitive_population_size" in settings:
+            settings["primitive_population_size"] = self.branched_population
+        return settings
+
+
+SCALES: dict[str, Scale] = {
+    # Table I: 3000 generations, at most ten hours, ten runs.
+    "paper": Scale(
+        preset="paper",
+        seeds={"ant": 10},
+        settings={"minutes": 600.0},
+        episodes=200,
+        hiro={"minutes": 600.0},
+        hiro_preset="hiro-table1",
+        timed_seeds={"ant": 10},
+        num_workers=(48, 240, 600),
+    ),
+    "laptop": Scale(
+        preset="laptop",
+        seeds={"point": 10, "ant": 5},
+        settings={"horizon": 500, "evaluation_horizon": 500, "evaluation_episodes": 20, "evaluation_interval": 5},
+        episodes=100,
+        env_steps={
+            **{f"point-{task}": 1_500_000 for task in TASKS},
+            "point-flagrun": 500_000,
+            "ant-gather": 6_000_000,
+            "ant-maze": 2_000_000,
+            "ant-push": 2_000_000,
+            "ant-flagrun": 1_000_000,
+        },
+        hiro={
+            "horizon": 500,
+            "evaluation_horizon": 500,
+            "evaluation_episodes": 20,
+            "evaluation_interval": 4,
+            "env_steps": 300_000,
+            "generations": 100_000,
+        },
+        timed_seeds={"point": 3, "ant": 3},
+    ),
+    # A test, too short to learn.
+    "smoke": Scale(
+        preset="smoke",
+        seeds={"point": 2, "ant": 1},
+        settings={
+            "population_size": 8,
+            "horizon": 50,
+            "evaluation_horizon": 50,
+            "evaluation_episodes": 2,
+            "evaluation_interval": 2,
+            "noise_table_size": 1_000_000,
+        },
+        episodes=4,
+        env_steps={f"{body}-{task}": 1_000 for body in ("point", "ant") for task in (*TASKS, "flagrun")},
+        branched_population=8,
+        hiro={
+            "horizon": 50,
+            "evaluation_horizon": 50,
+            "evaluation_episodes": 2,
+            "warmup_steps": 200,
+            "generation_steps": 100,
+            "env_steps": 400,
+            "generations": 100_000,
+        },
+        hiro_preset="smoke",
+        timed_seeds={"point": 1},
+        timed_env="point-maze",
+        sleepers=(4,),
+    ),
+}

@@ -1,0 +1,246 @@
+"""The paper's experiments: Table I's settings, runs that are shared, workers, speed-ups, origin, tables and figures."""
+
+import csv
+import json
+import math
+
+import pytest
+
+from shes.cli import main
+from shes.listing import Listing
+from shes.studies import command, speedup
+from shes.studies.comparison import compare
+from shes.studies.figures import draw_figures
+from shes.studies.named_studies import STUDIES
+from shes.studies.origin import joined, origin_columns
+from shes.studies.paper_scales import SCALES
+from shes.studies.running import check_study, read_summaries, run_cell, run_study
+from shes.studies.study import ALONE, cell_config
+from shes.studies.study_tables import Cell, Summary, write_tables
+from shes.studies.table1 import TABLE_1, settings_beside
+from tests.e2e import runs
+
+NAMES = ("table1", "fig3", "fig4", "fig5", "fig6")
+TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}
+PART = {
+    "machine": {"system": "Linux", "processor": "Zen", "cores": 24},
+    "device": {"name": "cpu"},
+    "versions": {"python": "3.12.1", "numpy": "2.4"},
+    "git_commit": "12345678",
+}
+
+
+def rows(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+# Table I.
+
+
+@pytest.mark.parametrize("env", ["ant-gather", "ant-maze", "ant-push"])
+def test_scale_paper_has_the_settings_of_table_one(env):
+    found = settings_beside(env)
+    assert len(found) == len(TABLE_1) == 11
+    for row in found:
+        assert row["shes_here"] == row["shes"], row
+        # HIRO has no generations, and no number of CPU cores is a setting of its run.
+        if row["parameter"] not in ("generations", "CPU cores"):
+            assert row["hiro_here"] == row["hiro"], row
+
+
+def test_the_runs_of_scale_paper_have_ten_seeds_ten_hours_and_three_numbers_of_workers():
+    cells = STUDIES["table1"]("paper").cells
+    assert {cell.seed for cell in cells} == set(range(1, 11))
+    assert {cell.env for cell in cells} == {"ant-gather", "ant-maze", "ant-push"}
+    assert {cell.settings["minutes"] for cell in cells} == {600.0}
+    timed = STUDIES["fig4"]("paper").cells
+    assert {cell.settings["num_workers"] for cell in timed} == {48, 240, 600}
+    assert {cell.seed for cell in timed} == set(range(1, 11))
+
+
+# Runs.
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_table_1_and_figures_3_and_5_share_runs(scale):
+    table, third, fifth = (
+        {(cell.name, cell.digest) for cell in STUDIES[name](scale, seeds=1).cells}
+        for name in ("table1", "fig3", "fig5")
+    )
+    assert table == third
+    assert {name for name, _ in third - fifth} == {name for name, _ in third if "/hiro/" in name}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_scale_paper_has_settings_that_are_allowed(name, tmp_path):
+    check_study(STUDIES[name]("paper", seeds=1), tmp_path)
+
+
+def test_a_run_of_figure_4_has_its_own_number_of_workers(tmp_path):
+    for cell in STUDIES["fig4"]("smoke").cells:
+        config = cell_config(cell, tmp_path, {"backend": "processes", "num_workers": 7})
+        assert f"{config.workers.num_workers}" == cell.variant.rpartition("-")[2]
+        assert config.workers.backend == "processes"
+    own = Cell(group="g", variant="v", env="point-gather", seed=5, preset="smoke", settings={**TINY, "num_workers": 2})
+    summary = run_cell(own, tmp_path, 2, workers={**ALONE, "backend": "processes"})
+    assert summary.row["workers"] == 2
+
+
+def test_figure_6_measures_the_settings_of_the_runs_and_flat_es(tmp_path):
+    study, runs_of = STUDIES["fig6"]("laptop", seeds=1), STUDIES["fig3"]("laptop", seeds=1)
+    trained = {cell.variant: cell_config(cell, tmp_path) for cell in runs_of.cells if cell.env == "ant-maze"}
+    measured = {cell.variant: cell_config(cell, tmp_path) for cell in study.cells}
+    assert list(measured) == ["published", "es", "pieces"]
+    for form in ("published", "pieces"):
+        ours, theirs = measured[form].numbers(), trained[form].numbers()
+        assert {name for name in ours if ours[name] != theirs[name]} <= {"generations", "env_steps"}
+    flat, published = measured["es"], measured["published"]
+    assert flat.run.algorithm == "es"
+    assert flat.networks.hidden == published.networks.hidden
+    for name in ("population_size", "sigma", "learning_rate", "noise_table_size"):
+        assert getattr(flat.evolution, name) == getattr(published.evolution, name)
+
+
+# Speed-ups.
+
+
+@pytest.fixture
+def measured(monkeypatch):
+    """Let a measurement be a table, and count the measurements."""
+    calls = []
+
+    def measure(config, **options):
+        calls.append((config.run.env, config.run.algorithm, config.workers.count, options["sleepers"]))
+        speedups = {("measured", 2): 1.9, ("projected", 48): 40.0, ("projected", 240): 150.0, ("projected", 600): 300.0}
+        return [{"kind": k, "cores": n, "speedup": s, "start_s": math.nan} for (k, n), s in speedups.items()]
+
+    monkeypatch.setattr(speedup, "measure_speedup", measure)
+    return calls
+
+
+def test_a_measurement_is_a_summary_and_is_not_repeated(tmp_path, measured):
+    study = STUDIES["fig6"]("smoke", seeds=2)
+    assert next(run_study(study, tmp_path, num_workers=2, until=0)).summary is None  # the time is over
+    assert measured == []
+    outcomes = list(run_study(study, tmp_path, num_workers=2))
+    assert [outcome.error for outcome in outcomes] == [""] * 6
+    algorithms = [algorithm for _, algorithm, *_ in measured]
+    assert sorted(algorithms) == ["es", "es", "shes", "shes", "shes", "shes"]
+    assert {each[0::2] for each in measured} == {("point-maze", 2)}
+    assert {each[3] for each in measured} == {(4,)}
+    row = outcomes[0].summary.row
+    assert (row["workers"], row["speedup_here"], row["speedup_600"]) == (2, 1.9, 300.0)
+    assert outcomes[0].summary.curve[0]["start_s"] is None
+    assert list(run_study(study, tmp_path, num_workers=2)) == []
+    assert len(measured) == 6
+    summaries = read_summaries(study, tmp_path)
+    (tmp_path / "tables").mkdir()
+    write_tables(study.ordered(), summaries, tmp_path / "tables")
+    assert read_summaries(study, tmp_path / "tables") == summaries
+
+
+# Origin.
+
+
+def test_the_origin_of_a_run_names_hardware_versions_and_commit_of_each_part_once():
+    other = {**PART, "git_commit": "9abcdef0", "device": {"name": "cuda", "model": "H100"}}
+    assert origin_columns([PART, other, PART]) == {
+        "hardware": "Zen, 24 cores; Zen, 24 cores, name cuda, model H100",
+        "versions": "python 3.12.1, numpy 2.4",
+        "commit": "12345678; 9abcdef0",
+    }
+    assert joined(["a; b", None, "b", "c"]) == "a; b; c"
+    assert joined([None]) is None
+
+
+def test_a_comparison_has_success_rates_time_and_origin():
+    study = STUDIES["fig3"]("smoke")
+    summaries = {}
+    for cell in study.cells:
+        row = {"best_score": cell.seed, "best_success": cell.seed / 4, "seconds": 1800 * cell.seed}
+        row |= origin_columns([{**PART, "git_commit": str(cell.seed)}])
+        summaries[cell.name] = Summary(row={**cell.identity, **row}, curve=())
+    first = compare(study, summaries)[0]
+    assert (first.env, first.seeds) == ("point-gather", 2)
+    assert (first.success_mean, first.hours) == (0.375, 0.75)
+    assert first.success_error == pytest.approx(0.125)
+    assert (first.hardware, first.commit) == ("Zen, 24 cores", "1; 2")
+    only = {name: found for name, found in summaries.items() if name.endswith("seed-1")}
+    assert compare(study, only)[0].success_error is None
+
+
+# The command.
+
+
+@pytest.fixture
+def done(monkeypatch):
+    """Let the runs of a study be done, and remember what was asked."""
+    asked = []
+
+    def run(name, **options):
+        asked.append((name, options["out"]))
+        options["out"].mkdir(parents=True, exist_ok=True)
+        return Listing({"comparisons": [{"variant": name}]}, ["Tables."])
+
+    monkeypatch.setattr(command, "_run", run)
+    return asked
+
+
+def test_each_experiment_has_a_table_of_its_own_in_the_shared_folder(tmp_path, monkeypatch, done, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in NAMES:
+        assert main(["experiment", name, "--scale", "smoke"]) == 0
+        assert rows(tmp_path / "runs" / "paper" / f"{name}.csv") == [{"variant": name}]
+    assert main(["experiment", "learning", "--scale", "smoke"]) == 0
+    assert [str(out) for _, out in done] == ["runs/paper"] * 5 + ["runs/learning"]
+    assert "runs/paper/fig6.csv" in capsys.readouterr().out
+
+
+def test_table_1_is_printed_beside_the_settings_here(tmp_path, done, capsys):
+    assert main(["experiment", "table1", "--scale", "smoke", "--out", str(tmp_path)]) == 0
+    lines = [line.split("│") for line in capsys.readouterr().out.splitlines() if "│" in line]
+    printed = {cells[1].strip(): [cell.strip() for cell in cells[2:6]] for cells in lines}
+    assert printed["sigma"] == ["0.02", "0.02", "-", "-"]
+    assert printed["hours"] == ["10", "10.0", "10", "10.0"]
+    assert [row["parameter"] for row in rows(tmp_path / "table1-settings.csv")] == [row.words for row in TABLE_1]
+    assert main(["experiment", "table1", "--scale", "smoke", "--out", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["settings"] == settings_beside()
+
+
+# Figures.
+
+
+@pytest.mark.extras
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_figure_is_built_from_the_tables_alone(tmp_path, name):
+    study = STUDIES[name]("smoke", seeds=2)
+    columns = {measure.column for each in (study.design.metrics, study.design.curves) for measure in each.values()}
+    summaries = {
+        cell.name: Summary(
+            row={**cell.identity, **dict.fromkeys(columns, cell.seed / 3), "env_steps": 99, "seconds": 7.5},
+            curve=tuple(
+                {
+                    **cell.identity,
+                    **dict.fromkeys(columns, (step + cell.seed) / 7),
+                    "env_steps": 10 * step,
+                    "seconds": 0.1 * step,
+                    "kind": "projected",
+                    "cores": step + 1,
+                }
+                for step in range(4)
+            ),
+        )
+        for cell in study.cells
+    }
+    first, second = tmp_path / "first", tmp_path / "second"
+    for folder in (first, second):
+        folder.mkdir()
+    write_tables(study.ordered(), summaries, second)
+    again = read_summaries(study, second)
+    drawn = draw_figures(study, summaries, compare(study, summaries), first)
+    assert {path.suffix for path in drawn} == {".png", ".svg"}
+    for path in draw_figures(study, again, compare(study, again), second):
+        if path.suffix == ".png":
+            assert path.read_bytes() == (first / path.name).read_bytes()
