@@ -13,8 +13,8 @@ from shes.registry import Registry, check_class, full_name
 
 TAKEN_ROOMS = frozenset({
     "run", "workers", "environment", "body", "episodes", "evaluation",
-    "by_episodes", "evaluation_steps", "from_dict", "has_schedule", "having", "is_branched", "learns", "level_names",
-    "numbers", "of", "rooms", "setting", "settings", "to_dict",
+    "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "rooms", "setting",
+    "settings", "to_dict",
 })  # fmt: skip
 """Names that a room of an algorithm cannot have: rooms of every run, and attributes of `TrainConfig`."""
 

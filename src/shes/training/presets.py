@@ -194,10 +194,6 @@ def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str,
     return {name: values[name] for cls in classes.values() for name in setting_fields(cls) if name in values}
 
 
-_OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction")
-"""Settings of whole episodes, without effect on a primitive that learns alone from intervals."""
-
-
 def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
     """Raise ConfigError if a setting in `asked` has no effect beside the others."""
     for name in asked:
@@ -210,30 +206,7 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
         raise ConfigError(
             f"{name} has no effect with {others}, got {asked[name]!r}. Set {fixes}, or omit {setting.flag}."
         )
-    if config.is_branched and not config.learns[-1]:
-        for name in setting_fields(type(config.estimate)):
-            if name in asked and name != "primitive_estimate":
-                raise ConfigError(
-                    f"{name} has no effect on a frozen primitive; got {asked[name]!r}. "
-                    f"Omit {config.setting(name).flag}, or set --no-freeze-primitive."
-                )
-    if config.is_branched and config.level_names == ("primitive",):
-        for name in _OF_EPISODES:
-            if name in asked:
-                raise ConfigError(
-                    f"{name} has no effect in a run of {config.run.env} whose primitive is evaluated by intervals: it "
-                    f"applies to whole episodes only; got {asked[name]!r}. "
-                    f"Omit {config.setting(name).flag}, or set --primitive-estimate episode."
-                )
-    if "perturbation" in asked and sum(config.by_episodes) == 1:
-        (learning,) = (name for name, learns in zip(config.level_names, config.by_episodes, strict=True) if learns)
-        needed, role = "learning levels", "learns"
-        if sum(config.learns) > 1:
-            needed, role = "levels evaluated by whole episodes", "is"
-        raise ConfigError(
-            f"--perturbation needs two {needed}; in this run only the {learning} {role}; got "
-            f"{asked['perturbation']!r}. Omit it."
-        )
+    config.algorithm.check_effects(config, asked)
 
 
 def _is_heeded(config: TrainConfig, needs: tuple[Needs, ...]) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
+from shes.algorithms.evolution.levels import is_alone, is_branched
 from shes.algorithms.problem import Problem
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
@@ -68,7 +69,7 @@ def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
 
 def branch_design(settings: Any, design: AgentDesign) -> BranchDesign | None:
     """Return the design of the agents in branches under a controller, or None if there are no such branches."""
-    if not settings.is_branched or not isinstance(design, HierarchicalDesign):
+    if not is_branched(settings) or not isinstance(design, HierarchicalDesign):
         return None
     shared = {field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)}
     return BranchDesign(num_goals=settings.estimate.intervals, **shared)
@@ -96,7 +97,7 @@ def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
 
 def primitive_layers(settings: Any) -> tuple[int, ...]:
     """Return the sizes of the primitive's hidden layers."""
-    own = settings.hierarchy.primitive_hidden if len(settings.level_names) > 1 else None
+    own = None if is_alone(settings) else settings.hierarchy.primitive_hidden
     return settings.networks.hidden if own is None else own
 
 
@@ -146,7 +147,7 @@ def primitive_view(settings: Any, task: EpisodeBatch) -> View:
                 "hide_position is true, but an egocentric view contains no absolute position. Omit --hide-position."
             )
         return _egocentric(settings, task, "primitive_view")
-    sees_all = hierarchy.primitive_view == "observation" and settings.level_names != ("primitive",)
+    sees_all = hierarchy.primitive_view == "observation" and not is_alone(settings)
     view = (task.primitive_view if sees_all else task.proprioception).tolist()
     if not hierarchy.hide_position:
         return ColumnsView(view)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from shes.algorithms.contract import Algorithm, Report
 from shes.algorithms.evolution.algorithm import evolve
 from shes.algorithms.evolution.arrays import check_arrays, check_headers, from_arrays, to_arrays
+from shes.algorithms.evolution.checks import check_effects, check_together, schedule_warnings
 from shes.algorithms.evolution.columns import columns
 from shes.algorithms.evolution.designs import (
     branch_design,
@@ -22,6 +23,7 @@ from shes.algorithms.evolution.designs import (
     primitive_inputs,
 )
 from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make_state
+from shes.algorithms.evolution.levels import steps_per_generation
 from shes.algorithms.evolution.rooms import PRIMITIVE_ROOMS, SES_ROOMS, SHES_ROOMS
 from shes.algorithms.problem import Problem
 from shes.algorithms.worker import WorkerPlan
@@ -40,6 +42,21 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     make_design: ClassVar[Callable[[Problem], AgentDesign]]
     """Returns the design of its agents."""
+
+    @classmethod
+    def check(cls, settings: Any) -> None:
+        """Raise ConfigError for values that do not go together."""
+        check_together(settings)
+
+    @classmethod
+    def check_effects(cls, settings: Any, asked: Mapping[str, Any]) -> None:
+        """Raise ConfigError if a setting in `asked` has no effect on the levels that learn."""
+        check_effects(settings, asked)
+
+    @classmethod
+    def steps_per_generation(cls, settings: Any) -> int:
+        """Return the environment steps of a generation if no episode and no branch ends early."""
+        return steps_per_generation(settings)
 
     def __init__(self, problem: Problem) -> None:
         """Create the agents' design and the hyperparameters.
@@ -115,6 +132,10 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
             for level, rule in zip(state.levels, self.hyperparameters.updates, strict=True)
         )
         return replace(state, levels=levels, running=None)
+
+    def warnings(self) -> list[str]:
+        """Return a warning if the run ends before its schedules do."""
+        return schedule_warnings(self.problem.settings)
 
     @property
     def episodes_in_lockstep(self) -> int:

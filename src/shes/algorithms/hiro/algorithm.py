@@ -58,6 +58,11 @@ class TD3(Algorithm[TD3State]):
     make_levels: ClassVar[Callable[[Problem, Any], tuple[Level, ...]]] = staticmethod(flat_levels)
     """Returns what is fixed about its levels."""
 
+    @classmethod
+    def steps_per_generation(cls, settings: Any) -> int:
+        """Return the environment steps of a generation, without the rest of the episodes that are then running."""
+        return settings.learner.generation_steps
+
     def __init__(self, problem: Problem) -> None:
         """Create the design of the agents and the levels.
 
