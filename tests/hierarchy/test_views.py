@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from shes.algorithms.evolution.designs import primitive_inputs
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.point import FallingPoint, Point
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
@@ -243,8 +244,9 @@ def test_a_primitives_egocentric_view_is_the_robots_alone(env):
     body = ENVIRONMENTS[env].body
     learner = build_algorithm(config)
     names = [f"egocentric {each.name}" for each in body.egocentric]
-    assert learner.inputs("primitive")[5:] == tuple(names)
-    assert learner.design.primitive.sizes[0] == len(learner.inputs("primitive")) == 3 + 2 + len(names)
+    inputs = primitive_inputs(learner.problem)
+    assert inputs[5:] == tuple(names)
+    assert learner.design.primitive.sizes[0] == len(inputs) == 3 + 2 + len(names)
 
 
 STRANGE = "own-maze"

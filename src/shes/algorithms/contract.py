@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 import numpy as np
 
 from shes.algorithms.problem import Problem
+from shes.algorithms.transfer import LevelTransfer
 from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
@@ -73,6 +74,9 @@ class Algorithm(ABC, Generic[StateT]):
     rooms: ClassVar[Mapping[str, type[Settings]]] = {}
     """Its settings: dataclasses by the name of their room. Each setting becomes a flag of `shes train` with help, an
     argument of `shes.train` and an entry of `config.json`. `problem.settings.ROOM.NAME` is its value."""
+
+    transfers: ClassVar[Mapping[str, LevelTransfer]] = {}
+    """The levels that its runs may take from other runs, by name, and how."""
 
     shares_memory: ClassVar[bool] = False
     """Whether a state shares memory with the states after it: the next generation then begins only after this one is

@@ -30,7 +30,7 @@ from shes.runs.rooms import known_settings, settings_in
 from shes.settings import Setting, flag
 from shes.training.presets import make_config
 from shes.training.train import resumable_settings
-from shes.training.transfer import TRANSFERRED
+from shes.training.transfer import transferred_levels
 
 __all__ = ["DEFAULT_ENV", "call"]
 
@@ -180,7 +180,7 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
             aliases=None if each.flag == flag(name) else (flag(name),),
             help=each.text,
             help_behavior_hint=f"(default: {'none' if value is None else value})",
-            metavar="none|RUN" if name in TRANSFERRED else None,
+            metavar="none|RUN" if name in transferred_levels() else None,
         )
         keys[name] = Annotated[kind | None if each.is_optional else kind, shown]
     group = TypedDict("Settings", keys, total=False)  # type: ignore[misc] - as above

@@ -13,10 +13,10 @@ from shes.envs.registry import ENVIRONMENTS, find_environment
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
-from shes.runs.rooms import RunSettings, check_names, rooms_of
+from shes.runs.rooms import RunSettings, check_names, learner, rooms_of
 from shes.runs.shipped import run_text
 from shes.settings import Needs, setting_fields
-from shes.training.transfer import TRANSFERRED, brought_settings
+from shes.training.transfer import brought_settings, transferred_levels
 
 _HIRO: dict[str, Any] = {
     "algorithm": "hiro",
@@ -160,13 +160,13 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     for name in ("hidden", "primitive_hidden"):
         if isinstance(asked.get(name), int):
             asked[name] = (asked[name],)
-    for name in TRANSFERRED:
+    for name in transferred_levels():
         if isinstance(asked.get(name), Path):
             asked[name] = run_text(asked[name])
     identity = {"env": env, "preset": preset}
     values = {**identity, **_preset_values(env, preset, asked), **asked}
     check_names(values)
-    for level in TRANSFERRED:
+    for level in learner(RunSettings.of(values)).transfers:
         if values.get(level) is not None:
             checkpoint = values.get(f"{level}_checkpoint", "best")
             values.update(brought_settings(level, values[level], checkpoint, values, asked))

@@ -16,20 +16,20 @@ from shes.algorithms.evolution.checks import check_effects, check_together, sche
 from shes.algorithms.evolution.columns import columns
 from shes.algorithms.evolution.designs import (
     branch_design,
-    controller_inputs,
     flat_design,
     hierarchical_design,
     primitive_design,
-    primitive_inputs,
 )
 from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make_state
 from shes.algorithms.evolution.levels import steps_per_generation
 from shes.algorithms.evolution.rooms import PRIMITIVE_ROOMS, SES_ROOMS, SHES_ROOMS
+from shes.algorithms.evolution.transfer import PRIMITIVE_TRANSFER, SHES_TRANSFERS
 from shes.algorithms.problem import Problem
+from shes.algorithms.transfer import LevelTransfer
 from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
 from shes.errors import CheckpointError
-from shes.es.level import LevelParameters, LevelState, TrainState
+from shes.es.level import LevelParameters, TrainState
 from shes.hierarchy.agent import AgentDesign
 from shes.settings import Settings
 from shes.types import ArrayHeader
@@ -146,24 +146,13 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         """Return the data that every worker receives once, at its start."""
         return self.problem.plan(self.design, branch_design(self.problem.settings, self.design))
 
-    def with_level(self, state: TrainState, name: str, source: LevelState) -> TrainState:
-        """Return `state` with the parameters and statistics of `source` at level `name`."""
-        levels = tuple(
-            replace(level, theta=source.theta, statistics=source.statistics) if level.name == name else level
-            for level in state.levels
-        )
-        return replace(state, levels=levels)
-
-    def inputs(self, level: str) -> tuple[str, ...]:
-        """Return the name of each input of `level`, in order. A transferred level must have the same inputs."""
-        return {"controller": controller_inputs, "primitive": primitive_inputs}[level](self.problem)
-
 
 class SHES(EvolutionAlgorithm):
     """A controller that sets goals and a primitive that reaches them, evolved together. Source: SHES paper."""
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
+    transfers: ClassVar[Mapping[str, LevelTransfer]] = SHES_TRANSFERS
     make_design = staticmethod(hierarchical_design)
 
 
@@ -172,6 +161,7 @@ class PrimitiveES(EvolutionAlgorithm):
 
     level_names: ClassVar[tuple[str, ...]] = ("primitive",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_ROOMS
+    transfers: ClassVar[Mapping[str, LevelTransfer]] = PRIMITIVE_TRANSFER
     make_design = staticmethod(primitive_design)
 
 
