@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 from shes.envs.bodies.symmetry import SYMMETRIES
 from shes.es.mirror import MIRRORINGS
+from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.novelty import NOVELTY_RULES
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
@@ -70,7 +71,7 @@ class EvolutionSettings(Settings):
     """Which policies share episode seeds: off (none), group (those of a mirrored group) or population (all)."""
     statistics_fraction: Annotated[float, Ge(0), Le(1)] = 1.0
     """Fraction of the mirrored groups whose observations enter the observation statistics."""
-    noise_table_size: Annotated[int, Ge(2)] = 25_000_000
+    noise_table_size: Annotated[int, Ge(2)] = DEFAULT_TABLE_SIZE
     """Normals in the shared noise table, 4 bytes each (authors' code: 250 million)."""
 
 
