@@ -19,7 +19,7 @@ __all__ += ["generation_work"]
 
 
 def evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
-    """Return the evolution strategy of `config`; raise ConfigError if it is another algorithm, or too large for the machine."""
+    """Return the evolution strategy of `config`; raise ConfigError if there is none, or too little memory."""
     algorithm = build_algorithm(config)
     if not isinstance(algorithm, EvolutionAlgorithm):
         known = [name for name, cls in ALGORITHMS.items() if issubclass(cls, EvolutionAlgorithm)]
