@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
 from shes.algorithms.transfer import LevelTransfer
 from shes.algorithms.worker import WorkerPlan
@@ -74,6 +75,10 @@ class Algorithm(ABC, Generic[StateT]):
     rooms: ClassVar[Mapping[str, type[Settings]]] = {}
     """Its settings: dataclasses by the name of their room. Each setting becomes a flag of `shes train` with help, an
     argument of `shes.train` and an entry of `config.json`. `problem.settings.ROOM.NAME` is its value."""
+
+    presets: ClassVar[Mapping[str, Preset]] = {}
+    """Its own values of presets, by name, which win over `shes.algorithms.presets.PRESETS`. A name that is not among
+    those is a preset of its own; `--preset` then chooses the first algorithm that has it."""
 
     transfers: ClassVar[Mapping[str, LevelTransfer]] = {}
     """The levels that its runs may take from other runs, by name, and how."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.learners import SES, SHES, PrimitiveES
 from shes.algorithms.hiro.algorithm import HIRO, TD3
+from shes.algorithms.presets import PRESETS
 from shes.errors import ConfigError
 from shes.options import check_options
 from shes.registry import Registry, check_class, full_name
@@ -80,3 +82,23 @@ def find_algorithm(name: str, *, sets_goals: bool = False) -> type[Algorithm[Any
 def learners() -> tuple[type[Algorithm[Any]], ...]:
     """Return every algorithm, including the substitutes in environments that set goals."""
     return (*ALGORITHMS.values(), *_PRIMITIVE_ALONE.values())
+
+
+class _PresetNames(Collection[str]):
+    """The names at the time of asking, because an algorithm may be registered later."""
+
+    def _names(self) -> dict[str, None]:
+        return dict.fromkeys(name for each in (PRESETS, *(cls.presets for cls in learners())) for name in each)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names()
+
+    def __len__(self) -> int:
+        return len(self._names())
+
+
+PRESET_NAMES = _PresetNames()
+"""Names of the presets of every algorithm, and of those that a registered algorithm brings."""

@@ -22,8 +22,10 @@ from shes.algorithms.evolution.designs import (
 )
 from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make_state
 from shes.algorithms.evolution.levels import steps_per_generation
+from shes.algorithms.evolution.presets import SES_PRESETS, SHES_PRESETS
 from shes.algorithms.evolution.rooms import PRIMITIVE_ROOMS, SES_ROOMS, SHES_ROOMS
 from shes.algorithms.evolution.transfer import PRIMITIVE_TRANSFER, SHES_TRANSFERS
+from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
 from shes.algorithms.transfer import LevelTransfer
 from shes.algorithms.worker import WorkerPlan
@@ -152,6 +154,7 @@ class SHES(EvolutionAlgorithm):
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
+    presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
     transfers: ClassVar[Mapping[str, LevelTransfer]] = SHES_TRANSFERS
     make_design = staticmethod(hierarchical_design)
 
@@ -161,6 +164,7 @@ class PrimitiveES(EvolutionAlgorithm):
 
     level_names: ClassVar[tuple[str, ...]] = ("primitive",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_ROOMS
+    presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
     transfers: ClassVar[Mapping[str, LevelTransfer]] = PRIMITIVE_TRANSFER
     make_design = staticmethod(primitive_design)
 
@@ -170,4 +174,5 @@ class SES(EvolutionAlgorithm):
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = SES_ROOMS
+    presets: ClassVar[Mapping[str, Preset]] = SES_PRESETS
     make_design = staticmethod(flat_design)

@@ -24,7 +24,9 @@ from shes.algorithms.hiro.collector import Actor, Collector, HiroCollector
 from shes.algorithms.hiro.columns import columns
 from shes.algorithms.hiro.designs import check_memory, flat_design, flat_levels, hiro_design, hiro_levels
 from shes.algorithms.hiro.levels import Level, LevelState, within
+from shes.algorithms.hiro.presets import HIRO_PRESETS
 from shes.algorithms.hiro.rooms import HIRO_ROOMS, TD3_ROOMS
+from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
 from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
@@ -52,6 +54,7 @@ class TD3(Algorithm[TD3State]):
     """TD3 with one policy without goals."""
 
     rooms: ClassVar[Mapping[str, type[Settings]]] = TD3_ROOMS
+    presets: ClassVar[Mapping[str, Preset]] = HIRO_PRESETS
     shares_memory: ClassVar[bool] = True  # that of the replay buffers
     make_design: ClassVar[Callable[[Problem], AgentDesign]] = staticmethod(flat_design)
     """Returns the design of its agents."""
