@@ -64,13 +64,19 @@ class Report(Generic[StateT]):
 
 
 class Algorithm(ABC, Generic[StateT]):
-    """A learning algorithm for one problem. A run, an evaluation and an agent each make their own."""
+    """A learning algorithm for one problem. A run, an evaluation and an agent each make their own.
+
+    The first sentence of a subclass's docstring is its description in the help of `--algorithm`.
+    """
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
     """Names of the levels of its agents. The level that acts every step comes last.
 
     A `controller` sets goals, a `primitive` reaches them, and a `policy` has no goals.
     """
+
+    without_controller: ClassVar[type[Algorithm[Any]] | None] = None
+    """The class that learns instead in environments that set the goals, such as Flagrun; None for this one."""
 
     rooms: ClassVar[Mapping[str, type[Settings]]] = {}
     """Its settings: dataclasses by the name of their room. Each setting becomes a flag of `shes train` with help, an

@@ -31,11 +31,10 @@ class RunSettings(Settings):
     """Environment name (see `shes envs`) or `gymnasium:ID`."""
     algorithm: Annotated[
         str,
-        Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE."),
+        Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE.", is_described=True),
         Shown(everyday=True),
     ] = "shes"
-    """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES; hiro and
-    td3: the same by gradients."""
+    """Algorithm."""
     preset: Annotated[str, Choices(PRESET_NAMES), Execution(), Shown(everyday=True)] = "laptop"
     """Preset of the other settings."""
     seed: Annotated[int, Ge(0), Lt(2**63), Shown(everyday=True)] = 1
@@ -115,9 +114,10 @@ def learner(run: RunSettings) -> type[Algorithm[Any]]:
     sets_goals = find_environment(run.env).sets_goals
     found = find_algorithm(run.algorithm, sets_goals=sets_goals)
     if sets_goals and "controller" in found.level_names:
+        fitting = [name for name in ALGORITHMS if "controller" not in find_algorithm(name, sets_goals=True).level_names]
         raise ConfigError(
             f"{run.env} sets the goals itself, which the controller of {run.algorithm} is to learn. Set --algorithm "
-            "shes, which trains the primitive alone there, or one without goals: es or td3."
+            f"{' or '.join(fitting)}, which have no controller there."
         )
     return found
 

@@ -149,18 +149,8 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         return self.problem.plan(self.design, branch_design(self.problem.settings, self.design))
 
 
-class SHES(EvolutionAlgorithm):
-    """A controller that sets goals and a primitive that reaches them, evolved together. Source: SHES paper."""
-
-    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
-    presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
-    transfers: ClassVar[Mapping[str, LevelTransfer]] = SHES_TRANSFERS
-    make_design = staticmethod(hierarchical_design)
-
-
 class PrimitiveES(EvolutionAlgorithm):
-    """A primitive alone, in environments that set the goals. Source: SHES paper, section II-D."""
+    """Evolves a primitive alone, in environments that set the goals. Source: SHES paper, section II-D."""
 
     level_names: ClassVar[tuple[str, ...]] = ("primitive",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_ROOMS
@@ -169,8 +159,19 @@ class PrimitiveES(EvolutionAlgorithm):
     make_design = staticmethod(primitive_design)
 
 
+class SHES(EvolutionAlgorithm):
+    """Evolves controller and primitive. Source: SHES paper."""
+
+    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
+    without_controller: ClassVar[type[EvolutionAlgorithm]] = PrimitiveES
+    rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
+    presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
+    transfers: ClassVar[Mapping[str, LevelTransfer]] = SHES_TRANSFERS
+    make_design = staticmethod(hierarchical_design)
+
+
 class SES(EvolutionAlgorithm):
-    """One policy without goals. Source: Salimans et al. 2017."""
+    """Evolves one policy without goals, S-ES. Source: Salimans et al. 2017."""
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = SES_ROOMS

@@ -51,7 +51,7 @@ class TD3State:
 
 
 class TD3(Algorithm[TD3State]):
-    """TD3 with one policy without goals."""
+    """Trains one policy without goals by gradients. Source: Fujimoto et al. 2018."""
 
     rooms: ClassVar[Mapping[str, type[Settings]]] = TD3_ROOMS
     presets: ClassVar[Mapping[str, Preset]] = HIRO_PRESETS
@@ -203,7 +203,10 @@ class TD3(Algorithm[TD3State]):
 
 
 class HIRO(TD3):
-    """Two levels of TD3 from one stream of experience, with the off-policy correction. Source: Nachum et al. 2018."""
+    """Trains controller and primitive by gradients. Source: Nachum et al. 2018.
+
+    Two levels of TD3 learn from one stream of experience, with the off-policy correction.
+    """
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     rooms: ClassVar[Mapping[str, type[Settings]]] = HIRO_ROOMS
