@@ -136,7 +136,7 @@ def test_wrong_names_are_refused():
         ({"novelty_neighbours": 3}, "novelty_neighbours has no effect with novelty 'none'.*omit --novelty-neighbours"),
         (
             {"schedule_generations": 50},
-            "schedule_generations has no effect with learning_rate_schedule 'constant', .*, got 50.*omit --sched",
+            "schedule_generations has no effect with learning_rate_end None, .*, got 50.*omit --sched",
         ),
         (
             {"perturbation": "one_to_many", "algorithm": "es"},

@@ -11,6 +11,8 @@ from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import PERTURBATIONS
+from shes.es.schedules import SCHEDULES
+from shes.hierarchy.views import PRIMITIVE_VIEWS
 from shes.settings import flag, out_of_range, setting_fields
 
 _WHOLE_GROUPS = 48
@@ -38,14 +40,14 @@ def _check_schedules(values: Mapping[str, Any]) -> None:
         is_constant, has_end = values[kind] == "constant", values[end] is not None
         if is_constant and has_end:
             raise ConfigError(
-                f"{end} is {values[end]}, but {name} is constant. Set {flag(kind)} to linear, exponential "
-                f"or cosine, or omit {flag(end)}."
+                f"{end} is {values[end]}, but {name} is constant. Set {flag(kind)} to "
+                f"{', '.join(other for other in SCHEDULES if other != 'constant')}, or omit {flag(end)}."
             )
         if not is_constant and not has_end:
             raise ConfigError(f"{kind} is {values[kind]!r}, but {end} is not set. Set {flag(end)}.")
-        if values[kind] == "exponential" and not values[end]:
+        if has_end and not values[end] and not SCHEDULES.find(values[kind]).can_end_at_zero:
             raise ConfigError(
-                f"the end of the exponential schedule of {name} must be positive, got {values[end]}. "
+                f"the end of the {values[kind]} schedule of {name} must be positive, got {values[end]}. "
                 f"Set {flag(kind)} to another one, or change {flag(end)}."
             )
 
@@ -62,7 +64,7 @@ def _check_population(settings: Any) -> None:
     if (
         "hierarchy" in settings
         and settings.hierarchy.symmetry != "none"
-        and settings.hierarchy.primitive_view != "egocentric"
+        and not PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).is_egocentric
     ):
         raise ConfigError(
             f"symmetry is {settings.hierarchy.symmetry!r}, but the primitive's view is "
@@ -86,7 +88,7 @@ def _check_branches(settings: Any) -> None:
             "branched. Set --primitive-estimate episode."
         )
     is_beside = not is_alone(settings)
-    if is_beside and learns(settings)[-1] and settings.hierarchy.primitive_view == "observation":
+    if is_beside and learns(settings)[-1] and PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
         raise ConfigError(
             "primitive_estimate is 'interval', but the primitive sees the task's observation, which a branch does "
             "not continue. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."

@@ -24,6 +24,7 @@ from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
 from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
+from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown
@@ -34,7 +35,6 @@ SCHEDULED = {
     "episodes_per_policy": ("episodes_schedule", "episodes_end"),
 }
 """Settings with a schedule: the settings of its kind and of its end."""
-_CHANGING = tuple(name for name in SCHEDULES if name != "constant")
 
 
 def _registered(registry: Registry[Any], kind: str) -> Choices:
@@ -59,8 +59,8 @@ class EvolutionSettings(Settings):
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
     weight_decay_form: Literal["gradient", "decoupled"] = "gradient"
     """Where the weight decay applies: gradient (before the optimizer, as in the authors' code) or decoupled (AdamW)."""
-    mirrored: Annotated[str, Choices(MIRRORINGS)] = "quad"
-    """How the members of a group mirror its noise: quad (four-way), pair (two-way) or none (section II-F)."""
+    mirrored: Annotated[str, Choices(MIRRORINGS, is_described=True)] = "quad"
+    """How the members of a group mirror its noise (section II-F)."""
     fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS, is_described=True)] = "centred_rank"
     """Fitness shaping."""
     hold_tied: bool = True
@@ -94,9 +94,9 @@ class ScheduleSettings(Settings):
     schedule_generations: Annotated[
         int,
         Ge(1),
-        Needs("learning_rate_schedule", _CHANGING),
-        Needs("sigma_schedule", _CHANGING),
-        Needs("episodes_schedule", _CHANGING),
+        Needs("learning_rate_end"),
+        Needs("sigma_end"),
+        Needs("episodes_end"),
     ] = 1000
     """Generations from the start to the end of every schedule."""
 
@@ -137,9 +137,8 @@ class PrimitiveSettings(Settings):
     """Goal features that the primitive observes (section II-C)."""
     primitive_reward: Annotated[str, _registered(PRIMITIVE_REWARDS, "primitive_reward")] = "progress"
     """Intrinsic reward of the primitive (section II-B)."""
-    primitive_view: Literal["observation", "proprioception", "egocentric"] = "observation"
-    """What the primitive observes besides its goal: the task's observation, proprioception (the robot's coordinates) or
-    egocentric (the robot's state in its own frame, without its position)."""
+    primitive_view: Annotated[str, Choices(PRIMITIVE_VIEWS, is_described=True)] = "observation"
+    """What the primitive observes besides its goal."""
     symmetry: Annotated[str, Choices(SYMMETRIES), Needs("primitive_view", ("egocentric",))] = "none"
     """Symmetry of the body by which every goal is turned to the front, for an egocentric view."""
     hide_position: bool = False
@@ -154,9 +153,8 @@ class HierarchySettings(PrimitiveSettings):
     """Whether goals nearer than 1 m are moved outward."""
     controller_output: Annotated[str, _registered(CONTROLLER_OUTPUTS, "controller_output")] = "vector"
     """Meaning of the controller's outputs."""
-    controller_view: Literal["observation", "egocentric"] = "observation"
-    """What the controller observes: the task's observation, or egocentric (the robot's state in its own frame, then the
-    rest of the observation)."""
+    controller_view: Annotated[str, Choices(CONTROLLER_VIEWS, is_described=True)] = "observation"
+    """What the controller observes."""
     controller_weight_decay: Annotated[float, Ge(0)] | None = None
     """Weight decay of the controller; none for weight_decay. Without reward, only the decay changes a controller."""
     perturbation: Annotated[str, Choices(PERTURBATIONS, is_described=True)] = "many_to_many"

@@ -14,6 +14,7 @@ from shes.algorithms.evolution.levels import is_alone
 from shes.algorithms.problem import Problem
 from shes.algorithms.transfer import LevelTransfer
 from shes.es.level import TrainState
+from shes.hierarchy.views import PRIMITIVE_VIEWS
 
 
 class _Transfer(LevelTransfer):
@@ -43,14 +44,15 @@ class PrimitiveTransfer(_Transfer):
 
     def settings(self, source: Any, level_names: tuple[str, ...]) -> dict[str, Any]:
         """Return the settings of the primitive's inputs and layers."""
-        view, is_plain = source.hierarchy.primitive_view, is_alone(source)
+        view = source.hierarchy.primitive_view
+        is_plain = is_alone(source) and PRIMITIVE_VIEWS.find(view).sees_task
         return {
             **{
                 name: source.settings[name]
                 for name in ("goal_encoding", "clock_frequency", "hide_position", "symmetry")
             },
             "hidden" if level_names == ("primitive",) else "primitive_hidden": primitive_layers(source),
-            "primitive_view": "proprioception" if is_plain and view == "observation" else view,
+            "primitive_view": "proprioception" if is_plain else view,
         }
 
     def spec(self, problem: Problem) -> str:
@@ -65,7 +67,7 @@ class PrimitiveTransfer(_Transfer):
 
     def is_egocentric(self, source: Any) -> bool:
         """Return whether the primitive sees the robot's state in its own frame."""
-        return source.hierarchy.primitive_view == "egocentric"
+        return PRIMITIVE_VIEWS.find(source.hierarchy.primitive_view).is_egocentric
 
 
 class ControllerTransfer(_Transfer):
