@@ -93,24 +93,24 @@ class Algorithm(ABC, Generic[StateT]):
     """Whether a state shares memory with the states after it: the next generation then begins only after this one is
     evaluated and in its checkpoint. Otherwise both are done beside it."""
 
-    @classmethod
-    def check(cls, settings: Any) -> None:
+    @staticmethod
+    def check(settings: Any) -> None:
         """Check combinations of values of its settings; `settings.ROOM.NAME` is a value.
 
         Raises:
             ConfigError: Two values do not go together.
         """
 
-    @classmethod
-    def check_effects(cls, settings: Any, asked: Mapping[str, Any]) -> None:
+    @staticmethod
+    def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
         """Check that the settings in `asked`, which the user gave, have an effect; see also `Needs`.
 
         Raises:
             ConfigError: One of them has no effect beside the others.
         """
 
-    @classmethod
-    def steps_per_generation(cls, settings: Any) -> int:
+    @staticmethod
+    def steps_per_generation(settings: Any) -> int:
         """Return the environment steps of a generation if no episode ends early. By default it is one episode."""
         return settings.episodes.horizon
 

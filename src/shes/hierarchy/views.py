@@ -190,8 +190,9 @@ class Egocentric(ViewChoice):
 
     def of(self, task: EpisodeBatch) -> View | None:
         """Return the egocentric view, if the robot has one."""
-        has_view = task.robot is not None and task.robot.egocentric
-        return EgocentricView(task.robot, task.proprioception.tolist(), self.others(task)) if has_view else None
+        if task.robot is None or not task.robot.egocentric:
+            return None
+        return EgocentricView(task.robot, task.proprioception.tolist(), self.others(task))
 
     def others(self, task: EpisodeBatch) -> Sequence[int]:
         """Return the indices of the observed values besides the robot's."""

@@ -23,7 +23,7 @@ from shes.settings import Execution, Setting, Settings
 
 
 class TrainConfig:
-    """The settings of a training run, immutable, in rooms: `config.evolution.sigma`. See `shes.runs.rooms`."""
+    """The settings of a training run, immutable, in rooms: `config.run.seed`. See `shes.runs.rooms`."""
 
     run: RunSettings
     workers: WorkerSettings

@@ -45,20 +45,9 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     make_design: ClassVar[Callable[[Problem], AgentDesign]]
     """Returns the design of its agents."""
 
-    @classmethod
-    def check(cls, settings: Any) -> None:
-        """Raise ConfigError for values that do not go together."""
-        check_together(settings)
-
-    @classmethod
-    def check_effects(cls, settings: Any, asked: Mapping[str, Any]) -> None:
-        """Raise ConfigError if a setting in `asked` has no effect on the levels that learn."""
-        check_effects(settings, asked)
-
-    @classmethod
-    def steps_per_generation(cls, settings: Any) -> int:
-        """Return the environment steps of a generation if no episode and no branch ends early."""
-        return steps_per_generation(settings)
+    check = staticmethod(check_together)
+    check_effects = staticmethod(check_effects)
+    steps_per_generation = staticmethod(steps_per_generation)
 
     def __init__(self, problem: Problem) -> None:
         """Create the agents' design and the hyperparameters.
@@ -163,7 +152,7 @@ class SHES(EvolutionAlgorithm):
     """Evolves controller and primitive. Source: SHES paper."""
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    without_controller: ClassVar[type[EvolutionAlgorithm]] = PrimitiveES
+    without_controller: ClassVar[type[Algorithm[Any]] | None] = PrimitiveES
     rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
     presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
     transfers: ClassVar[Mapping[str, LevelTransfer]] = SHES_TRANSFERS

@@ -61,8 +61,8 @@ class TD3(Algorithm[TD3State]):
     make_levels: ClassVar[Callable[[Problem, Any], tuple[Level, ...]]] = staticmethod(flat_levels)
     """Returns what is fixed about its levels."""
 
-    @classmethod
-    def steps_per_generation(cls, settings: Any) -> int:
+    @staticmethod
+    def steps_per_generation(settings: Any) -> int:
         """Return the environment steps of a generation, without the rest of the episodes that are then running."""
         return settings.learner.generation_steps
 
