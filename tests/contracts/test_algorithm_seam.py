@@ -170,6 +170,13 @@ def test_a_class_that_stands_in_is_checked_as_well(own):
         shes.register_algorithm("other", type("Other", (Own,), {"without_controller": alone}))
 
 
+def test_a_subclass_may_stand_in(own):
+    whole = type("Whole", (Own,), {})
+    whole.without_controller = type("Part", (whole,), {"level_names": ("primitive",)})
+    shes.register_algorithm("whole", whole)
+    assert TrainConfig.of(env="point-flagrun", algorithm="whole").level_names == ("primitive",)
+
+
 def test_a_setting_of_it_is_no_level_of_another_run(own):
     assert set(transferred_levels()) == {"controller", "primitive"}
     config = make_config("point-gather", "smoke", {"algorithm": "own", "primitive": 2})
