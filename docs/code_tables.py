@@ -15,12 +15,14 @@ from unittest.mock import patch
 import griffe  # a dependency of mkdocstrings-python
 
 import shes
+from shes.algorithms.presets import PRESETS
+from shes.algorithms.registry import PRESET_NAMES
 from shes.cli import main
 from shes.cli.command_table import COMMANDS
 from shes.envs.registry import ENVIRONMENTS
 from shes.runs.config import TrainConfig
 from shes.settings import Unasked, setting_fields
-from shes.training.presets import PRESETS, make_config
+from shes.training.presets import make_config
 
 _SRC = Path(__file__).parents[1] / "src"
 _TERMINAL = {"NO_COLOR": "1", "TERM": "dumb"}
@@ -53,9 +55,8 @@ def _help(*words: str) -> str:
 
 def settings() -> str:
     """Return a table of the flags of `train` for each room: meaning, and value in every preset."""
-    evolved = [preset for preset, values in PRESETS.items() if "algorithm" not in values]
-    configs = {preset: make_config("ant-gather", preset) for preset in evolved}
-    by_gradients = {preset: make_config("ant-gather", preset, {"algorithm": "hiro"}) for preset in PRESETS}
+    configs = {preset: make_config("ant-gather", preset) for preset in PRESETS}
+    by_gradients = {preset: make_config("ant-gather", preset, {"algorithm": "hiro"}) for preset in PRESET_NAMES}
     of_every_run = {"environment", *(configs["laptop"].rooms.keys() & by_gradients["laptop"].rooms.keys())}
     parts = [*_rooms(configs, {"environment"}), *_rooms(by_gradients, of_every_run)]
     return "\n\n".join([*parts, "### Environment", _task_options()])

@@ -91,6 +91,13 @@ def test_the_update_bench_goes_on_for_as_long_as_it_is_asked_to():
 
 
 @pytest.mark.parametrize("bench", [bench_rollout, bench_update])
+def test_only_evolution_strategies_are_measured(bench):
+    message = r"bench measures evolution strategies, got td3\. Set --algorithm shes or es\."
+    with pytest.raises(ConfigError, match=message):
+        bench(make_config("point-gather", "smoke", {"algorithm": "td3"}))
+
+
+@pytest.mark.parametrize("bench", [bench_rollout, bench_update])
 def test_what_does_not_fit_the_memory_is_refused(bench):
     config = make_config("point-gather", "smoke", {**TINY, "population_size": 10**12})
     with pytest.raises(ConfigError, match=r"population_size is 1,000.* Set --population-size \d+ or less"):

@@ -131,5 +131,5 @@ def test_settings_of_the_network_are_checked(tmp_path):
 
 
 def test_a_device_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="evolution strategies on the CPU"):
+    with pytest.raises(ConfigError, match="bench speedup measures the CPU, got device"):
         speedup_of("point-gather", {"preset": "smoke", "device": "warp-cpu"}, tmp_path, 50, 10, 0.0)

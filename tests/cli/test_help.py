@@ -9,6 +9,7 @@ from typing import get_args, get_type_hints
 
 import pytest
 
+from shes.algorithms.registry import PRESET_NAMES
 from shes.cli import main, parsing
 from shes.cli.command_table import COMMANDS, find_command
 from shes.console import LineConsole
@@ -18,7 +19,7 @@ from shes.listing import Listing
 from shes.runs.rooms import execution_settings
 from shes.studies import run_comparison
 from shes.training import export
-from shes.training.presets import PRESETS, make_config
+from shes.training.presets import make_config
 from shes.viewing import plot, render
 
 
@@ -237,7 +238,7 @@ def test_the_value_of_a_flag_is_not_taken_for_the_environment(monkeypatch, words
     assert found in ([("ant-push", {"observe_block"}, seed)], [("point-maze", {"target"}, seed)])
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", PRESET_NAMES)
 def test_the_value_of_every_setting_can_be_written_on_the_command_line(given, preset):
     config = make_config("ant-gather", preset)
     words, expected = [], {}

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.evolution.rooms import EvolutionSettings
 from shes.algorithms.registry import ALGORITHMS, TAKEN_ROOMS, find_algorithm
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.runs.checkpoint import restore
@@ -163,11 +162,6 @@ class Search(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnEvolution(EvolutionSettings):
-    tries: int = 1
-
-
-@dataclass(frozen=True, kw_only=True)
 class Vague(Settings):
     tries: int
 
@@ -175,15 +169,13 @@ class Vague(Settings):
 def test_a_room_or_an_option_of_an_algorithm_has_a_name_of_its_own(monkeypatch):
     monkeypatch.setattr(ALGORITHMS, "_entries", dict(ALGORITHMS))
     example = runpy.run_path(str(EXAMPLE), run_name="random_search")["RandomSearch"]
-    for room in ("run", "body", "settings", "evolution", "transfer", "learner"):
+    for room in ("run", "body", "settings"):
         taken = type("Own", (example,), {"rooms": {room: Search}})
         with pytest.raises(ConfigError, match=rf"Own has a room '{room}', a name that is taken\. Choose another name"):
             shes.register_algorithm("own", taken)
-    with pytest.raises(ConfigError, match=r"'evolution'.*, or a subclass of .*\.EvolutionSettings\.$"):
-        shes.register_algorithm("own", type("Own", (example,), {"rooms": {"evolution": Search}}))
     with pytest.raises(ConfigError, match=r"option 'tries' of .*Vague has no default"):
         shes.register_algorithm("own", type("Own", (example,), {"rooms": {"search": Vague}}))
-    shes.register_algorithm("own", type("Own", (example,), {"rooms": {"evolution": OwnEvolution}}))
+    shes.register_algorithm("own", type("Own", (example,), {"rooms": {"evolution": Search}}))
 
 
 def test_the_taken_rooms_are_those_of_every_run_and_the_attributes_of_its_settings():

@@ -40,7 +40,7 @@ def test_pair_members_are_opposites(num_levels):
     assert np.all(second == -1)
 
 
-@given(mirrored=st.sampled_from(MIRRORINGS), num_levels=st.integers(1, 3), groups=st.integers(1, 100))
+@given(mirrored=st.sampled_from(list(MIRRORINGS)), num_levels=st.integers(1, 3), groups=st.integers(1, 100))
 def test_a_whole_number_of_groups_is_accepted(mirrored, num_levels, groups):
     members = len(sign_matrix(mirrored, num_levels))
     assert check_population(groups * members, mirrored, num_levels) == groups

@@ -52,7 +52,7 @@ def test_with_a_frozen_level_every_way_perturbs_the_other_one_in_every_generatio
 
 @given(
     name=st.sampled_from(sorted(PERTURBATIONS)),
-    mirrored=st.sampled_from(MIRRORINGS),
+    mirrored=st.sampled_from(list(MIRRORINGS)),
     learns=st.sampled_from(LEARNS),
     generation=st.integers(0, 9),
     groups=st.integers(1, 6),
@@ -75,7 +75,7 @@ def test_signs_are_those_of_the_textbook(name, mirrored, learns, generation, gro
 @given(
     name=st.sampled_from(sorted(PERTURBATIONS)),
     population=st.integers(1, 60),
-    mirrored=st.sampled_from(MIRRORINGS),
+    mirrored=st.sampled_from(list(MIRRORINGS)),
     learns=st.sampled_from(LEARNS),
 )
 def test_a_population_is_accepted_for_the_first_generation_or_never(name, population, mirrored, learns):

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from shes.algorithms.evolution.designs import primitive_inputs
 from shes.envs.bodies.ant import Ant
 from shes.envs.bodies.point import FallingPoint, Point
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
@@ -243,8 +244,9 @@ def test_a_primitives_egocentric_view_is_the_robots_alone(env):
     body = ENVIRONMENTS[env].body
     learner = build_algorithm(config)
     names = [f"egocentric {each.name}" for each in body.egocentric]
-    assert learner.inputs("primitive")[5:] == tuple(names)
-    assert learner.design.primitive.sizes[0] == len(learner.inputs("primitive")) == 3 + 2 + len(names)
+    inputs = primitive_inputs(learner.problem)
+    assert inputs[5:] == tuple(names)
+    assert learner.design.primitive.sizes[0] == len(inputs) == 3 + 2 + len(names)
 
 
 RINGS, OTHERS = [[1, 2, 3, 4], [6, 7, 8, 9]], [0, 5]
@@ -292,7 +294,7 @@ def test_food_in_any_direction_is_ahead_for_a_controller_that_looks_to_the_neare
 
 
 def test_a_task_without_sensors_around_the_robot_has_no_nearest_view():
-    message = r"controller_view is 'nearest', but ant-maze has no sensors around the robot, as Gather has\. Set --contr"
+    message = r"'nearest', but ant-maze has the ant, and no sensors around it, as Gather has\. Set --controller-view to"
     with pytest.raises(ConfigError, match=message):
         build_algorithm(make_config("ant-maze", "smoke", {"controller_view": "nearest"}))
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import shes
+from shes.algorithms.evolution.levels import learns
 from shes.algorithms.evolution.rooms import SCHEDULED
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids
@@ -329,7 +330,7 @@ def test_a_learning_rate_may_fall_to_zero_where_a_schedule_reaches_it(how):
 
 
 @pytest.mark.parametrize(
-    ("env", "settings", "names", "learns"),
+    ("env", "settings", "names", "learning"),
     [
         ("point-gather", {}, ("controller", "primitive"), (True, True)),
         ("point-gather", {"algorithm": "es"}, ("policy",), (True,)),
@@ -341,9 +342,9 @@ def test_a_learning_rate_may_fall_to_zero_where_a_schedule_reaches_it(how):
         ("robotics-ant-maze", {"algorithm": "es"}, ("policy",), (True,)),
     ],
 )
-def test_the_settings_say_which_levels_there_are_and_which_learn(env, settings, names, learns):
+def test_the_settings_say_which_levels_there_are_and_which_learn(env, settings, names, learning):
     config = TrainConfig.of(env=env, **settings)
-    assert (config.level_names, config.learns) == (names, learns)
+    assert (config.level_names, learns(config)) == (names, learning)
 
 
 @pytest.mark.parametrize("level", ["primitive", "controller"])
@@ -356,7 +357,7 @@ def test_a_transferred_level_is_the_path_of_a_run(level, wrong):
 
 
 def test_a_primitive_alone_goes_on_from_another_one_only_if_it_learns():
-    assert TrainConfig.of(env="point-flagrun", primitive="run", freeze_primitive=False).learns == (True,)
+    assert learns(TrainConfig.of(env="point-flagrun", primitive="run", freeze_primitive=False)) == (True,)
     message = r"the primitive 'run' is frozen, so nothing would learn in a run of point-flagrun\. Set --no-fr"
     with pytest.raises(ConfigError, match=message):
         TrainConfig.of(env="point-flagrun", primitive="run")

@@ -13,6 +13,8 @@ from shes.errors import CheckpointError, ConfigError, RunFolderError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.training.build import build_algorithm
+from shes.training.presets import make_config
+from shes.training.transfer import check_robot
 from tests.e2e import runs
 
 ANT = {
@@ -370,6 +372,14 @@ def test_a_source_that_is_not_there_or_damaged_is_refused(plain, tmp_path, comma
     best.write_bytes(whole)
     (source / "config.json").write_text("{")
     refused(RunFolderError, r"config\.json cannot be read", primitive=str(source))
+
+
+def test_an_external_robot_cannot_have_an_egocentric_primitive():
+    config = make_config("gymnasium:shes/PointMaze-v0", "smoke", {"primitive": "ant-walker"})
+    with pytest.raises(
+        ConfigError, match=r"primitive of ant-walker does not fit .* for the ant .* has an external robot"
+    ):
+        check_robot(config)
 
 
 # Controllers.

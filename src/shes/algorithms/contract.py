@@ -14,7 +14,9 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
+from shes.algorithms.transfer import LevelTransfer
 from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
@@ -62,7 +64,10 @@ class Report(Generic[StateT]):
 
 
 class Algorithm(ABC, Generic[StateT]):
-    """A learning algorithm for one problem. A run, an evaluation and an agent each make their own."""
+    """A learning algorithm for one problem. A run, an evaluation and an agent each make their own.
+
+    The first sentence of a subclass's docstring is its description in the help of `--algorithm`.
+    """
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
     """Names of the levels of its agents. The level that acts every step comes last.
@@ -70,13 +75,44 @@ class Algorithm(ABC, Generic[StateT]):
     A `controller` sets goals, a `primitive` reaches them, and a `policy` has no goals.
     """
 
+    without_controller: ClassVar[type[Algorithm[Any]] | None] = None
+    """The class that learns instead in environments that set the goals, such as Flagrun; None for this one."""
+
     rooms: ClassVar[Mapping[str, type[Settings]]] = {}
     """Its settings: dataclasses by the name of their room. Each setting becomes a flag of `shes train` with help, an
     argument of `shes.train` and an entry of `config.json`. `problem.settings.ROOM.NAME` is its value."""
 
+    presets: ClassVar[Mapping[str, Preset]] = {}
+    """Its own values of presets, by name, which win over `shes.algorithms.presets.PRESETS`. A name that is not among
+    those is a preset of its own; `--preset` then chooses the first algorithm that has it."""
+
+    transfers: ClassVar[Mapping[str, LevelTransfer]] = {}
+    """The levels that its runs may take from other runs, by name, and how."""
+
     shares_memory: ClassVar[bool] = False
     """Whether a state shares memory with the states after it: the next generation then begins only after this one is
     evaluated and in its checkpoint. Otherwise both are done beside it."""
+
+    @staticmethod
+    def check(settings: Any) -> None:
+        """Check combinations of values of its settings; `settings.ROOM.NAME` is a value.
+
+        Raises:
+            ConfigError: Two values do not go together.
+        """
+
+    @staticmethod
+    def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
+        """Check that the settings in `asked`, which the user gave, have an effect; see also `Needs`.
+
+        Raises:
+            ConfigError: One of them has no effect beside the others.
+        """
+
+    @staticmethod
+    def steps_per_generation(settings: Any) -> int:
+        """Return the environment steps of a generation if no episode ends early. By default it is one episode."""
+        return settings.episodes.horizon
 
     def __init__(self, problem: Problem, design: AgentDesign) -> None:
         """Store `problem` and the `design` of the agents. A subclass is made from the problem alone.
@@ -137,6 +173,10 @@ class Algorithm(ABC, Generic[StateT]):
         An algorithm with a large state leaves out what a resumed run can do without.
         """
         return state
+
+    def warnings(self) -> Sequence[str]:
+        """Return warnings about the settings, which are logged at the start of a run."""
+        return ()
 
     @property
     def episodes_in_lockstep(self) -> int:

@@ -2,47 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from shes.algorithms.contract import Algorithm
-from shes.algorithms.evolution.learners import SES, SHES, PrimitiveES
+from shes.algorithms.evolution.learners import SES, SHES
 from shes.algorithms.hiro.algorithm import HIRO, TD3
+from shes.algorithms.presets import PRESETS
 from shes.errors import ConfigError
 from shes.options import check_options
 from shes.registry import Registry, check_class, full_name
 
 TAKEN_ROOMS = frozenset({
     "run", "workers", "environment", "body", "episodes", "evaluation",
-    "by_episodes", "evaluation_steps", "from_dict", "has_schedule", "having", "is_branched", "learns", "level_names",
-    "numbers", "of", "rooms", "setting", "settings", "to_dict",
+    "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "rooms", "setting",
+    "settings", "to_dict",
 })  # fmt: skip
 """Names that a room of an algorithm cannot have: rooms of every run, and attributes of `TrainConfig`."""
 
-_INCLUDED: dict[str, type[Algorithm[Any]]] = {"shes": SHES, "es": SES, "hiro": HIRO, "td3": TD3}
-_PRIMITIVE_ALONE: dict[type[Algorithm[Any]], type[Algorithm[Any]]] = {SHES: PrimitiveES}
-"""Substitutes in environments that set the goals themselves, such as Flagrun."""
-
 
 def _check_algorithm(kind: str, cls: Any) -> None:
-    """Check an algorithm and its rooms of settings.
+    """Check an algorithm, the one that stands in for it, and their rooms of settings.
 
     Raises:
         ConfigError: The class is incomplete, or a room or an option has a name that is taken.
     """
     check_class(kind, cls, Algorithm, num_arguments=1)
     for room, settings in cls.rooms.items():
-        others = [each.rooms[room] for each in (*_INCLUDED.values(), PrimitiveES) if room in each.rooms]
-        if room in TAKEN_ROOMS or (others and not issubclass(settings, tuple(others))):
-            subclass = f", or a subclass of {full_name(others[0])}" if others else ""
+        if room in TAKEN_ROOMS:
             raise ConfigError(
-                f"{kind} {full_name(cls)} has a room {room!r}, a name that is taken. Choose another name{subclass}."
+                f"{kind} {full_name(cls)} has a room {room!r}, a name that is taken. Choose another name."
             )
         check_options(settings)
+    if cls.without_controller not in (None, cls):  # a subclass that stands in inherits itself
+        _check_algorithm(kind, cls.without_controller)
 
 
 ALGORITHMS: Registry[type[Algorithm[Any]]] = Registry(
     "algorithm",
-    _INCLUDED,
+    {"shes": SHES, "es": SES, "hiro": HIRO, "td3": TD3},
     fix="Set --algorithm; register your own first: shes.register_algorithm, or --import MODULE.",
     check=_check_algorithm,
 )
@@ -74,9 +72,29 @@ def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
 def find_algorithm(name: str, *, sets_goals: bool = False) -> type[Algorithm[Any]]:
     """Return the algorithm called `name`. `sets_goals` says whether the environment itself sets goals."""
     found = ALGORITHMS.find(name)
-    return _PRIMITIVE_ALONE.get(found, found) if sets_goals else found
+    return found.without_controller or found if sets_goals else found
 
 
 def learners() -> tuple[type[Algorithm[Any]], ...]:
     """Return every algorithm, including the substitutes in environments that set goals."""
-    return (*ALGORITHMS.values(), *_PRIMITIVE_ALONE.values())
+    return tuple(each for cls in ALGORITHMS.values() for each in (cls, cls.without_controller) if each is not None)
+
+
+class _PresetNames(Collection[str]):
+    """The names at the time of asking, because an algorithm may be registered later."""
+
+    def _names(self) -> dict[str, None]:
+        return dict.fromkeys(name for each in (PRESETS, *(cls.presets for cls in learners())) for name in each)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names())
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names()
+
+    def __len__(self) -> int:
+        return len(self._names())
+
+
+PRESET_NAMES = _PresetNames()
+"""Names of the presets of every algorithm, and of those that a registered algorithm brings."""

@@ -11,10 +11,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from shes.algorithms.evolution.populations import Hyperparameters, generation_work
 from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.backend import Backend
 from shes.backends.serial import SerialBackend
+from shes.bench.evolution import Hyperparameters, generation_work
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.registry import EnvironmentMaker
 from shes.envs.tasks.options import TaskOptions

@@ -10,13 +10,11 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from shes.algorithms.evolution.algorithm import GenerationReport
-from shes.algorithms.evolution.learners import EvolutionAlgorithm
-from shes.algorithms.evolution.populations import Population, generation_work
 from shes.algorithms.worker import RolloutWorker
 from shes.backends.division import Division
 from shes.backends.job import Job
 from shes.backends.work import TaskList
+from shes.bench.evolution import EvolutionAlgorithm, GenerationReport, Population, generation_work
 from shes.bench.lockstep import StepCost
 from shes.bench.random_results import RandomResults
 from shes.bench.simulation import Costs, GenerationTimes, Network, simulate

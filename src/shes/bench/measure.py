@@ -18,11 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from shes.algorithms.evolution.algorithm import GenerationReport, evolve
-from shes.algorithms.evolution.learners import EvolutionAlgorithm
-from shes.algorithms.evolution.populations import Hyperparameters
 from shes.backends.serial import SerialBackend
 from shes.bench.bare_physics import record_generation
+from shes.bench.evolution import EvolutionAlgorithm, GenerationReport, Hyperparameters, evolution_strategy, evolve
 from shes.bench.random_results import RandomResults
 from shes.bench.update_parts import learning_levels, time_parts, timed
 from shes.envs.registry import find_environment
@@ -30,8 +28,7 @@ from shes.errors import ConfigError
 from shes.es.perturbation import ManyToMany
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
-from shes.training.build import build_algorithm, build_backend, build_task
-from shes.training.limits import Workload, check_limits
+from shes.training.build import build_backend, build_task
 
 _REPLAY_S = 1.0
 
@@ -78,10 +75,10 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
         workers = backend.num_workers
     return {
         "env": config.run.env,
-        "hidden": list(config.networks.hidden),
+        "hidden": list(config.settings["hidden"]),
         "integrator": plan.training.integrator,
-        "population_size": config.evolution.population_size,
-        "episodes_per_policy": config.evolution.episodes_per_policy,
+        "population_size": config.settings["population_size"],
+        "episodes_per_policy": config.settings["episodes_per_policy"],
         "device": config.workers.device,
         "num_workers": workers,
         "generations": len(whole),
@@ -109,13 +106,7 @@ def _evolution_strategy(config: TrainConfig, seconds: float) -> EvolutionAlgorit
     """Return the algorithm of `config`; raise ConfigError if it, the machine or `seconds` is unfit."""
     if not 0 <= seconds < math.inf:
         raise ConfigError(f"seconds must be zero or a positive number, got {seconds}. Set --seconds.")
-    algorithm = build_algorithm(config)
-    if not isinstance(algorithm, EvolutionAlgorithm):
-        raise ConfigError(
-            f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm shes or es."
-        )
-    check_limits(Workload.of(config), algorithm.design)
-    return algorithm
+    return evolution_strategy(config)
 
 
 def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -> dict[str, Any]:

@@ -15,10 +15,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from shes.algorithms.evolution.algorithm import GenerationReport, evolve
-from shes.algorithms.evolution.learners import EvolutionAlgorithm
-from shes.algorithms.evolution.populations import generation_work
 from shes.algorithms.roll_out import roll_out_tasks
+from shes.bench.evolution import EvolutionAlgorithm, GenerationReport, evolution_strategy, evolve, generation_work
 from shes.bench.generation_cost import Stage, measure_stages
 from shes.bench.simulation import GenerationTimes, Network
 from shes.bench.sleepers import Sleeper, SleepersBackend
@@ -28,8 +26,7 @@ from shes.es.level import TrainState
 from shes.runs.config import TrainConfig
 from shes.runs.rooms import RunSettings, rooms_of, settings_in
 from shes.storage import write_atomically
-from shes.training.build import build_algorithm, build_backend
-from shes.training.limits import Workload, check_limits
+from shes.training.build import build_backend
 from shes.training.presets import make_config
 
 CORES = (1, 2, 24, 48, 96, 120, 240, 360, 480, 600, 1000)
@@ -86,7 +83,9 @@ def measure_speedup(
     seconds: float = 0.0,
 ) -> list[Row]:
     """Return measured and projected times of a generation and their speed-ups. See `bench_speedup`."""
-    algorithm = _evolution_strategy(config)
+    if config.workers.device != "cpu":
+        raise ConfigError(f"bench speedup measures the CPU, got device {config.workers.device!r}. Omit --device.")
+    algorithm = evolution_strategy(config)
     state = algorithm.start(config.run.seed)
     measured = {n: _measure(config, algorithm, state, n, seconds) for n in range(1, config.workers.count + 1)}
     report, update_s = measured[max(measured)]
@@ -119,14 +118,6 @@ def speedup_of(
 
     network = Network(latency_s=latency_us / 1e6, bytes_per_s=gigabits_per_s * 1e9 / 8)
     return bench_speedup(make, out, network=network, seconds=seconds)
-
-
-def _evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
-    algorithm = build_algorithm(config)
-    if not isinstance(algorithm, EvolutionAlgorithm) or config.workers.device != "cpu":
-        raise ConfigError("bench speedup measures evolution strategies on the CPU. Omit --algorithm and --device.")
-    check_limits(Workload.of(config), algorithm.design)
-    return algorithm
 
 
 def _measure(

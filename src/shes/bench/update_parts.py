@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.algorithms.evolution.algorithm import GenerationReport
+from shes.bench.evolution import GenerationReport
 from shes.es.gradient import group_weights, weighted_noise_sum
 from shes.es.level import LevelState, TrainState, UpdateRule, draw_noise_index
 from shes.es.noise import NoiseTable

@@ -30,7 +30,7 @@ from shes.runs.rooms import known_settings, settings_in
 from shes.settings import Setting, flag
 from shes.training.presets import make_config
 from shes.training.train import resumable_settings
-from shes.training.transfer import TRANSFERRED
+from shes.training.transfer import transferred_levels
 
 __all__ = ["DEFAULT_ENV", "call"]
 
@@ -176,7 +176,7 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
         if isinstance(value, tuple):  # the only one that may be empty has the sizes of hidden layers
             value = " ".join(map(str, value)) or "none (linear)"
         default = f"(default: {'none' if value is None else value})"
-        metavar, text = "none|RUN" if name in TRANSFERRED else None, each.text
+        metavar, text = "none|RUN" if name in transferred_levels() else None, each.text
         if is_brief:
             text = each.brief(default, _BRIEF_WIDTH)
             metavar = metavar or _brief_metavar(each, text)

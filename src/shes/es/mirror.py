@@ -6,32 +6,66 @@ sign matrix determines the perturbations in the rollout and the signs of the ran
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
+from shes.options import subclass_of
+from shes.registry import Registry
 
-MIRRORINGS = ("quad", "pair", "none")
-"""`quad`: every combination of signs; `pair`: all plus and all minus; `none`: no mirroring."""
+
+class Mirroring(ABC):
+    """How the members of a group mirror its noise."""
+
+    @abstractmethod
+    def rows(self, num_levels: int) -> Sequence[Sequence[int]]:
+        """Return the signs of each member, +1 or -1 at every level."""
+
+
+class Quad(Mirroring):
+    """Every combination of signs. With one level it is a pair, as in S-ES."""
+
+    def rows(self, num_levels: int) -> Sequence[Sequence[int]]:
+        """Return (+,+), (+,-), (-,+), (-,-) with two levels."""
+        return list(product((1, -1), repeat=num_levels))
+
+
+class Pair(Mirroring):
+    """All plus and all minus."""
+
+    def rows(self, num_levels: int) -> Sequence[Sequence[int]]:
+        """Return two opposite members."""
+        return (1,) * num_levels, (-1,) * num_levels
+
+
+class Unmirrored(Mirroring):
+    """A single member."""
+
+    def rows(self, num_levels: int) -> Sequence[Sequence[int]]:
+        """Return one member."""
+        return ((1,) * num_levels,)
+
+
+MIRRORINGS: Registry[type[Mirroring]] = Registry(
+    "mirroring",
+    {"quad": Quad, "pair": Pair, "none": Unmirrored},
+    fix="Set --mirrored.",
+    check=subclass_of(Mirroring),
+)
+"""Mirrorings by name: the choices of `--mirrored`."""
 
 
 def sign_matrix(mirrored: str, num_levels: int) -> NDArray[np.int8]:
     """Return the signs [M, L], each +1 or -1, of the members of one mirrored group.
 
-    With two levels `quad` is (+,+), (+,-), (-,+), (-,-). With one level `quad` and `pair` are both +, -, as in S-ES.
-
     Raises:
         UnknownNameError: `mirrored` is not one of `MIRRORINGS`.
     """
-    if mirrored not in MIRRORINGS:
-        raise UnknownNameError("mirroring", mirrored, MIRRORINGS, "Set --mirrored.")
-    if mirrored == "quad":
-        rows = list(product((1, -1), repeat=num_levels))
-    else:
-        rows = [(sign,) * num_levels for sign in ((1, -1) if mirrored == "pair" else (1,))]
-    return np.array(rows, dtype=np.int8)
+    return np.array(MIRRORINGS.find(mirrored)().rows(num_levels), dtype=np.int8)
 
 
 def check_population(population_size: int, mirrored: str, num_levels: int) -> int:

@@ -28,6 +28,8 @@ from shes.types import F32Array
 
 NOISE_SEED = 123
 """Seed of the table, as in the authors' code."""
+DEFAULT_TABLE_SIZE = 25_000_000
+"""Normals in the table of a run without a setting for it."""
 _FORMAT = 1  # part of the file name; increase it if the numbers ever change
 _NAME = re.compile(rf"noise-v{_FORMAT}-(\d+)-(\d+)\.f32")  # of a table's file: size and seed
 _BLOCK = 1 << 20  # normals drawn at a time; each block has its own random stream

@@ -6,33 +6,65 @@ A generation is the number of updates so far: 0 for the first.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
+
+from shes.options import subclass_of
+from shes.registry import Registry
 
 
-def _linear(start: float, end: float, progress: float) -> float:
+class ScheduleKind(ABC):
+    """How a quantity goes from its start to its end."""
+
+    can_end_at_zero: ClassVar[bool] = True
+
+    @abstractmethod
+    def between(self, start: float, end: float, progress: float) -> float:
+        """Return the value at `progress`, a fraction of the schedule inside (0, 1)."""
+
+
+class Constant(ScheduleKind):
+    """No change."""
+
+    def between(self, start: float, end: float, progress: float) -> float:
+        """Return the start."""
+        return start
+
+
+class Linear(ScheduleKind):
     """Constant difference per generation. Source: Mnih et al. 2015, Methods (annealed exploration)."""
-    return start + (end - start) * progress
+
+    def between(self, start: float, end: float, progress: float) -> float:
+        """Return the value on the line."""
+        return start + (end - start) * progress
 
 
-def _exponential(start: float, end: float, progress: float) -> float:
+class Exponential(ScheduleKind):
     """Constant factor per generation. Source: Ha 2017 (estool), `sigma_decay`, `learning_rate_decay`."""
-    return start * (end / start) ** progress
+
+    can_end_at_zero = False
+
+    def between(self, start: float, end: float, progress: float) -> float:
+        """Return the value on the exponential curve."""
+        return start * (end / start) ** progress
 
 
-def _cosine(start: float, end: float, progress: float) -> float:
+class Cosine(ScheduleKind):
     """Half a cosine wave, slow at both ends. Source: Loshchilov and Hutter 2017 (SGDR), equation 5, no restarts."""
-    return end + (start - end) * (1 + math.cos(math.pi * progress)) / 2
+
+    def between(self, start: float, end: float, progress: float) -> float:
+        """Return the value on the wave."""
+        return end + (start - end) * (1 + math.cos(math.pi * progress)) / 2
 
 
-_BETWEEN: dict[str, Callable[[float, float, float], float]] = {
-    "linear": _linear,
-    "exponential": _exponential,
-    "cosine": _cosine,
-}
-"""Value at a fraction of the schedule inside (0, 1), by the kind of the schedule. A new one is a line here."""
-SCHEDULES = ("constant", *_BETWEEN)
-"""The choices of `--learning-rate-schedule`, `--sigma-schedule` and `--episodes-schedule`."""
+SCHEDULES: Registry[type[ScheduleKind]] = Registry(
+    "schedule",
+    {"constant": Constant, "linear": Linear, "exponential": Exponential, "cosine": Cosine},
+    fix="Set --learning-rate-schedule, --sigma-schedule or --episodes-schedule.",
+    check=subclass_of(ScheduleKind),
+)
+"""Schedules by name: the choices of `--learning-rate-schedule`, `--sigma-schedule` and `--episodes-schedule`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,4 +86,4 @@ class Schedule:
             return self.start
         if generation >= self.generations:
             return self.end
-        return _BETWEEN[self.kind](self.start, self.end, generation / self.generations)
+        return SCHEDULES.find(self.kind)().between(self.start, self.end, generation / self.generations)

@@ -50,6 +50,10 @@ class AgentDesign(ABC):
         """Index of the primitive, which has an intrinsic reward; None without. Others get the environment's reward."""
         return self.level_names.index("primitive") if "primitive" in self.level_names else None
 
+    def exported(self) -> dict[str, Any]:
+        """Return what an exported agent holds of its own, as JSON types. `shes.training.export` adds what is common."""
+        return {}
+
     @property
     @abstractmethod
     def agent(self) -> type[AgentBatch[Any]]:

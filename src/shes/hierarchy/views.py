@@ -9,11 +9,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from shes.envs.bodies.body import Body
+from shes.envs.episode_batch import EpisodeBatch
+from shes.options import subclass_of
+from shes.registry import Registry
 from shes.types import F64Array, IntArray
 
 
@@ -200,3 +203,99 @@ def _columns(indices: tuple[int, ...], xp: ModuleType) -> slice | IntArray:
     if indices and indices == tuple(range(indices[0], indices[0] + len(indices))):
         return slice(indices[0], indices[0] + len(indices))
     return xp.asarray(np.array(indices, dtype=np.int64))
+
+
+class ViewChoice(ABC):
+    """A choice of a level's view in any environment. It is made without arguments."""
+
+    is_egocentric: ClassVar[bool] = False
+    """Whether its views are egocentric."""
+    lack: ClassVar[str] = "which has no such view"
+    """What is said of a robot and a task without such a view."""
+    sees_task: ClassVar[bool] = False
+    """Whether a primitive sees more than the robot."""
+
+    @abstractmethod
+    def of(self, task: EpisodeBatch) -> View | None:
+        """Return the view in `task`, or None if it has none."""
+
+
+class WholeObservation(ViewChoice):
+    """The task's observation."""
+
+    def of(self, task: EpisodeBatch) -> View:
+        """Return the view of all values."""
+        return ColumnsView()
+
+
+class Observation(ViewChoice):
+    """The task's observation, alone proprioception."""
+
+    sees_task = True
+
+    def of(self, task: EpisodeBatch) -> View:
+        """Return the view of what the task shows to primitives."""
+        return ColumnsView(task.primitive_view.tolist())
+
+
+class Proprioception(ViewChoice):
+    """The robot's coordinates."""
+
+    def of(self, task: EpisodeBatch) -> View:
+        """Return the view of the robot's qpos and qvel."""
+        return ColumnsView(task.proprioception.tolist())
+
+
+class Egocentric(ViewChoice):
+    """The robot's state in its own frame, without its position."""
+
+    is_egocentric = True
+    lack = "which has no egocentric view"
+
+    def of(self, task: EpisodeBatch) -> View | None:
+        """Return the egocentric view, if the robot has one."""
+        if task.robot is None or not task.robot.egocentric:
+            return None
+        return EgocentricView(task.robot, task.proprioception.tolist(), self.others(task))
+
+    def others(self, task: EpisodeBatch) -> Sequence[int]:
+        """Return the indices of the observed values besides the robot's."""
+        return ()
+
+
+class EgocentricAndOthers(Egocentric):
+    """The robot's state in its own frame, then the rest of the observation."""
+
+    def others(self, task: EpisodeBatch) -> Sequence[int]:
+        """Return the indices of all other values."""
+        return sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
+
+
+class Nearest(ViewChoice):
+    """The task's sensors in a frame turned to the nearest food, and the time (Gather)."""
+
+    lack = "and no sensors around it, as Gather has"
+
+    def of(self, task: EpisodeBatch) -> View | None:
+        """Return the view of the sensors and of all values but the robot's, if there are sensors."""
+        rings = task.sensor_rings
+        if not rings.size:
+            return None
+        elsewhere = {*task.proprioception.tolist(), *rings.ravel().tolist()}
+        return NearestView(rings.tolist(), sorted(set(range(task.observation_size)) - elsewhere))
+
+
+PRIMITIVE_VIEWS: Registry[type[ViewChoice]] = Registry(
+    "primitive view",
+    {"observation": Observation, "proprioception": Proprioception, "egocentric": Egocentric},
+    fix="Set --primitive-view.",
+    check=subclass_of(ViewChoice),
+)
+"""Views of the primitive by name: the choices of `--primitive-view`."""
+CONTROLLER_VIEWS: Registry[type[ViewChoice]] = Registry(
+    "controller view",
+    {"observation": WholeObservation, "egocentric": EgocentricAndOthers, "nearest": Nearest},
+    fix="Set --controller-view.",
+    check=subclass_of(ViewChoice),
+)
+"""Views of the controller by name: the choices of `--controller-view`."""

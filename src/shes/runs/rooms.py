@@ -10,10 +10,10 @@ import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
-from shes.algorithms.registry import ALGORITHMS, find_algorithm, learners
+from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, find_algorithm, learners
 from shes.backends.registry import BACKENDS
 from shes.cores import num_cores
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
@@ -31,15 +31,12 @@ class RunSettings(Settings):
     """Environment name (see `shes envs`) or `gymnasium:ID`."""
     algorithm: Annotated[
         str,
-        Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE."),
+        Choices(ALGORITHMS, "Register your own first: shes.register_algorithm, or --import MODULE.", is_described=True),
         Shown(everyday=True),
     ] = "shes"
-    """shes: controller and primitive (on flagrun the primitive alone); es: one policy without goals, S-ES; hiro and
-    td3: the same by gradients."""
-    preset: Annotated[
-        Literal["paper", "laptop", "smoke", "hiro-paper", "hiro-table1"], Execution(), Shown(everyday=True)
-    ] = "laptop"
-    """Preset of the other settings: paper, laptop or smoke; of HIRO hiro-paper or hiro-table1."""
+    """Algorithm."""
+    preset: Annotated[str, Choices(PRESET_NAMES), Execution(), Shown(everyday=True)] = "laptop"
+    """Preset of the other settings."""
     seed: Annotated[int, Ge(0), Lt(2**63), Shown(everyday=True)] = 1
     """Seed of every random draw."""
     generations: Annotated[int, Ge(1), Execution(), Shown(everyday=True)] = 1000
@@ -117,9 +114,10 @@ def learner(run: RunSettings) -> type[Algorithm[Any]]:
     sets_goals = find_environment(run.env).sets_goals
     found = find_algorithm(run.algorithm, sets_goals=sets_goals)
     if sets_goals and "controller" in found.level_names:
+        fitting = [name for name in ALGORITHMS if "controller" not in find_algorithm(name, sets_goals=True).level_names]
         raise ConfigError(
             f"{run.env} sets the goals itself, which the controller of {run.algorithm} is to learn. Set --algorithm "
-            "shes, which trains the primitive alone there, or one without goals: es or td3."
+            f"{' or '.join(fitting)}, which have no controller there."
         )
     return found
 
@@ -234,8 +232,9 @@ def _not_here(name: str, values: Mapping[str, Any], here: Mapping[str, Setting])
     everywhere = known_settings()
     if name not in everywhere:
         return _unknown(name, here)
+    algorithm = values.get("algorithm", RunSettings.algorithm)
     return ConfigError(
-        f"{name} is not a setting of a run of {values['env']} with algorithm {values.get('algorithm', 'shes')!r}, "
+        f"{name} is not a setting of a run of {values['env']} with algorithm {algorithm!r}, "
         f"got {values[name]!r}. Omit {everywhere[name].flag}."
     )
 

@@ -122,13 +122,5 @@ def cell_steps(cell: Cell, episodes: int) -> int:
 
 
 def generation_steps(config: TrainConfig) -> int:
-    """Return the environment steps of a generation, if no episode and no branch ends early."""
-    if "generation_steps" in config.settings:
-        return config.settings["generation_steps"]
-    evolution = config.evolution
-    episodes = evolution.population_size * evolution.episodes_per_policy * config.episodes.horizon
-    if not config.is_branched or not config.learns[-1]:
-        return episodes
-    pairs = config.settings.get("primitive_population_size") or evolution.population_size
-    branches = pairs * config.estimate.intervals * config.hierarchy.controller_interval
-    return branches if config.level_names == ("primitive",) else episodes + branches
+    """Return the environment steps of a generation if no episode ends early."""
+    return config.algorithm.steps_per_generation(config)

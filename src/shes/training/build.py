@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, cast
 
 from shes.algorithms.contract import Algorithm
-from shes.algorithms.evolution.rooms import EvolutionSettings
 from shes.algorithms.problem import Problem
 from shes.algorithms.worker import RolloutWorker, WorkerPlan, simulator_factory
 from shes.backends.backend import Backend
@@ -18,6 +17,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.registry import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.options import TaskOptions
 from shes.errors import ConfigError
+from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
@@ -55,7 +55,7 @@ def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
         horizon=config.episodes.horizon,
         evaluation_horizon=config.evaluation_steps,
         settings=config,
-        noise_table_size=config.settings.get("noise_table_size", EvolutionSettings.noise_table_size),
+        noise_table_size=config.settings.get("noise_table_size", DEFAULT_TABLE_SIZE),
         num_threads=workers.count,
         chunk_size=workers.chunk_size,
         device=workers.device,

@@ -16,14 +16,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shes.algorithms.hiro.agent import HiroDesign
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.root import yaw
 from shes.errors import ConfigError
 from shes.es.level import LevelParameters
-from shes.hierarchy.hierarchical import MIN_COMPONENT_M
+from shes.hierarchy.goal_reaching import GoalReachingDesign
+from shes.hierarchy.hierarchical import MIN_COMPONENT_M, HierarchicalDesign
 from shes.policies.mlp import MLP
 from shes.settings import checked
 from shes.storage import write_atomically
@@ -79,7 +79,7 @@ def export(
 
 def describe(run: OpenedRun) -> dict[str, Any]:
     """Return all of an agent but its networks, as JSON types."""
-    design: Any = run.algorithm.design
+    design, settings = run.algorithm.design, run.config.settings
     task, clock = run.algorithm.problem.sample(), design.clock
     found: dict[str, Any] = {
         "format": _FORMAT,
@@ -96,32 +96,24 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         "input_clip": design.input_clip if np.isfinite(design.input_clip) else None,
         "control_limit": design.control_limit,
         "clock": [] if clock is None else [{"frequency_hz": clock.frequency_hz, "step_s": clock.step_s}],
+        **design.exported(),
     }
-    if isinstance(design, HiroDesign):
-        return found | {
-            "controller_interval": design.controller_interval,
-            "state_goals": {
-                "columns": design.goals.columns,
-                "half_range": design.goals.half_range,
-                "view": design.primitive_view.indices,
-            },
-        }
-    if "primitive" in design.level_names:
+    if isinstance(design, GoalReachingDesign):
         found |= {
             "controller_interval": design.controller_interval,
             "pose": None if task.robot is None else _pose(task.robot, task.proprioception.tolist()),
             "primitive": {
                 "view": design.primitive_view.to_dict(),
-                "goal_encoding": run.config.hierarchy.goal_encoding,
+                "goal_encoding": settings["goal_encoding"],
                 **_frames(
                     design.symmetry or _no_symmetry(design.primitive_view.size(task.observation_size), task.action_size)
                 ),
             },
         }
-    if "controller" in design.level_names:
+    if isinstance(design, HierarchicalDesign):
         found["controller"] = {
             "view": design.controller_view.to_dict(),
-            "output": run.config.hierarchy.controller_output,
+            "output": settings["controller_output"],
             "goal_distance_m": design.goal_distance,
             "min_component_m": float(MIN_COMPONENT_M) if design.has_minimum_goal_distance else 0.0,
         }

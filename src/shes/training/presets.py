@@ -1,7 +1,4 @@
-"""Presets: starting values of a run's settings.
-
-Source: SHES paper, Table I; Nachum et al. 2018 (HIRO), appendix C, and its code; docs/differences.md.
-"""
+"""The settings of a run from a preset and the values that were asked for."""
 
 from __future__ import annotations
 
@@ -9,139 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from shes.envs.registry import ENVIRONMENTS, find_environment
+from shes.algorithms.presets import PRESETS, Preset
+from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES
+from shes.envs.registry import find_environment
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
-from shes.runs.rooms import RunSettings, check_names, rooms_of
+from shes.runs.rooms import RunSettings, check_names, learner, rooms_of, settings_in
 from shes.runs.shipped import run_text
-from shes.settings import Needs, setting_fields
-from shes.training.transfer import TRANSFERRED, brought_settings
-
-_HIRO: dict[str, Any] = {
-    "algorithm": "hiro",
-    "hidden": (300, 300),
-    "actor_learning_rate": 1e-4,
-    "critic_learning_rate": 1e-3,
-    "noise_unit": "raw",
-    "exploration_noise": 1.0,
-    "goal_noise": 1.0,
-    "normalise_inputs": False,
-    "reward_scale": 0.1,
-    "update_interval": 1,
-    "horizon": 500,
-    "evaluation_horizon": 500,
-    "env_steps": 10_000_000,
-    "generations": 1_000_000,
-    "generation_steps": 10_000,
-    "evaluation_interval": 5,
-}
-
-PRESETS: dict[str, dict[str, Any]] = {
-    # Table I exactly; what it leaves open is as in the authors' code.
-    "paper": {
-        "population_size": 1000,
-        "episodes_per_policy": 5,
-        "sigma": 0.02,
-        "hold_tied": False,
-        "generations": 3000,
-        "hidden": (256, 256, 256),
-        "biases": "glorot_normal",
-        "horizon": 500,
-        "rank_ties": "index",
-        "common_random_numbers": "off",
-        "statistics_fraction": 0.01,
-        "reset_noise": 0.0,
-        "evaluation_episodes": 10,
-        "noise_table_size": 250_000_000,
-    },
-    # Learns visibly on a few cores: the default settings.
-    "laptop": {"evaluation_horizon": 500, "controller_update_interval": 2},
-    # Takes seconds: a test that does not learn.
-    "smoke": {
-        "population_size": 16,
-        "generations": 3,
-        "horizon": 50,
-        "hidden": (16,),
-        "evaluation_interval": 2,
-        "evaluation_episodes": 4,
-        "noise_table_size": 1_000_000,
-        "warmup_steps": 1000,
-        "generation_steps": 500,
-    },
-    # The values of the HIRO paper, and of its code where it says nothing.
-    "hiro-paper": _HIRO,
-    # The same with the values of HIRO in Table I, in the environments of the SHES authors.
-    "hiro-table1": {**_HIRO, "actor_learning_rate": 0.001},
-}
-
-# With these an ant learns in minutes; docs/learning.md measures each of them.
-_ANT_WALKER: dict[str, Any] = {
-    "primitive_view": "egocentric",
-    "symmetry": "dihedral",
-    "goal_encoding": "angle_metres",
-    "clock_frequency": 0.8,
-    "primitive_estimate": "interval",
-    "intervals": 2,
-    "fall_price": 2.0,
-    "output_weights": "zero",
-    "weight_decay": 0.0,
-    "horizon": 500,
-}
-_ANT: dict[str, Any] = {
-    **_ANT_WALKER,
-    "hidden": (),
-    "primitive_hidden": (64, 64),
-    "controller_view": "egocentric",
-    "controller_output": "heading_vector",
-    "minimum_goal_distance": False,
-    "population_size": 200,
-    "sigma": 0.1,
-    "learning_rate": 0.05,
-    "primitive_population_size": 1200,
-    "primitive_sigma": 0.05,
-    "primitive_learning_rate": 0.015,
-    "generations": 200,
-}
-
-_IN_THE_WORLD = {"controller_view": "observation", "controller_output": "vector"}
-
-_WALKERS: dict[str, dict[str, Any]] = {
-    "ant-flagrun": {
-        **_ANT_WALKER,
-        "intervals": 1,
-        "fall_price": 8.0,
-        "hidden": (),
-        "population_size": 1200,
-        "sigma": 0.05,
-        "learning_rate": 0.02,
-        "generations": 30,
-        "evaluation_interval": 5,
-    },
-    "ant-gather": _ANT,
-    # The egocentric view hides where the robot is, which these tasks turn on.
-    **{f"ant-{task}": {**_ANT, **_IN_THE_WORLD} for task in ("maze", "push", "fall")},
-}
-"""Changes to `laptop` where a primitive learns to walk, which `--algorithm es` does not have."""
-
-
-def _hiro_noise(env: str) -> dict[str, Any]:
-    """Return the exploration noise in raw units where it is not that of the ant: the point's controls are 1 at most."""
-    return {"exploration_noise": 0.1} if env.startswith("point-") else {}
-
-
-_PER_ENVIRONMENT: dict[tuple[str, str], dict[str, Any]] = {
-    # The authors' pre-training of a primitive.
-    ("paper", "ant-flagrun"): {"population_size": 256},
-    ("paper", "point-flagrun"): {"population_size": 256},
-    # The point reaches a goal in a second, not in two and a half, and its episodes cost little.
-    ("laptop", "point-gather"): {"controller_interval": 10, "learning_rate": 0.04, "horizon": 500, "generations": 80},
-    # Cells of the point's maze are 1 m wide, those of the ant's 4 m.
-    ("laptop", "robotics-point-maze"): {"goal_distance": 1.0, "minimum_goal_distance": False},
-    **{("hiro-paper", env): {"spec": "hiro", **_hiro_noise(env)} for env in ENVIRONMENTS},
-    **{("hiro-table1", env): _hiro_noise(env) for env in ENVIRONMENTS},
-}
-"""Changes to a preset for an environment: (preset, environment) -> settings."""
+from shes.settings import Needs
+from shes.training.transfer import brought_settings, transferred_levels
 
 
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
@@ -154,19 +28,19 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
         ConfigError: A setting is unknown, out of range or without effect, or `env` cannot be made.
         MissingExtraError: `env` needs a package that is not installed.
     """
-    if not isinstance(preset, str) or preset not in PRESETS:
-        raise UnknownNameError("preset", str(preset), PRESETS, "Set --preset.")
+    if not isinstance(preset, str) or preset not in PRESET_NAMES:
+        raise UnknownNameError("preset", str(preset), PRESET_NAMES, "Set --preset.")
     asked = dict(overrides or {})
     for name in ("hidden", "primitive_hidden"):
         if isinstance(asked.get(name), int):
             asked[name] = (asked[name],)
-    for name in TRANSFERRED:
+    for name in transferred_levels():
         if isinstance(asked.get(name), Path):
             asked[name] = run_text(asked[name])
     identity = {"env": env, "preset": preset}
     values = {**identity, **_preset_values(env, preset, asked), **asked}
     check_names(values)
-    for level in TRANSFERRED:
+    for level in learner(RunSettings.of(values)).transfers:
         if values.get(level) is not None:
             checkpoint = values.get(f"{level}_checkpoint", "best")
             values.update(brought_settings(level, values[level], checkpoint, values, asked))
@@ -178,24 +52,20 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
 
 def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that `preset` gives to settings of a run of `env`."""
-    own_algorithm = PRESETS[preset].get("algorithm")
-    run = {"algorithm": asked.get("algorithm", own_algorithm or "shes")}
-    classes = rooms_of(RunSettings.of({"env": env, **run}))
-    if own_algorithm is not None and "learner" not in classes:
+    known = [name for name, cls in ALGORITHMS.items() if preset in PRESETS or preset in cls.presets]
+    default = RunSettings.algorithm if RunSettings.algorithm in known else known[0]
+    run = RunSettings.of({"env": env, "algorithm": asked.get("algorithm", default)})
+    settings = settings_in(rooms_of(run).values())
+    if run.algorithm not in known:
         raise ConfigError(
-            f"preset {preset!r} is for the algorithms hiro and td3, got algorithm {run['algorithm']!r}. Set --preset "
-            "paper, laptop or smoke, or omit --algorithm."
+            f"preset {preset!r} is for algorithm {' or '.join(known)}, got algorithm {run.algorithm!r}. "
+            f"Set --preset {', '.join(PRESETS)}, or omit --algorithm."
         )
-    has_walker = preset == "laptop" and run["algorithm"] == "shes"
-    own = _WALKERS.get(env, {}) if has_walker else {}
     limit = find_environment(env).max_episode_steps
     limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}
-    values = {**PRESETS[preset], **limits, **_PER_ENVIRONMENT.get((preset, env), {}), **own}
-    return {name: values[name] for cls in classes.values() for name in setting_fields(cls) if name in values}
-
-
-_OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction")
-"""Settings of whole episodes, without effect on a primitive that learns alone from intervals."""
+    common, own = (presets.get(preset, Preset()).of(env) for presets in (PRESETS, learner(run).presets))
+    values = {**common, **own, **limits, "algorithm": run.algorithm}
+    return {name: value for name, value in values.items() if name in settings}
 
 
 def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
@@ -210,30 +80,7 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
         raise ConfigError(
             f"{name} has no effect with {others}, got {asked[name]!r}. Set {fixes}, or omit {setting.flag}."
         )
-    if config.is_branched and not config.learns[-1]:
-        for name in setting_fields(type(config.estimate)):
-            if name in asked and name != "primitive_estimate":
-                raise ConfigError(
-                    f"{name} has no effect on a frozen primitive; got {asked[name]!r}. "
-                    f"Omit {config.setting(name).flag}, or set --no-freeze-primitive."
-                )
-    if config.is_branched and config.level_names == ("primitive",):
-        for name in _OF_EPISODES:
-            if name in asked:
-                raise ConfigError(
-                    f"{name} has no effect in a run of {config.run.env} whose primitive is evaluated by intervals: it "
-                    f"applies to whole episodes only; got {asked[name]!r}. "
-                    f"Omit {config.setting(name).flag}, or set --primitive-estimate episode."
-                )
-    if "perturbation" in asked and sum(config.by_episodes) == 1:
-        (learning,) = (name for name, learns in zip(config.level_names, config.by_episodes, strict=True) if learns)
-        needed, role = "learning levels", "learns"
-        if sum(config.learns) > 1:
-            needed, role = "levels evaluated by whole episodes", "is"
-        raise ConfigError(
-            f"--perturbation needs two {needed}; in this run only the {learning} {role}; got "
-            f"{asked['perturbation']!r}. Omit it."
-        )
+    config.algorithm.check_effects(config, asked)
 
 
 def _is_heeded(config: TrainConfig, needs: tuple[Needs, ...]) -> bool:

@@ -61,14 +61,10 @@ class Session:
         backend.on_event = self._tell_event
         self._tell("on_start", folder.path, self._config, checkpoint.generation, backend.num_workers)
 
-    def check_schedules(self) -> None:
-        """Log a warning if the run ends before its schedules do."""
-        config = self._config
-        if config.has_schedule and config.run.generations < config.schedules.schedule_generations:
-            self._tell_event(
-                f"the schedules take {config.schedules.schedule_generations} generations, but the run ends after "
-                f"{config.run.generations}, short of their end: see --schedule-generations"
-            )
+    def log_warnings(self) -> None:
+        """Log the algorithm's warnings about the settings."""
+        for warning in self._algorithm.warnings():
+            self._tell_event(warning)
 
     def is_over(self) -> bool:
         """Return whether the run or the time of this call is over, or a listener has ended it."""

@@ -30,11 +30,9 @@ from shes.runs.tables import csv_text, read_csv
 from shes.storage import storage_errors, write_atomically
 from shes.training.build import open_run
 from shes.training.evaluate import Evaluation, evaluate
-from shes.training.transfer import TRANSFERRED
+from shes.training.transfer import transferred_levels
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-_RUN_OPTIONS = ("--out", "--primitive", "--controller")
-"""Options of `shes train` that name run folders."""
 _MOST_ROWS = 300
 _DIGITS = 6
 """Significant digits of numbers in the tables."""
@@ -165,10 +163,13 @@ def _with_names_of(command: str, record: dict[str, Any]) -> dict[str, Any]:
     """Return `record` with its run folders named as in `command`, if that names them."""
     words = shlex.split(command)
     pairs = [*pairwise(words), *(word.partition("=")[::2] for word in words)]
-    names = {option: name for option, name in pairs if option in _RUN_OPTIONS and name}
-    for level in TRANSFERRED:
+    run_options = {"--out", *(f"--{level}" for level in transferred_levels())}
+    names = {option: name for option, name in pairs if option in run_options and name}
+    for level in transferred_levels():
         if f"--{level}" in names and record.get(level) is not None:
-            record["config"]["transfer"][level] = record[level]["run"] = names[f"--{level}"]
+            record[level]["run"] = names[f"--{level}"]
+            room = next(room for room in record["config"].values() if level in room)
+            room[level] = names[f"--{level}"]
     for part in (record, *record.get("resumed", ())):
         part["command"] = _rename_runs(part.get("command", ()), names)
     return record

@@ -259,7 +259,7 @@ def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint:
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
         logger.info("begins after generation %d with %d workers%s", state.generation, backend.num_workers, on_device)
-        session.check_schedules()
+        session.log_warnings()
         with interruption.at_once():
             session.start_owed_evaluation(state)
         while not session.is_over() and not interruption.is_requested:

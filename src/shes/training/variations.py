@@ -108,7 +108,7 @@ def vary(
                 algorithm = build_algorithm(config)
                 check_limits(Workload.of(config), algorithm.design)
                 if "noise_table_size" in config.settings:
-                    NoiseTable.check_room(config.evolution.noise_table_size)
+                    NoiseTable.check_room(config.settings["noise_table_size"])
             found[f"{group}/seed-{seed}" if group else f"seed-{seed}"] = config
     return found
 

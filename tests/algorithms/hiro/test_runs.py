@@ -127,7 +127,7 @@ def test_without_jax_the_error_names_the_extra_and_no_folder_is_made(tmp_path, m
 
 def test_a_level_of_hiro_is_not_transferred(untrained):
     path = untrained("hiro", "point-maze")
-    with pytest.raises(ConfigError, match=r"the primitive of .* was trained by hiro; only levels that evolution"):
+    with pytest.raises(ConfigError, match=r"the primitive of .* was trained by hiro; only levels that shes trained"):
         make_config("point-maze", "smoke", {"primitive": str(path)})
 
 

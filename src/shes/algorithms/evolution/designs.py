@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
+from shes.algorithms.evolution.levels import is_alone, is_branched
 from shes.algorithms.problem import Problem
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
@@ -18,7 +18,7 @@ from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.outputs import make_controller_output
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
-from shes.hierarchy.views import ColumnsView, EgocentricView, NearestView, View
+from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, Proprioception, View, ViewChoice
 from shes.policies.mlp import MLP
 from shes.settings import flag
 
@@ -68,7 +68,7 @@ def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
 
 def branch_design(settings: Any, design: AgentDesign) -> BranchDesign | None:
     """Return the design of the agents in branches under a controller, or None if there are no such branches."""
-    if not settings.is_branched or not isinstance(design, HierarchicalDesign):
+    if not is_branched(settings) or not isinstance(design, HierarchicalDesign):
         return None
     shared = {field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)}
     return BranchDesign(num_goals=settings.estimate.intervals, **shared)
@@ -96,7 +96,7 @@ def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
 
 def primitive_layers(settings: Any) -> tuple[int, ...]:
     """Return the sizes of the primitive's hidden layers."""
-    own = settings.hierarchy.primitive_hidden if len(settings.level_names) > 1 else None
+    own = None if is_alone(settings) else settings.hierarchy.primitive_hidden
     return settings.networks.hidden if own is None else own
 
 
@@ -119,53 +119,43 @@ def _symmetry(settings: Any, task: EpisodeBatch) -> SymmetryGroup | None:
     return group
 
 
-def _egocentric(settings: Any, task: EpisodeBatch, setting: str, others: Sequence[int] = ()) -> EgocentricView:
-    """Return the egocentric view of the robot, then `others`; raise ConfigError if it has none."""
-    if task.robot is None or not task.robot.egocentric:
+def _view(settings: Any, task: EpisodeBatch, setting: str, choice: type[ViewChoice]) -> View:
+    """Return the view that `setting` chooses; raise ConfigError if the robot has none."""
+    view = choice().of(task)
+    if view is None:
         env = settings.run.env
         whose = f"{env} has an external robot" if task.robot is None else f"{env} has the {task.robot.name}"
-        raise ConfigError(
-            f"{setting} is 'egocentric', but {whose}, which has no egocentric view. Set {flag(setting)} to another one."
-        )
-    return EgocentricView(task.robot, task.proprioception.tolist(), others)
+        name = settings.settings[setting]
+        raise ConfigError(f"{setting} is {name!r}, but {whose}, {choice.lack}. Set {flag(setting)} to another one.")
+    return view
 
 
 def _controller_view(settings: Any, task: EpisodeBatch) -> View:
-    """Return the view of the controller; raise ConfigError if the robot or the task has none of this kind."""
-    kind, own = settings.hierarchy.controller_view, set(task.proprioception.tolist())
-    if kind == "observation":
-        return ColumnsView()
-    if kind == "egocentric":
-        return _egocentric(settings, task, "controller_view", sorted(set(range(task.observation_size)) - own))
-    if not task.sensor_rings.size:
-        raise ConfigError(
-            f"controller_view is 'nearest', but {settings.run.env} has no sensors around the robot, as Gather has. Set "
-            "--controller-view egocentric or observation."
-        )
-    sensors = set(task.sensor_rings.ravel().tolist())
-    return NearestView(task.sensor_rings.tolist(), sorted(set(range(task.observation_size)) - own - sensors))
+    return _view(settings, task, "controller_view", CONTROLLER_VIEWS.find(settings.hierarchy.controller_view))
 
 
 def primitive_view(settings: Any, task: EpisodeBatch) -> View:
-    """Return the view of the primitive; raise ConfigError if it has no position to hide, or no egocentric view."""
+    """Return the view of the primitive; raise ConfigError if it has no position to hide, or the robot no such view."""
     hierarchy = settings.hierarchy
-    if hierarchy.primitive_view == "egocentric":
-        if hierarchy.hide_position:
-            raise ConfigError(
-                "hide_position is true, but an egocentric view contains no absolute position. Omit --hide-position."
-            )
-        return _egocentric(settings, task, "primitive_view")
-    sees_all = hierarchy.primitive_view == "observation" and settings.level_names != ("primitive",)
-    view = (task.primitive_view if sees_all else task.proprioception).tolist()
+    choice = PRIMITIVE_VIEWS.find(hierarchy.primitive_view)
+    if choice.sees_task and is_alone(settings):
+        choice = Proprioception  # the task's own observation would tell it where the goal is
+    view = _view(settings, task, "primitive_view", choice)
     if not hierarchy.hide_position:
-        return ColumnsView(view)
-    hidden = [column for column in view if column in task.position_columns]
-    if not hidden:
+        return view
+    if not isinstance(view, ColumnsView):
+        raise ConfigError(
+            f"hide_position is true, but an {hierarchy.primitive_view} view contains no absolute position. "
+            "Omit --hide-position."
+        )
+    columns = view.indices or ()
+    shown = [column for column in columns if column not in task.position_columns]
+    if len(shown) == len(columns):
         raise ConfigError(
             f"hide_position is true, but a primitive in {settings.run.env} observes no absolute position. "
             "Omit --hide-position."
         )
-    return ColumnsView([column for column in view if column not in hidden])
+    return ColumnsView(shown)
 
 
 def primitive_inputs(problem: Problem) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from shes.algorithms.evolution.levels import is_branched, learns
 from shes.algorithms.evolution.populations import Hyperparameters
 from shes.algorithms.evolution.rooms import SCHEDULED
 from shes.es.level import LevelState, TrainState, UpdateRule
@@ -34,7 +35,7 @@ def make_hyperparameters(settings: Any) -> Hyperparameters:
         sigma=schedule("sigma"),
         learning_rate=schedule("learning_rate"),
         updates=make_update_rules(settings),
-        learns=settings.learns,
+        learns=learns(settings),
         mirrored=evolution.mirrored,
         perturbation=make(PERTURBATIONS, values.get("perturbation", "many_to_many"), values),
         common_random_numbers=evolution.common_random_numbers,
@@ -53,7 +54,7 @@ def _novelty_rule(values: dict[str, Any]) -> WeightRule | None:
 
 def _interval_estimate(settings: Any, sigma: Schedule, learning_rate: Schedule) -> IntervalEstimate | None:
     """Return the interval estimate of the primitive, or None. `sigma` and `learning_rate` are those of the run."""
-    if not settings.is_branched or not settings.learns[-1]:
+    if not is_branched(settings) or not learns(settings)[-1]:
         return None
     values = settings.settings
 
@@ -86,7 +87,7 @@ def make_update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     own: dict[str, dict[str, Any]] = {}
     if "estimate" in settings:
         own["primitive"] = {"fall_price": settings.estimate.fall_price}
-    if settings.is_branched:
+    if is_branched(settings):
         own["primitive"]["shaping"] = make(FITNESS_SHAPINGS, settings.estimate.primitive_fitness_shaping, values)
     decay = values.get("controller_weight_decay")
     if decay is not None:

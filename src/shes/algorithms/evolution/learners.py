@@ -5,29 +5,33 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from shes.algorithms.contract import Algorithm, Report
 from shes.algorithms.evolution.algorithm import evolve
 from shes.algorithms.evolution.arrays import check_arrays, check_headers, from_arrays, to_arrays
+from shes.algorithms.evolution.checks import check_effects, check_together, schedule_warnings
 from shes.algorithms.evolution.columns import columns
 from shes.algorithms.evolution.designs import (
     branch_design,
-    controller_inputs,
     flat_design,
     hierarchical_design,
     primitive_design,
-    primitive_inputs,
 )
 from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make_state
+from shes.algorithms.evolution.levels import steps_per_generation
+from shes.algorithms.evolution.presets import SES_PRESETS, SHES_PRESETS
 from shes.algorithms.evolution.rooms import PRIMITIVE_ROOMS, SES_ROOMS, SHES_ROOMS
+from shes.algorithms.evolution.transfer import PRIMITIVE_TRANSFER, SHES_TRANSFERS
+from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
+from shes.algorithms.transfer import LevelTransfer
 from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
 from shes.errors import CheckpointError
-from shes.es.level import LevelParameters, LevelState, TrainState
+from shes.es.level import LevelParameters, TrainState
 from shes.hierarchy.agent import AgentDesign
 from shes.settings import Settings
 from shes.types import ArrayHeader
@@ -40,6 +44,10 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
 
     make_design: ClassVar[Callable[[Problem], AgentDesign]]
     """Returns the design of its agents."""
+
+    check = staticmethod(check_together)
+    check_effects = staticmethod(check_effects)
+    steps_per_generation = staticmethod(steps_per_generation)
 
     def __init__(self, problem: Problem) -> None:
         """Create the agents' design and the hyperparameters.
@@ -116,6 +124,10 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         )
         return replace(state, levels=levels, running=None)
 
+    def warnings(self) -> list[str]:
+        """Return a warning if the run ends before its schedules do."""
+        return schedule_warnings(self.problem.settings)
+
     @property
     def episodes_in_lockstep(self) -> int:
         """Number of episodes of a policy that share a matmul: its episodes per generation."""
@@ -125,38 +137,32 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         """Return the data that every worker receives once, at its start."""
         return self.problem.plan(self.design, branch_design(self.problem.settings, self.design))
 
-    def with_level(self, state: TrainState, name: str, source: LevelState) -> TrainState:
-        """Return `state` with the parameters and statistics of `source` at level `name`."""
-        levels = tuple(
-            replace(level, theta=source.theta, statistics=source.statistics) if level.name == name else level
-            for level in state.levels
-        )
-        return replace(state, levels=levels)
-
-    def inputs(self, level: str) -> tuple[str, ...]:
-        """Return the name of each input of `level`, in order. A transferred level must have the same inputs."""
-        return {"controller": controller_inputs, "primitive": primitive_inputs}[level](self.problem)
-
-
-class SHES(EvolutionAlgorithm):
-    """A controller that sets goals and a primitive that reaches them, evolved together. Source: SHES paper."""
-
-    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
-    make_design = staticmethod(hierarchical_design)
-
 
 class PrimitiveES(EvolutionAlgorithm):
-    """A primitive alone, in environments that set the goals. Source: SHES paper, section II-D."""
+    """Evolves a primitive alone, in environments that set the goals. Source: SHES paper, section II-D."""
 
     level_names: ClassVar[tuple[str, ...]] = ("primitive",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_ROOMS
+    presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
+    transfers: ClassVar[Mapping[str, LevelTransfer]] = PRIMITIVE_TRANSFER
     make_design = staticmethod(primitive_design)
 
 
+class SHES(EvolutionAlgorithm):
+    """Evolves controller and primitive. Source: SHES paper."""
+
+    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
+    without_controller: ClassVar[type[Algorithm[Any]] | None] = PrimitiveES
+    rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
+    presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
+    transfers: ClassVar[Mapping[str, LevelTransfer]] = SHES_TRANSFERS
+    make_design = staticmethod(hierarchical_design)
+
+
 class SES(EvolutionAlgorithm):
-    """One policy without goals. Source: Salimans et al. 2017."""
+    """Evolves one policy without goals, S-ES. Source: Salimans et al. 2017."""
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
     rooms: ClassVar[Mapping[str, type[Settings]]] = SES_ROOMS
+    presets: ClassVar[Mapping[str, Preset]] = SES_PRESETS
     make_design = staticmethod(flat_design)

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 from shes.envs.bodies.symmetry import SYMMETRIES
 from shes.es.mirror import MIRRORINGS
+from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.novelty import NOVELTY_RULES
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
@@ -23,6 +24,7 @@ from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
 from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
+from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown
@@ -33,7 +35,6 @@ SCHEDULED = {
     "episodes_per_policy": ("episodes_schedule", "episodes_end"),
 }
 """Settings with a schedule: the settings of its kind and of its end."""
-_CHANGING = tuple(name for name in SCHEDULES if name != "constant")
 
 
 def _registered(registry: Registry[Any], kind: str) -> Choices:
@@ -58,8 +59,8 @@ class EvolutionSettings(Settings):
     """Coefficient of the parameters subtracted from the gradient estimate (authors' code: 0.005)."""
     weight_decay_form: Literal["gradient", "decoupled"] = "gradient"
     """Where the weight decay applies: gradient (before the optimizer, as in the authors' code) or decoupled (AdamW)."""
-    mirrored: Annotated[str, Choices(MIRRORINGS)] = "quad"
-    """How the members of a group mirror its noise: quad (four-way), pair (two-way) or none (section II-F)."""
+    mirrored: Annotated[str, Choices(MIRRORINGS, is_described=True)] = "quad"
+    """How the members of a group mirror its noise (section II-F)."""
     fitness_shaping: Annotated[str, Choices(FITNESS_SHAPINGS, is_described=True)] = "centred_rank"
     """Fitness shaping."""
     hold_tied: bool = True
@@ -70,7 +71,7 @@ class EvolutionSettings(Settings):
     """Which policies share episode seeds: off (none), group (those of a mirrored group) or population (all)."""
     statistics_fraction: Annotated[float, Ge(0), Le(1)] = 1.0
     """Fraction of the mirrored groups whose observations enter the observation statistics."""
-    noise_table_size: Annotated[int, Ge(2)] = 25_000_000
+    noise_table_size: Annotated[int, Ge(2)] = DEFAULT_TABLE_SIZE
     """Normals in the shared noise table, 4 bytes each (authors' code: 250 million)."""
 
 
@@ -93,9 +94,9 @@ class ScheduleSettings(Settings):
     schedule_generations: Annotated[
         int,
         Ge(1),
-        Needs("learning_rate_schedule", _CHANGING),
-        Needs("sigma_schedule", _CHANGING),
-        Needs("episodes_schedule", _CHANGING),
+        Needs("learning_rate_end"),
+        Needs("sigma_end"),
+        Needs("episodes_end"),
     ] = 1000
     """Generations from the start to the end of every schedule."""
 
@@ -136,9 +137,8 @@ class PrimitiveSettings(Settings):
     """Goal features that the primitive observes (section II-C)."""
     primitive_reward: Annotated[str, _registered(PRIMITIVE_REWARDS, "primitive_reward")] = "progress"
     """Intrinsic reward of the primitive (section II-B)."""
-    primitive_view: Literal["observation", "proprioception", "egocentric"] = "observation"
-    """What the primitive observes besides its goal: the task's observation, proprioception (the robot's coordinates) or
-    egocentric (the robot's state in its own frame, without its position)."""
+    primitive_view: Annotated[str, Choices(PRIMITIVE_VIEWS, is_described=True)] = "observation"
+    """What the primitive observes besides its goal."""
     symmetry: Annotated[str, Choices(SYMMETRIES), Needs("primitive_view", ("egocentric",))] = "none"
     """Symmetry of the body by which every goal is turned to the front, for an egocentric view."""
     hide_position: bool = False
@@ -153,10 +153,8 @@ class HierarchySettings(PrimitiveSettings):
     """Whether goals nearer than 1 m are moved outward."""
     controller_output: Annotated[str, _registered(CONTROLLER_OUTPUTS, "controller_output")] = "vector"
     """Meaning of the controller's outputs."""
-    controller_view: Literal["observation", "egocentric", "nearest"] = "observation"
-    """What the controller observes: the task's observation; egocentric (the robot's state in its own frame, then the
-    rest of the observation); or nearest (Gather: its sensors and the time without the robot's state, in a frame that is
-    turned by whole sectors to the nearest food)."""
+    controller_view: Annotated[str, Choices(CONTROLLER_VIEWS, is_described=True)] = "observation"
+    """What the controller observes."""
     controller_weight_decay: Annotated[float, Ge(0)] | None = None
     """Weight decay of the controller; none for weight_decay. Without reward, only the decay changes a controller."""
     perturbation: Annotated[str, Choices(PERTURBATIONS, is_described=True)] = "many_to_many"

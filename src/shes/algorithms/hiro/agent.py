@@ -8,7 +8,7 @@ Source: Nachum et al. 2018, section 3.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -37,6 +37,17 @@ class HiroDesign(AgentDesign):
     def intrinsic_level(self) -> None:
         """None: a roll-out does not compute the intrinsic reward, which depends on all coordinates of a goal."""
         return
+
+    def exported(self) -> dict[str, Any]:
+        """Return how often a goal is set, and the coordinates that it concerns."""
+        return {
+            "controller_interval": self.controller_interval,
+            "state_goals": {
+                "columns": self.goals.columns,
+                "half_range": self.goals.half_range,
+                "view": self.primitive_view.indices,
+            },
+        }
 
     @property
     def agent(self) -> type[HiroAgent]:

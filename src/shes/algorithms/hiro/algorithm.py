@@ -24,7 +24,9 @@ from shes.algorithms.hiro.collector import Actor, Collector, HiroCollector
 from shes.algorithms.hiro.columns import columns
 from shes.algorithms.hiro.designs import check_memory, flat_design, flat_levels, hiro_design, hiro_levels
 from shes.algorithms.hiro.levels import Level, LevelState, within
+from shes.algorithms.hiro.presets import HIRO_PRESETS
 from shes.algorithms.hiro.rooms import HIRO_ROOMS, TD3_ROOMS
+from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
 from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
@@ -49,14 +51,20 @@ class TD3State:
 
 
 class TD3(Algorithm[TD3State]):
-    """TD3 with one policy without goals."""
+    """Trains one policy without goals by gradients. Source: Fujimoto et al. 2018."""
 
     rooms: ClassVar[Mapping[str, type[Settings]]] = TD3_ROOMS
+    presets: ClassVar[Mapping[str, Preset]] = HIRO_PRESETS
     shares_memory: ClassVar[bool] = True  # that of the replay buffers
     make_design: ClassVar[Callable[[Problem], AgentDesign]] = staticmethod(flat_design)
     """Returns the design of its agents."""
     make_levels: ClassVar[Callable[[Problem, Any], tuple[Level, ...]]] = staticmethod(flat_levels)
     """Returns what is fixed about its levels."""
+
+    @staticmethod
+    def steps_per_generation(settings: Any) -> int:
+        """Return the environment steps of a generation, without the rest of the episodes that are then running."""
+        return settings.learner.generation_steps
 
     def __init__(self, problem: Problem) -> None:
         """Create the design of the agents and the levels.
@@ -195,7 +203,10 @@ class TD3(Algorithm[TD3State]):
 
 
 class HIRO(TD3):
-    """Two levels of TD3 from one stream of experience, with the off-policy correction. Source: Nachum et al. 2018."""
+    """Trains controller and primitive by gradients. Source: Nachum et al. 2018.
+
+    Two levels of TD3 learn from one stream of experience, with the off-policy correction.
+    """
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     rooms: ClassVar[Mapping[str, type[Settings]]] = HIRO_ROOMS

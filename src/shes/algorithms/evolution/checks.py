@@ -1,0 +1,138 @@
+"""Checks of the settings of the evolution strategies: values that do not go together, or have no effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from shes.algorithms.evolution.levels import by_episodes, is_alone, is_branched, learns
+from shes.algorithms.evolution.rooms import SCHEDULED
+from shes.envs.registry import find_environment
+from shes.errors import ConfigError
+from shes.es.mirror import sign_matrix
+from shes.es.perturbation import PERTURBATIONS
+from shes.es.schedules import SCHEDULES
+from shes.hierarchy.views import PRIMITIVE_VIEWS
+from shes.settings import flag, out_of_range, setting_fields
+
+_WHOLE_GROUPS = 48
+"""Members of a population that has whole mirrored groups, however they are mirrored and perturbed."""
+_OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping", "mirrored", "statistics_fraction")
+"""Settings of whole episodes, without effect on a primitive that learns alone from intervals."""
+
+
+def check_together(settings: Any) -> None:
+    """Raise ConfigError for values that do not go together."""
+    _check_schedules(settings.settings)
+    if is_alone(settings) and learns(settings) == (False,):
+        raise ConfigError(
+            f"the primitive {settings.transfer.primitive!r} is frozen, so nothing would learn in a run of "
+            f"{settings.run.env}. Set --no-freeze-primitive to train it further."
+        )
+    _check_population(settings)
+    if is_branched(settings):
+        _check_branches(settings)
+
+
+def _check_schedules(values: Mapping[str, Any]) -> None:
+    """Check that every schedule has a valid end value and that constant settings have none."""
+    for name, (kind, end) in SCHEDULED.items():
+        is_constant, has_end = values[kind] == "constant", values[end] is not None
+        if is_constant and has_end:
+            raise ConfigError(
+                f"{end} is {values[end]}, but {name} is constant. Set {flag(kind)} to "
+                f"{', '.join(other for other in SCHEDULES if other != 'constant')}, or omit {flag(end)}."
+            )
+        if not is_constant and not has_end:
+            raise ConfigError(f"{kind} is {values[kind]!r}, but {end} is not set. Set {flag(end)}.")
+        if has_end and not values[end] and not SCHEDULES.find(values[kind]).can_end_at_zero:
+            raise ConfigError(
+                f"the end of the {values[kind]} schedule of {name} must be positive, got {values[end]}. "
+                f"Set {flag(kind)} to another one, or change {flag(end)}."
+            )
+
+
+def _check_population(settings: Any) -> None:
+    """Check that the population consists of whole mirrored groups, and fits shaping and symmetry."""
+    evolution, levels = settings.evolution, by_episodes(settings)
+    members = len(sign_matrix(evolution.mirrored, max(1, sum(levels))))
+    if evolution.fitness_shaping == "pair_rank" and members != 2:
+        raise ConfigError(
+            f"fitness_shaping 'pair_rank' ranks mirrored pairs, but with mirrored {evolution.mirrored!r} a group "
+            f"has {members} member(s) here. Set --mirrored pair, or another --fitness-shaping."
+        )
+    if (
+        "hierarchy" in settings
+        and settings.hierarchy.symmetry != "none"
+        and not PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).is_egocentric
+    ):
+        raise ConfigError(
+            f"symmetry is {settings.hierarchy.symmetry!r}, but the primitive's view is "
+            f"{settings.hierarchy.primitive_view!r}: only what is seen from the robot's own frame can be turned. "
+            "Set --primitive-view egocentric, or --symmetry none."
+        )
+    perturbation = PERTURBATIONS.find(settings.settings.get("perturbation", "many_to_many"))()
+    # A population of the same remainder tells as much, without an array of every member.
+    small = min(evolution.population_size, _WHOLE_GROUPS + evolution.population_size % _WHOLE_GROUPS)
+    try:
+        perturbation.signs(0, small, evolution.mirrored, levels)
+    except ConfigError:  # the message is to have the size that was asked for
+        perturbation.signs(0, evolution.population_size, evolution.mirrored, levels)
+
+
+def _check_branches(settings: Any) -> None:
+    """Check that the primitive's episodes can be branched."""
+    if find_environment(settings.run.env).has_own_physics:
+        raise ConfigError(
+            f"primitive_estimate is 'interval', but the physics of {settings.run.env} is its own and cannot be "
+            "branched. Set --primitive-estimate episode."
+        )
+    is_beside = not is_alone(settings)
+    if is_beside and learns(settings)[-1] and PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
+        raise ConfigError(
+            "primitive_estimate is 'interval', but the primitive sees the task's observation, which a branch does "
+            "not continue. Set --primitive-view egocentric or proprioception, or --primitive-estimate episode."
+        )
+    own = settings.estimate.primitive_population_size if is_beside else None
+    name, pairs = ("primitive_population_size", own) if own else ("population_size", settings.evolution.population_size)
+    if pairs % 2:
+        raise out_of_range(name, pairs, "an even number: branches are mirrored pairs")
+
+
+def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
+    """Raise ConfigError if a setting in `asked` has no effect on the levels that learn."""
+    if is_branched(settings) and not learns(settings)[-1]:
+        for name in setting_fields(type(settings.estimate)):
+            if name in asked and name != "primitive_estimate":
+                raise ConfigError(
+                    f"{name} has no effect on a frozen primitive; got {asked[name]!r}. "
+                    f"Omit {flag(name)}, or set --no-freeze-primitive."
+                )
+    if is_branched(settings) and is_alone(settings):
+        for name in _OF_EPISODES:
+            if name in asked:
+                raise ConfigError(
+                    f"{name} has no effect in a run of {settings.run.env} whose primitive is evaluated by intervals: "
+                    f"it applies to whole episodes only; got {asked[name]!r}. "
+                    f"Omit {flag(name)}, or set --primitive-estimate episode."
+                )
+    evaluated = by_episodes(settings)
+    if "perturbation" in asked and sum(evaluated) == 1:
+        level = settings.level_names[evaluated.index(True)]
+        needed, role = "learning levels", "learns"
+        if sum(learns(settings)) > 1:
+            needed, role = "levels evaluated by whole episodes", "is"
+        raise ConfigError(
+            f"--perturbation needs two {needed}; in this run only the {level} {role}; got "
+            f"{asked['perturbation']!r}. Omit it."
+        )
+
+
+def schedule_warnings(settings: Any) -> list[str]:
+    """Return a warning if the run ends before its schedules do."""
+    generations, last = settings.schedules.schedule_generations, settings.run.generations
+    is_constant = all(settings.settings[kind] == "constant" for kind, _ in SCHEDULED.values())
+    if is_constant or last >= generations:
+        return []
+    warning = f"the schedules take {generations} generations, but the run ends after {last}, short of their end"
+    return [f"{warning}: see --schedule-generations"]

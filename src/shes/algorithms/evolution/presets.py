@@ -1,0 +1,87 @@
+"""Values of the evolution strategies in presets.
+
+Source: SHES paper, Table I; docs/differences.md; docs/learning.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from shes.algorithms.presets import Preset
+
+SES_PRESETS: Mapping[str, Preset] = {
+    "paper": Preset(
+        values={
+            "population_size": 1000,
+            "episodes_per_policy": 5,
+            "sigma": 0.02,
+            "hold_tied": False,
+            "biases": "glorot_normal",
+            "rank_ties": "index",
+            "common_random_numbers": "off",
+            "statistics_fraction": 0.01,
+            "noise_table_size": 250_000_000,
+        },
+        # The authors' pre-training of a primitive.
+        per_environment={f"{body}-flagrun": {"population_size": 256} for body in ("ant", "point")},
+    ),
+    "laptop": Preset(per_environment={"point-gather": {"learning_rate": 0.04}}),
+    "smoke": Preset(values={"population_size": 16, "noise_table_size": 1_000_000}),
+}
+"""Values of one policy without goals."""
+
+# With these an ant learns in minutes; docs/learning.md measures each of them.
+_ANT_WALKER: dict[str, Any] = {
+    "primitive_view": "egocentric",
+    "symmetry": "dihedral",
+    "goal_encoding": "angle_metres",
+    "clock_frequency": 0.8,
+    "primitive_estimate": "interval",
+    "intervals": 2,
+    "fall_price": 2.0,
+    "output_weights": "zero",
+    "weight_decay": 0.0,
+    "horizon": 500,
+}
+_ANT: dict[str, Any] = {
+    **_ANT_WALKER,
+    "hidden": (),
+    "primitive_hidden": (64, 64),
+    "controller_view": "egocentric",
+    "controller_output": "heading_vector",
+    "minimum_goal_distance": False,
+    "population_size": 200,
+    "sigma": 0.1,
+    "learning_rate": 0.05,
+    "primitive_population_size": 1200,
+    "primitive_sigma": 0.05,
+    "primitive_learning_rate": 0.015,
+    "generations": 200,
+}
+# The egocentric view hides where the robot is, which these tasks turn on.
+_ANT_IN_THE_WORLD = {**_ANT, "controller_view": "observation", "controller_output": "vector"}
+
+SHES_PRESETS: Mapping[str, Preset] = {
+    **SES_PRESETS,
+    "laptop": Preset(
+        per_environment={
+            "ant-flagrun": {
+                **_ANT_WALKER,
+                "intervals": 1,
+                "fall_price": 8.0,
+                "hidden": (),
+                "population_size": 1200,
+                "sigma": 0.05,
+                "learning_rate": 0.02,
+                "generations": 30,
+                "evaluation_interval": 5,
+            },
+            "ant-gather": _ANT,
+            **{f"ant-{task}": _ANT_IN_THE_WORLD for task in ("maze", "push", "fall")},
+            "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
+            "robotics-point-maze": {"minimum_goal_distance": False},
+        }
+    ),
+}
+"""Values of a controller and its primitive, and of a primitive alone."""

@@ -1,0 +1,44 @@
+"""Values of HIRO and TD3 in presets, two of which are their own.
+
+Source: Nachum et al. 2018 (HIRO), appendix C, and its code; SHES paper, Table I.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from shes.algorithms.presets import Preset
+from shes.envs.builtin import BUILTIN_ENVIRONMENTS
+
+_HIRO: dict[str, Any] = {
+    "hidden": (300, 300),
+    "actor_learning_rate": 1e-4,
+    "critic_learning_rate": 1e-3,
+    "noise_unit": "raw",
+    "exploration_noise": 1.0,
+    "goal_noise": 1.0,
+    "normalise_inputs": False,
+    "reward_scale": 0.1,
+    "update_interval": 1,
+    "horizon": 500,
+    "evaluation_horizon": 500,
+    "env_steps": 10_000_000,
+    "generations": 1_000_000,
+    "generation_steps": 10_000,
+    "evaluation_interval": 5,
+}
+# In raw units that of the ant is too much for the point, whose controls are 1 at most.
+_NOISE = {env: {"exploration_noise": 0.1} if env.startswith("point-") else {} for env in BUILTIN_ENVIRONMENTS}
+
+HIRO_PRESETS: Mapping[str, Preset] = {
+    "laptop": Preset(values={"controller_update_interval": 2}),
+    "smoke": Preset(values={"warmup_steps": 1000, "generation_steps": 500}),
+    # The values of the HIRO paper, and of its code where it says nothing.
+    "hiro-paper": Preset(
+        values=_HIRO, per_environment={env: {"spec": "hiro", **noise} for env, noise in _NOISE.items()}
+    ),
+    # The same with the values of HIRO in Table I, in the environments of the SHES authors.
+    "hiro-table1": Preset(values={**_HIRO, "actor_learning_rate": 0.001}, per_environment=_NOISE),
+}
+"""Values of both."""

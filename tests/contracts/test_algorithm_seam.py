@@ -1,0 +1,234 @@
+"""Everything above `algorithms` knows an algorithm by its contract alone: in the sources, and with one from outside."""
+
+import ast
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import numpy as np
+import pytest
+
+import shes
+from shes.algorithms.contract import Algorithm
+from shes.algorithms.presets import PRESETS, Preset
+from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, find_algorithm, learners
+from shes.errors import ConfigError, UnknownNameError
+from shes.es.mirror import MIRRORINGS, Mirroring
+from shes.es.schedules import SCHEDULES, ScheduleKind
+from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
+from shes.runs.config import TrainConfig
+from shes.runs.rooms import known_settings
+from shes.settings import Ge, Settings
+from shes.studies.study import generation_steps
+from shes.training.build import build_algorithm
+from shes.training.presets import make_config
+from shes.training.transfer import transferred_levels
+
+SRC = Path(shes.__file__).parent
+ABOVE = ("bench", "cli", "gymnasium", "runs", "studies", "training", "viewing")
+SOURCES = {str(path.relative_to(SRC)): path.read_text() for room in ABOVE for path in SRC.glob(f"{room}/**/*.py")}
+IMPORTS = {"bench/evolution.py"}
+"""Modules that may import from an algorithm: what benchmarks measure of Algorithm 1."""
+NAMES = {"bench/speedup.py"}
+"""Modules that may compare the name of an algorithm: the figure of the paper, which has two of them."""
+ROOMS = "|".join(sorted({room for each in learners() for room in each.rooms}))
+
+
+def test_only_the_benchmarks_import_from_an_algorithm():
+    own = re.compile(r"shes\.algorithms\.(evolution|hiro)|from shes\.algorithms import (evolution|hiro)")
+    assert {name for name, text in SOURCES.items() if own.search(text)} == IMPORTS
+
+
+def test_no_module_above_names_a_room_of_an_algorithm():
+    room = re.compile(rf"""\b(config|settings|source|rooms)(\.|\[["'])({ROOMS})\b|["']({ROOMS})["'] (not )?in \b""")
+    found = {name: room.search(text)[0] for name, text in SOURCES.items() if room.search(text)}
+    assert found == {}
+    assert not re.search(rf"^    ({ROOMS}): ", SOURCES["runs/config.py"], re.MULTILINE)
+
+
+def _compared(tree):
+    """Yield every string that is compared, or a key of a dictionary that is looked up."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Compare):
+            yield from (part.value for each in (node.left, *node.comparators) for part in ast.walk(each)
+                        if isinstance(part, ast.Constant))  # fmt: skip
+
+
+def test_no_module_above_compares_the_name_of_an_algorithm():
+    own = {"shes", "es", "hiro", "td3"}
+    assert {name for name, text in SOURCES.items() if own & set(_compared(ast.parse(text)))} <= NAMES
+
+
+def test_no_name_of_an_algorithm_is_in_a_preset_or_a_text_of_a_setting_above_it():
+    words = {word for preset in PRESETS.values() for word in (*preset.values, *preset.per_environment)}
+    assert not words & {"algorithm", "sigma", "population_size", "actor_learning_rate"}
+    assert not re.search(r"\b(hiro|td3)\b", SOURCES["runs/rooms.py"])
+
+
+# An algorithm from outside.
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnSettings(Settings):
+    """Own."""
+
+    few: Annotated[int, Ge(1)] = 5
+    """A number."""
+    many: Annotated[int, Ge(1)] = 10
+    """A larger number."""
+    primitive: float = 0.5
+    """No level, although it has the name of one."""
+
+
+class Alone(Algorithm):
+    """Stands in."""
+
+    level_names: ClassVar = ("primitive",)
+    rooms: ClassVar = {"evolution": OwnSettings}
+
+    def __init__(self, problem):
+        super().__init__(problem, problem.flat_design(hidden=()))
+
+    start = run = to_arrays = from_arrays = parameters = None
+
+
+class Own(Alone):
+    """Learns in its own way. And this is not shown."""
+
+    level_names: ClassVar = ("policy",)
+    without_controller: ClassVar = Alone
+    presets: ClassVar = {
+        "smoke": Preset(values={"few": 1, "horizon": 7}, per_environment={"point-maze": {"many": 70}}),
+        "own-paper": Preset(values={"many": 99}),
+    }
+
+    @staticmethod
+    def check(settings):
+        if settings.evolution.few >= settings.evolution.many:
+            raise ConfigError("few must be less than many")
+
+    @staticmethod
+    def check_effects(settings, asked):
+        if "few" in asked and settings.evolution.many == 3:
+            raise ConfigError("few has no effect with many 3")
+
+
+@pytest.fixture
+def own(monkeypatch):
+    monkeypatch.setattr(ALGORITHMS, "_entries", dict(ALGORITHMS))
+    shes.register_algorithm("own", Own)
+
+
+def test_its_check_is_that_of_a_configuration(own):
+    values = {"env": "point-gather", "algorithm": "own"}
+    assert TrainConfig.of(**values, few=9).evolution.few == 9
+    with pytest.raises(ConfigError, match="few must be less than many"):
+        TrainConfig.of(**values, few=10)
+    with pytest.raises(ConfigError, match="few must be less than many"):
+        TrainConfig.from_dict({"run": values, "evolution": {"few": 10}})
+    with pytest.raises(ConfigError, match="few has no effect with many 3"):
+        make_config("point-gather", "laptop", {"algorithm": "own", "few": 1, "many": 3})
+    assert make_config("point-gather", "smoke", {"algorithm": "own", "many": 3}).evolution.few == 1
+
+
+def test_it_brings_values_of_presets_and_presets_of_its_own(own):
+    smoke = {env: make_config(env, "smoke", {"algorithm": "own"}) for env in ("point-gather", "point-maze")}
+    assert [(each.evolution.few, each.evolution.many) for each in smoke.values()] == [(1, 10), (1, 70)]
+    assert (smoke["point-maze"].episodes.horizon, smoke["point-maze"].run.generations) == (7, 3)
+    paper = make_config("point-gather", "own-paper")
+    assert (paper.run.algorithm, paper.evolution.many, paper.run.preset) == ("own", 99, "own-paper")
+    assert "own-paper" in PRESET_NAMES
+    assert "own-paper" in known_settings()["preset"].choices
+    with pytest.raises(ConfigError, match="preset 'own-paper' is for algorithm own, got algorithm 'es'"):
+        make_config("point-gather", "own-paper", {"algorithm": "es"})
+    assert make_config("point-gather", "paper").evolution.population_size == 1000  # of others nothing changes
+
+
+def test_a_preset_is_unknown_before_its_algorithm_is_registered():
+    with pytest.raises(UnknownNameError, match="unknown preset 'own-paper'"):
+        make_config("point-gather", "own-paper")
+
+
+def test_its_first_sentence_is_in_the_help(own):
+    text = known_settings()["algorithm"].text
+    assert "; own: Learns in its own way." in text
+    assert all(f"{name}: {cls.__doc__.partition('.')[0]}" in text for name, cls in ALGORITHMS.items())
+
+
+def test_it_says_who_learns_where_the_environment_sets_the_goals(own):
+    assert [find_algorithm("own", sets_goals=sets_goals) for sets_goals in (False, True)] == [Own, Alone]
+    assert TrainConfig.of(env="point-flagrun", algorithm="own").level_names == ("primitive",)
+    assert {Own, Alone} <= set(learners())
+    with pytest.raises(ConfigError, match=r"which the controller of hiro is to learn\. Set --algorithm shes or .*own,"):
+        TrainConfig.of(env="point-flagrun", algorithm="hiro")
+
+
+def test_a_class_that_stands_in_is_checked_as_well(own):
+    alone = type("Taken", (Alone,), {"rooms": {"run": OwnSettings}})
+    with pytest.raises(ConfigError, match="Taken has a room 'run', a name that is taken"):
+        shes.register_algorithm("other", type("Other", (Own,), {"without_controller": alone}))
+
+
+def test_a_subclass_may_stand_in(own):
+    whole = type("Whole", (Own,), {})
+    whole.without_controller = type("Part", (whole,), {"level_names": ("primitive",)})
+    shes.register_algorithm("whole", whole)
+    assert TrainConfig.of(env="point-flagrun", algorithm="whole").level_names == ("primitive",)
+
+
+def test_a_setting_of_it_is_no_level_of_another_run(own):
+    assert set(transferred_levels()) == {"controller", "primitive"}
+    config = make_config("point-gather", "smoke", {"algorithm": "own", "primitive": 2})
+    assert config.evolution.primitive == 2.0
+
+
+def test_a_study_asks_it_for_the_length_of_a_generation(own):
+    lengths = {"own": 7, "td3": 500, "es": 16 * 50}
+    assert lengths == {
+        name: generation_steps(make_config("point-gather", "smoke", {"algorithm": name})) for name in lengths
+    }
+
+
+# Parts of an evolution strategy that were once branches of a function.
+
+
+class Threefold(Mirroring):
+    """Three members."""
+
+    def rows(self, num_levels):
+        return [(1,) * num_levels] * 3
+
+
+class Late(ScheduleKind):
+    """Stays at the start."""
+
+    can_end_at_zero = False
+
+    def between(self, start, end, progress):
+        return start
+
+
+class First(ViewChoice):
+    """The first value."""
+
+    def of(self, task):
+        return ColumnsView((0,))
+
+
+def test_mirrorings_schedules_and_views_can_be_registered(monkeypatch):
+    monkeypatch.setitem(MIRRORINGS, "threefold", Threefold)
+    monkeypatch.setitem(SCHEDULES, "late", Late)
+    monkeypatch.setitem(PRIMITIVE_VIEWS, "first", First)
+    monkeypatch.setitem(CONTROLLER_VIEWS, "first", First)
+    asked = {"mirrored": "threefold", "population_size": 6, "primitive_view": "first", "controller_view": "first"}
+    asked |= {"sigma_schedule": "late", "sigma_end": 0.01, "schedule_generations": 10, "hidden": ()}
+    built = build_algorithm(make_config("point-gather", "smoke", asked))
+    assert built.hyperparameters.signs(0).tolist() == [[[1, 1]] * 3] * 2
+    sigma = built.hyperparameters.sigma
+    assert [sigma.value(generation) for generation in (0, 9, 10)] == [sigma.start, sigma.start, 0.01]
+    assert [policy.sizes[0] for policy in built.design.policies] == [1, 3 + 1]
+    with pytest.raises(ConfigError, match="the end of the late schedule of learning_rate must be positive"):
+        make_config("point-gather", "smoke", {"learning_rate_schedule": "late", "learning_rate_end": 0})
+    assert "threefold: Three members" in known_settings()["mirrored"].text
+    assert np.array_equal(MIRRORINGS["none"]().rows(2), [[1, 1]])
