@@ -160,12 +160,14 @@ class Setting:
     def brief(self, end: str, width: int) -> str:
         """Return `text`; if it and `end` exceed two lines of `width`, its first sentence, maybe without parentheses.
 
-        All names of choices that `text` explains are kept.
+        All names of choices that `text` explains are kept; if it names none, they are added.
         """
-        sentence = re.split(r"(?<=\.)\s", self.text, maxsplit=1)[0]
-        explained = [name for name in self.choices if name in self.text]
+        explained, full = [name for name in self.choices if name in self.text], self.text
+        if self.choices and not explained:
+            explained, full = list(self.choices), f"{full.rstrip('.')}: {', '.join(self.choices)}."
+        sentence = re.split(r"(?<=\.)\s", full, maxsplit=1)[0]
         shorter = [sentence, re.sub(r" \([^()]*\)", "", sentence)]
-        texts = [self.text, *(text for text in shorter if all(name in text for name in explained))]
+        texts = [full, *(text for text in shorter if all(name in text for name in explained))]
         return next((text for text in texts if len(wrap(f"{text} {end}", width)) <= 2), texts[-1])
 
     @property

@@ -176,7 +176,12 @@ def test_a_comparison_has_success_rates_time_and_origin():
 @pytest.fixture
 def done(monkeypatch):
     """Let the runs of a study be done, and nothing be drawn."""
-    monkeypatch.setattr(experiments, "run_study", lambda *_, **__: iter(()))
+
+    def no_runs(_, out, **__):
+        out.mkdir(parents=True, exist_ok=True)
+        yield from ()
+
+    monkeypatch.setattr(experiments, "run_study", no_runs)
     monkeypatch.setattr(experiments, "draw_figures", lambda *_: [])
 
 

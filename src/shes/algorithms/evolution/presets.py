@@ -59,6 +59,18 @@ _ANT: dict[str, Any] = {
     "primitive_learning_rate": 0.015,
     "generations": 200,
 }
+_ANT_TO_FOOD = {
+    **_ANT,
+    "controller_view": "nearest",
+    "controller_output": "heading_direction",
+    "controller_interval": 10,
+    "intervals": 3,
+    "fall_price": 8.0,
+    "learning_rate_schedule": "exponential",
+    "learning_rate_end": 0.01,
+    "schedule_generations": 60,
+    "generations": 60,
+}
 # The egocentric view hides where the robot is, which these tasks turn on.
 _ANT_IN_THE_WORLD = {**_ANT, "controller_view": "observation", "controller_output": "vector"}
 
@@ -77,7 +89,7 @@ SHES_PRESETS: Mapping[str, Preset] = {
                 "generations": 30,
                 "evaluation_interval": 5,
             },
-            "ant-gather": _ANT,
+            "ant-gather": _ANT_TO_FOOD,
             **{f"ant-{task}": _ANT_IN_THE_WORLD for task in ("maze", "push", "fall")},
             "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
             "robotics-point-maze": {"minimum_goal_distance": False},
