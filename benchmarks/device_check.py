@@ -13,7 +13,7 @@ from statistics import NormalDist
 import numpy as np
 from scipy import stats
 
-from shes.algorithms.evolution.learners import EvolutionAlgorithm
+from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.envs.registry import find_environment
 from shes.envs.tasks.task import SimulatorFactory
 from shes.es.streams import Purpose, stream

@@ -27,10 +27,10 @@ import numpy as np
 from device_check import ALPHA, compare_samples, detectable_shift, sample
 
 from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.evolution.learners import EvolutionAlgorithm
+from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.envs.registry import ENVIRONMENTS, find_environment
-from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import FRAME_SKIP
+from shes.envs.tasks.task_options import TaskOptions
 from shes.runs.config import TrainConfig
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator

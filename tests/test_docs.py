@@ -20,7 +20,7 @@ from shes.cli import main
 from shes.cli.command_table import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment, make_task
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.runs.rooms import known_settings
 from shes.settings import flag, setting_fields
 from shes.training.presets import make_config

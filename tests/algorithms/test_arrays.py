@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.evolution.arrays import from_arrays, to_arrays
+from shes.algorithms.evolution.state_arrays import from_arrays, to_arrays
 from shes.errors import CheckpointError
 from shes.es.level import LevelState, RunningEpisodes, TrainState
 from shes.es.novelty import NOVELTY_RULES, NoveltyState

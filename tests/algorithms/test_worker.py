@@ -8,7 +8,7 @@ import pytest
 from shes.algorithms.worker import RolloutWorker, WorkerPlan, lanes_that_fit
 from shes.backends.work import TaskList
 from shes.envs.registry import find_environment, make_task
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import StorageError
 from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable

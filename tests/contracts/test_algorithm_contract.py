@@ -144,7 +144,7 @@ def test_a_run_of_it_goes_on_and_its_agent_acts(name, tmp_path):
 @pytest.mark.parametrize(
     ("name", "algorithm", "message"),
     [
-        ("shes", "RandomSearch", "algorithm 'shes' is shes.algorithms.evolution.learners.SHES already"),
+        ("shes", "RandomSearch", "algorithm 'shes' is shes.algorithms.evolution.strategies.SHES already"),
         ("Random search", "RandomSearch", "algorithm name must be lower-case words"),
         ("other", "State", "an? algorithm must be a subclass of shes.algorithms.contract.Algorithm"),
     ],

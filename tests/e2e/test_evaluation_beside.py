@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.evolution.learners import EvolutionAlgorithm
+from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.errors import WorkerError
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.tables import read_csv

@@ -7,8 +7,8 @@ refuses.
 import numpy as np
 import pytest
 
-from shes.arrays import to_host
 from shes.envs.registry import make_task
+from shes.host_arrays import to_host
 from shes.sim.cpu import CpuSimulator
 from tests.contracts.variants import VARIANTS
 from tests.strict_arrays import DeviceArray, strict_xp

@@ -15,7 +15,7 @@ from shes.envs.bodies.point import Point
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.envs.registry import find_environment, make_task, register_environment, register_external
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
 from shes.training.presets import make_config
 from tests.e2e.own_classes import Corner

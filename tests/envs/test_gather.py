@@ -7,7 +7,7 @@ from numpy.testing import assert_array_equal
 
 from shes.envs.markers import POISON as POISON_COLOR
 from shes.envs.registry import make_task
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 
 FAR_AWAY = 1000.0
 FOOD, POISON = slice(0, 10), slice(10, 20)

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from shes.envs.registry import make_task
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from tests.envs.reference_gather import ReferenceGather
 
 pytestmark = pytest.mark.extras  # the fast tests have three minutes

@@ -7,7 +7,7 @@ from numpy.testing import assert_array_equal
 from shes.envs.bodies.point import DAMPING, GEAR_N, Point
 from shes.envs.registry import make_task
 from shes.envs.tasks.gather import Gather
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from tests.envs.compare_models import model_differences
 from tests.envs.reference_gather import point_gather_xml
 

@@ -11,8 +11,8 @@ from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import SPECS_OF
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment, make_task, register_environment
 from shes.envs.tasks.gather import Gather
-from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import Task
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.settings import Settings
 from shes.sim.cpu import CpuSimulator

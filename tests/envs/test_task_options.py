@@ -10,9 +10,9 @@ from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun, FlagrunOptions
 from shes.envs.tasks.gather import Gather, GatherOptions
 from shes.envs.tasks.maze import Maze, MazeOptions
-from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.push import Push
 from shes.envs.tasks.target_task import BlockOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.level import UpdateRule
 from shes.settings import field_texts, setting_fields

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from shes.envs.bodies.point import DAMPING, GEAR_N
 from shes.envs.registry import ENVIRONMENTS, find_environment, make_task
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 from tests.envs import reference_tasks
 from tests.envs.compare_models import model_differences

@@ -16,7 +16,7 @@ from shes.algorithms.evolution.algorithm import Hyperparameters, evolve
 from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import Adam

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import shes
-from shes.arrays import to_host
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.es.gradient import weighted_noise_sum
 from shes.es.noise import NoiseTable
+from shes.host_arrays import to_host
 from shes.runs.folder import RunFolder
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator

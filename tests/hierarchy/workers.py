@@ -1,7 +1,7 @@
 """A worker for several designs at once: a few processes serve many runs. Worker processes import this module."""
 
 from shes.algorithms.worker import RolloutWorker, WorkerPlan
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from tests.hierarchy.fake_task import FakeEnvironment
 
 

@@ -16,7 +16,7 @@ from shes.algorithms.evolution.rooms import SCHEDULED
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids
 from shes.envs.registry import ENVIRONMENTS, Environment
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, VectorOutput

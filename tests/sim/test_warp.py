@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import shes.sim.warp_device
 from shes.envs.registry import ENVIRONMENTS
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, UnknownNameError
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator

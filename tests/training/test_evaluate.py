@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.learners import EvolutionAlgorithm
+from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.errors import CheckpointError, PolicyError, RunFolderError, UnknownNameError
 from shes.es.streams import Purpose
 from shes.runs.folder import RunFolder

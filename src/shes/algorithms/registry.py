@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 from typing import Any
 
 from shes.algorithms.contract import Algorithm
-from shes.algorithms.evolution.learners import SES, SHES
+from shes.algorithms.evolution.strategies import SES, SHES
 from shes.algorithms.hiro.algorithm import HIRO, TD3
 from shes.algorithms.presets import PRESETS
 from shes.errors import ConfigError

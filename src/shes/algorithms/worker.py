@@ -15,8 +15,8 @@ from typing import Protocol
 import mujoco
 
 from shes.envs.registry import EnvironmentMaker
-from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign

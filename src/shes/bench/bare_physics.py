@@ -17,8 +17,8 @@ from shes.backends.serial import SerialBackend
 from shes.bench.evolution import Hyperparameters, generation_work
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.registry import EnvironmentMaker
-from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
+from shes.envs.tasks.task_options import TaskOptions
 from shes.es.level import TrainState
 from shes.hierarchy.episodes import EpisodeResults
 from shes.hierarchy.intervals import branch_work

@@ -6,8 +6,8 @@ This is the only module outside `algorithms` that uses an algorithm by more than
 from __future__ import annotations
 
 from shes.algorithms.evolution.algorithm import GenerationReport, evolve
-from shes.algorithms.evolution.learners import EvolutionAlgorithm
 from shes.algorithms.evolution.populations import Hyperparameters, Population, generation_work
+from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.algorithms.registry import ALGORITHMS
 from shes.errors import ConfigError
 from shes.runs.config import TrainConfig

@@ -12,8 +12,8 @@ from shes.envs.builtin import BUILTIN_ENVIRONMENTS
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.envs.gymnasium_ids import SPECS_OF, find_id, gymnasium_id, register_ids
-from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import SimulatorFactory, Task
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.options import check_options
 from shes.registry import Registry, check_class, check_name_form

@@ -11,8 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.arrays import to_host
 from shes.es.noise import NoiseTable
+from shes.host_arrays import to_host
 from shes.types import F32Array, F64Array, IntArray
 
 _COLUMNS = 65536  # parameters summed at a time: enough that two threads do not wait for Python's lock

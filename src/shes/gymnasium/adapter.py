@@ -15,7 +15,7 @@ from shes.drawing.renderer import check_camera
 from shes.drawing.rendering import Window, make_drawer, open_window
 from shes.envs.observation_spec import bounds
 from shes.envs.registry import ENVIRONMENTS, Environment
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
 from shes.settings import Settings, setting_fields
 from shes.sim.cpu import CpuSimulator

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from shes.arrays import to_host
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import PolicyError
 from shes.es.level import perturb
@@ -28,6 +27,7 @@ from shes.hierarchy.episodes import PARTS, EpisodeResults, EpisodeTask, Generati
 from shes.hierarchy.exploration import Exploration
 from shes.hierarchy.moments import Moments
 from shes.hierarchy.snapshots import SnapshotRecorder
+from shes.host_arrays import to_host
 from shes.types import BoolArray, F32Array, F64Array, IntArray
 
 NumberedTask = tuple[int, EpisodeTask]

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from shes.arrays import to_host
 from shes.envs.episode_batch import EpisodeBatch
 from shes.hierarchy.agent import AgentBatch
 from shes.hierarchy.episodes import EpisodeTask, Snapshot
+from shes.host_arrays import to_host
 from shes.types import BoolArray, F64Array, IntArray
 
 

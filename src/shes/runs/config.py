@@ -7,7 +7,7 @@ from typing import Any
 
 from shes.algorithms.contract import Algorithm
 from shes.envs.registry import find_environment
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
 from shes.runs.rooms import (
     EpisodeSettings,

@@ -16,8 +16,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from shes.arrays import to_host
 from shes.errors import ConfigError
+from shes.host_arrays import to_host
 from shes.sim.simulator import Simulator
 from shes.sim.warp_buffers import BufferPeaks, BufferSizes, default_sizes
 from shes.sim.warp_device import WarpDevice, WarpTimer, load_warp

@@ -15,7 +15,7 @@ from shes.backends.backend import Backend
 from shes.backends.registry import BACKENDS
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.registry import Environment, EnvironmentMaker, find_environment
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.runs.checkpoint import restore

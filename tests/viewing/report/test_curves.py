@@ -20,7 +20,7 @@ def titles(runs, section):
 
 
 def test_the_panels_of_a_run_of_two_levels():
-    read = read_runs(["ant-gather"])
+    read = read_runs(["ant-maze"])
     assert titles(read.runs, "Returns and scores")[:5] == [
         "score, evaluation",
         "return, evaluation",

@@ -19,8 +19,8 @@ from gymnasium.envs.registration import EnvSpec
 
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.reader import ExternalReader, Locate, find_physics
-from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import SimulatorFactory
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
 from shes.settings import flag
 from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings

@@ -9,14 +9,14 @@ from typing import Annotated, Any, ClassVar
 import mujoco
 import numpy as np
 
-from shes.arrays import to_host
 from shes.envs.bodies.body import Body
 from shes.envs.markers import TARGET, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.body_reader import BodyReader
-from shes.envs.tasks.options import FURTHEST_M, TaskOptions
 from shes.envs.tasks.task import Task, TaskDescription
+from shes.envs.tasks.task_options import FURTHEST_M, TaskOptions
 from shes.envs.worlds import ARENA, add_grid, empty_world
+from shes.host_arrays import to_host
 from shes.settings import Ge, Le, Shared
 from shes.types import BoolArray, F64Array, IntArray
 

@@ -13,14 +13,14 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from shes.arrays import to_host
 from shes.envs.bodies.body import Body
 from shes.envs.markers import FOOD, POISON, Marker, Rgba, ball, line
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.options import TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
+from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
 from shes.errors import ConfigError
+from shes.host_arrays import to_host
 from shes.types import BoolArray, F64Array, IntArray
 
 NUM_OBJECTS = 8

@@ -9,14 +9,14 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from shes.arrays import to_host
 from shes.envs.bodies.body import Body
 from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.options import Coordinates, TaskOptions
 from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
+from shes.envs.tasks.task_options import Coordinates, TaskOptions
 from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
+from shes.host_arrays import to_host
 from shes.types import BoolArray, F64Array, IntArray
 
 SUCCESS_DISTANCE_M = 5.0

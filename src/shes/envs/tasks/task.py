@@ -14,14 +14,14 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from shes.arrays import to_host
 from shes.envs.bodies.body import Body
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.body_reader import BodyReader
-from shes.envs.tasks.options import TaskOptions
+from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import TIMESTEP_S
 from shes.errors import UnknownNameError
+from shes.host_arrays import to_host
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
 from shes.types import BoolArray, F64Array, FloatArray, IntArray

@@ -11,7 +11,6 @@ import numpy as np
 
 from shes.algorithms.contract import Algorithm, Report
 from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.evolution.arrays import check_arrays, check_headers, from_arrays, to_arrays
 from shes.algorithms.evolution.checks import check_effects, check_together, schedule_warnings
 from shes.algorithms.evolution.columns import columns
 from shes.algorithms.evolution.designs import (
@@ -24,6 +23,7 @@ from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make
 from shes.algorithms.evolution.levels import steps_per_generation
 from shes.algorithms.evolution.presets import SES_PRESETS, SHES_PRESETS
 from shes.algorithms.evolution.rooms import PRIMITIVE_ROOMS, SES_ROOMS, SHES_ROOMS
+from shes.algorithms.evolution.state_arrays import check_arrays, check_headers, from_arrays, to_arrays
 from shes.algorithms.evolution.transfer import PRIMITIVE_TRANSFER, SHES_TRANSFERS
 from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
