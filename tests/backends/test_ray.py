@@ -5,6 +5,7 @@ import sys
 import types
 from concurrent.futures import Future
 from pathlib import Path
+from time import sleep
 
 import pytest
 
@@ -182,6 +183,8 @@ def test_a_node_that_is_lost_in_mid_generation_changes_no_number(free_cluster, t
         answer(backend, worker, message)
         if message[0] == "result" and nodes and runs.log_lines(path)[-1] == "generation 2 begins":
             free_cluster.remove_node(nodes.pop(), allow_graceful=False)
+            while not any(each._answer.done() and each._answer.exception() for each in backend.workers):
+                sleep(0.05)  # else the other node may do all generations before Ray tells of the loss
 
     monkeypatch.setattr(RayBackend, "_answer", answer_and_end_node)
     path = tmp_path / "run"
