@@ -62,8 +62,9 @@ def results(way: str, seed: int, paths: list[Path]) -> tuple[dict[str, Any], lis
     curve = []
     for values in zip(*(table[name] for name in names), strict=True):
         point = dict(zip(names, values, strict=True))
-        point["env_steps"] += before_steps
-        point["wall_time_s"] += before_s
+        point["generation"] = int(point["generation"])
+        point["env_steps"] = before_steps + int(point["env_steps"])
+        point["wall_time_s"] = round(before_s + point["wall_time_s"], 1)
         curve.append({"way": way, "seed": seed, **point})
     return row, curve
 
