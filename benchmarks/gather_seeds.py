@@ -5,8 +5,8 @@
 
 Every run can be interrupted at any time: the same command goes on. `--results FOLDER` also writes the tables:
 `gather_runs.csv` (best checkpoint of each run over 200 fresh episodes of the task as specified; environment steps and
-wall-clock include the walker's) and `gather_curves.csv` (every evaluation). About five minutes of two idle cores for a
-seed with transfer, twenty for a co-evolved one.
+wall-clock include the walker's) and `gather_curves.csv` (every evaluation). Five to seven minutes of two cores for each
+seed and way.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ WAYS = ("transfer", "coevolved")
 
 def finished(env: str, path: Path, **settings: Any) -> Path:
     """Return the folder of a run that has ended: begun, or gone on with, unless it has."""
-    finish_run(make_config(env, overrides={**settings}), path)
+    finish_run(make_config(env, overrides=settings), path)
     return path
 
 

@@ -1,4 +1,4 @@
-"""What a backend with remote workers defines and overrides: public names, which the documentation lists."""
+"""A backend with remote workers defines and overrides public names only, which the documentation lists."""
 
 import re
 from pathlib import Path

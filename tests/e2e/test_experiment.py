@@ -26,7 +26,10 @@ SOME = ("--scale", "smoke", "--only", "horizon", "transfer", "--workers", "2")
 def table(path):
     """Return a table's rows without the times."""
     with path.open(newline="") as file:
-        return [{name: value for name, value in row.items() if name not in ("seconds", "hours")} for row in csv.DictReader(file)]
+        return [
+            {name: value for name, value in row.items() if name not in ("seconds", "hours")}
+            for row in csv.DictReader(file)
+        ]
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from shes.runs.shipped import find_run, read_agent, shipped_name, shipped_names,
 from shes.runs.tables import read_csv
 from shes.training.build import build_task
 from shes.training.evaluate import evaluate
+from shes.training.presets import make_config
 from shes.training.ship import main, ship
 from shes.viewing.plot import plot
 from shes.viewing.render import render
@@ -353,3 +354,9 @@ def test_every_shipped_agent_is_small_complete_and_acts():
         task.step(np.array([0]), control)
         assert not task.diverged.any()
         task.close()
+
+
+def test_the_command_of_the_agent_from_scratch_still_gives_the_settings_it_was_trained_with():
+    told, folder = read_agent("ant-gather-coevolved"), RunFolder.open(shipped_path("ant-gather-coevolved"))
+    assert told.commands == ("shes train ant-gather --seed 3",)
+    assert make_config("ant-gather", overrides={"seed": 3}).numbers() == folder.read_config().numbers()

@@ -17,7 +17,7 @@ class LevelTransfer(ABC):
     trained_by: ClassVar[str]
     """Runs that train such a level, for error messages."""
     advice: ClassVar[str]
-    """What to do about a level that does not fit, for error messages."""
+    """Advice in the error message about a level that does not fit."""
     suggested: ClassVar[tuple[str, ...]] = ()
     """Settings that come with the level unless another value is asked for."""
 

@@ -1,4 +1,4 @@
-"""What the benchmarks know of Algorithm 1, whose rollouts and update they measure part by part.
+"""The parts of Algorithm 1 that the benchmarks measure: rollouts and update.
 
 This is the only module outside `algorithms` that uses an algorithm by more than its contract.
 """

@@ -30,7 +30,7 @@ _KINDS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 class SpeedupLine(NamedTuple):
-    """What is drawn in one colour."""
+    """One series of the figure, drawn in one colour."""
 
     words: str
     rows: Sequence[Mapping[str, Any]]

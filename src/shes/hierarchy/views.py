@@ -211,7 +211,7 @@ class ViewChoice(ABC):
     is_egocentric: ClassVar[bool] = False
     """Whether its views are egocentric."""
     lack: ClassVar[str] = "which has no such view"
-    """What is said of a robot and a task without such a view."""
+    """End of the error message for a robot or a task without such a view."""
     sees_task: ClassVar[bool] = False
     """Whether a primitive sees more than the robot."""
 

@@ -138,7 +138,7 @@ class PrimitiveSettings(Settings):
     primitive_reward: Annotated[str, _registered(PRIMITIVE_REWARDS, "primitive_reward")] = "progress"
     """Intrinsic reward of the primitive (section II-B)."""
     primitive_view: Annotated[str, Choices(PRIMITIVE_VIEWS, is_described=True)] = "observation"
-    """What the primitive observes besides its goal."""
+    """Values that the primitive observes in addition to its goal."""
     symmetry: Annotated[str, Choices(SYMMETRIES), Needs("primitive_view", ("egocentric",))] = "none"
     """Symmetry of the body by which every goal is turned to the front, for an egocentric view."""
     hide_position: bool = False
@@ -154,7 +154,7 @@ class HierarchySettings(PrimitiveSettings):
     controller_output: Annotated[str, _registered(CONTROLLER_OUTPUTS, "controller_output")] = "vector"
     """Meaning of the controller's outputs."""
     controller_view: Annotated[str, Choices(CONTROLLER_VIEWS, is_described=True)] = "observation"
-    """What the controller observes."""
+    """Values that the controller observes."""
     controller_weight_decay: Annotated[float, Ge(0)] | None = None
     """Weight decay of the controller; none for weight_decay. Without reward, only the decay changes a controller."""
     perturbation: Annotated[str, Choices(PERTURBATIONS, is_described=True)] = "many_to_many"
