@@ -69,7 +69,7 @@ def _rooms(configs: Mapping[str, TrainConfig], without: Collection[str]) -> Iter
         if name in without:
             continue
         rows = [
-            (f"`{each.flag}`", each.text, *(_shown(config.settings[each.name]) for config in configs.values()))
+            (f"`{each.flag}`", each.text, *(_shown(config.values[each.name]) for config in configs.values()))
             for each in setting_fields(type(room)).values()
             if each.name not in ("env", "preset")
         ]

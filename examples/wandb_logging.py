@@ -9,7 +9,7 @@ class WandbListener:
     """Sends every row of the tables to Weights & Biases."""
 
     def on_start(self, path, config, generation, num_workers):
-        self.run = wandb.init(project="shes", name=path.name, config=config.settings)
+        self.run = wandb.init(project="shes", name=path.name, config=config.values)
 
     def on_generation(self, row):
         self.run.log({f"training/{name}": value for name, value in row.items()}, step=row["generation"])

@@ -7,23 +7,12 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
+from shes.checked import checked
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
+from shes.field_texts import field_texts
 from shes.runs.rooms import known_settings
-from shes.settings import (
-    Choices,
-    Example,
-    Ge,
-    Gt,
-    Le,
-    Lt,
-    Settings,
-    Shown,
-    checked,
-    field_texts,
-    out_of_range,
-    setting_fields,
-)
+from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Shown, out_of_range, setting_fields
 
 NAMES = {"near": 1}
 

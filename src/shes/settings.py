@@ -8,34 +8,30 @@ class SearchSettings(Settings):
 ```
 
 The check, the flag, the help, the record and the documentation of `radius` are derived from these two lines. The
-arguments of a function are checked alike if it is decorated with `checked`.
+arguments of a function are checked alike if it is decorated with `shes.checked.checked`.
 """
 
 from __future__ import annotations
 
-import ast
 import inspect
-import linecache
 import math
 import operator
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import cache, wraps
-from itertools import pairwise
+from functools import cache
 from textwrap import wrap
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from shes.errors import ConfigError, UnknownNameError
+from shes.field_texts import field_texts
 from shes.registry import Registry, full_name
 
 __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
-__all__ += ["Shown", "Unasked", "checked", "field_texts", "flag", "out_of_range", "registered", "setting_fields"]
-
-F = TypeVar("F", bound=Callable[..., Any])
+__all__ += ["Shown", "Unasked", "described", "flag", "out_of_range", "registered", "setting_fields"]
 
 
 @dataclass(frozen=True)
@@ -309,34 +305,6 @@ class Settings:
         }
 
 
-def checked(function: F) -> F:
-    """Return `function`, or the class, which now checks the arguments whose annotations say what is allowed.
-
-    A call raises as `Setting.checked` does, which also converts the values.
-    """
-    if isinstance(function, type):
-        function.__init__ = checked(function.__init__)
-        return function  # type: ignore[return-value] - it is of its own type
-    signature = inspect.signature(function)
-
-    @wraps(function)
-    def call(*args: Any, **kwargs: Any) -> Any:
-        given = signature.bind(*args, **kwargs)
-        for name, parameter in _parameters(function).items():
-            if name in given.arguments:
-                given.arguments[name] = parameter.checked(given.arguments[name])
-        return function(*given.args, **given.kwargs)
-
-    return call  # type: ignore[return-value] - of the same signature
-
-
-@cache
-def _parameters(function: Callable[..., Any]) -> dict[str, Setting]:
-    hints = get_type_hints(function, include_extras=True)
-    found = {name: _described(name, hint, function) for name, hint in hints.items()}
-    return {name: parameter for name, parameter in found.items() if parameter.notes}
-
-
 @cache
 def setting_fields(cls: type) -> dict[str, Setting]:
     """Return the settings of a class by name, those of its base classes first.
@@ -348,7 +316,7 @@ def setting_fields(cls: type) -> dict[str, Setting]:
     found = {}
     for field in fields(cls):
         default = field.default_factory() if field.default_factory is not MISSING else field.default
-        setting = found[field.name] = _described(field.name, hints[field.name], cls, default)
+        setting = found[field.name] = described(field.name, hints[field.name], cls, default)
         if setting.item not in ((int, float) if setting.kind is tuple else (bool, int, float, str)):
             raise ConfigError(
                 f"{full_name(cls)}.{field.name} has the type {hints[field.name]}, which a setting "
@@ -358,7 +326,7 @@ def setting_fields(cls: type) -> dict[str, Setting]:
     return found
 
 
-def _described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setting:
+def described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setting:
     """Return the description of the field or parameter of `owner` that is annotated by `hint`."""
     kind, notes = _unwrapped(hint)
     is_optional = get_origin(kind) in (Union, UnionType) and NoneType in get_args(kind)
@@ -411,45 +379,6 @@ def _unwrapped(kind: Any) -> tuple[Any, tuple[Any, ...]]:
         inner, notes = _unwrapped(get_args(kind)[0])
         return inner, (*notes, *kind.__metadata__)
     return kind, ()
-
-
-@cache
-def field_texts(cls: type) -> dict[str, str]:
-    """Return the docstrings under the fields of a dataclass and its base classes, each on one line."""
-    texts: dict[str, str] = {}
-    for ancestor in (
-        base for each in (*getattr(cls, "_option_classes", ()), cls) for base in reversed(each.__mro__[:-1])
-    ):
-        try:
-            definition = _class_definitions(inspect.getsourcefile(ancestor) or "").get(ancestor.__qualname__)
-        except (OSError, TypeError, SyntaxError):
-            continue  # a class defined in a console has no source
-        body = [] if definition is None else definition.body
-        for statement, follower in pairwise(body):
-            if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
-                text = follower.value if isinstance(follower, ast.Expr) else None
-                if isinstance(text, ast.Constant):
-                    texts[statement.target.id] = " ".join(str(text.value).split())
-    return texts
-
-
-@cache
-def _class_definitions(file: str) -> dict[str, ast.ClassDef]:
-    """Return the class definitions in a file by qualified name. `inspect.getsource` parses the file for each class."""
-    found: dict[str, ast.ClassDef] = {}
-
-    def visit(node: ast.AST, prefix: str) -> None:
-        for child in ast.iter_child_nodes(node):
-            if isinstance(child, ast.ClassDef):
-                found[prefix + child.name] = child
-                visit(child, f"{prefix}{child.name}.")
-            elif isinstance(child, ast.FunctionDef):
-                visit(child, f"{prefix}{child.name}.<locals>.")
-            elif isinstance(child, ast.stmt):
-                visit(child, prefix)
-
-    visit(ast.parse("".join(linecache.getlines(file))), "")
-    return found
 
 
 def _plain(value: Any) -> Any:

@@ -145,7 +145,7 @@ def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_room
     config = make_config(env, "smoke", settings)
     for room in config.rooms:
         assert f" {room} options " in text
-    for name in config.settings.keys() - {"env"}:
+    for name in config.values.keys() - {"env"}:
         assert re.search(rf"{config.setting(name).flag}\b", text), name
     assert ("--primitive-reward" in text) is ("es" not in words)
 
@@ -242,8 +242,8 @@ def test_the_value_of_a_flag_is_not_taken_for_the_environment(monkeypatch, words
 def test_the_value_of_every_setting_can_be_written_on_the_command_line(given, preset):
     config = make_config("ant-gather", preset)
     words, expected = [], {}
-    for name in sorted(config.settings.keys() - {"env"}):
-        value, flag = config.settings[name], config.setting(name).flag
+    for name in sorted(config.values.keys() - {"env"}):
+        value, flag = config.values[name], config.setting(name).flag
         if isinstance(value, bool):
             words.append(flag if value else flag.replace("--", "--no-"))
         else:

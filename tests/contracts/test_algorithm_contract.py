@@ -52,7 +52,7 @@ def tiny(name):
     """Return environment and settings of a tiny run: of the tiny sizes those that its algorithm has."""
     algorithm, env, settings = LEARNERS[name]
     config = TrainConfig.of(env=env, algorithm=algorithm)
-    sizes = {name: value for name, value in runs.TINY.items() if name in config.settings}
+    sizes = {name: value for name, value in runs.TINY.items() if name in config.values}
     return env, {**sizes, **settings, "algorithm": algorithm}
 
 
@@ -169,7 +169,7 @@ class Vague(Settings):
 def test_a_room_or_an_option_of_an_algorithm_has_a_name_of_its_own(monkeypatch):
     monkeypatch.setattr(ALGORITHMS, "_entries", dict(ALGORITHMS))
     example = runpy.run_path(str(EXAMPLE), run_name="random_search")["RandomSearch"]
-    for room in ("run", "body", "settings"):
+    for room in ("run", "body", "values"):
         taken = type("Own", (example,), {"rooms": {room: Search}})
         with pytest.raises(ConfigError, match=rf"Own has a room '{room}', a name that is taken\. Choose another name"):
             shes.register_algorithm("own", taken)

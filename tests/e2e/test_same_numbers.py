@@ -283,7 +283,7 @@ def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
     field, _, choice = name.partition("=")
     others = {} if field in SCHEDULES else companions(field, choice)
     same = usual({name: value for name, value in others.items() if name != field})
-    is_usual = RunFolder.open(same).read_config().settings[field] == choice or name in SAME_AS_USUAL
+    is_usual = RunFolder.open(same).read_config().values[field] == choice or name in SAME_AS_USUAL
     found = {each for each in runs.differences(same, path) if not each.endswith("/settings")}
     assert (not found) is is_usual
 

@@ -15,7 +15,8 @@ from shes.envs.tasks.target_task import BlockOptions
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
 from shes.es.level import UpdateRule
-from shes.settings import field_texts, setting_fields
+from shes.field_texts import field_texts
+from shes.settings import setting_fields
 
 assert shes
 

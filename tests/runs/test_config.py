@@ -42,7 +42,7 @@ def make(**settings):
 def test_a_setting_is_in_a_room_and_is_told_by_its_own_name():
     config = make(sigma=0.5, fall_penalty=False, spec="hiro", num_workers=3)
     assert (config.evolution.sigma, config.environment.fall_penalty, config.workers.num_workers) == (0.5, False, 3)
-    assert config.settings["sigma"] == 0.5
+    assert config.values["sigma"] == 0.5
     assert config.having(sigma=0.25).evolution.sigma == 0.25
     assert config.having(sigma=0.5) == config != config.having(sigma=0.25)
 
@@ -67,7 +67,7 @@ def test_rooms_are_those_of_the_algorithm(env, algorithm, rooms):
 def test_settings_that_never_change_numbers_are_marked():
     assert set(execution_settings()) == EXECUTION
     numbers = make().numbers()
-    assert set(numbers) == set(make().settings) - EXECUTION
+    assert set(numbers) == set(make().values) - EXECUTION
     execution = {"generations": 5, "env_steps": 900, "minutes": 1.0, "keep_checkpoints": 2, "preset": "paper"}
     assert make(num_workers=3, chunk_size=7, backend="serial", **execution).numbers() == numbers
     assert make(device="cuda", nconmax=3, njmax=7).numbers() == numbers
@@ -110,7 +110,7 @@ def test_names_registered_later_are_allowed_and_suggested(monkeypatch):
         "primitive_reward": "nearness",
         "controller_output": "sideways",
     }
-    assert TrainConfig.from_dict(TrainConfig.of(**names).to_dict()).settings.items() >= names.items()
+    assert TrainConfig.from_dict(TrainConfig.of(**names).to_dict()).values.items() >= names.items()
     for name, right in names.items():
         with pytest.raises(UnknownNameError, match=f"Did you mean '{right}'"):
             TrainConfig.of(**{**names, name: right[:-1]})
@@ -298,7 +298,7 @@ ENDS = ["episodes_end", "learning_rate_end", "sigma_end"]
 def test_a_schedule_and_its_end_belong_together(quantity, fields_of, how):
     kind, end = fields_of
     config = make(**{kind: how, end: 2})
-    assert (config.settings[kind], config.settings[end]) == (how, 2)
+    assert (config.values[kind], config.values[end]) == (how, 2)
     with pytest.raises(ConfigError, match=rf"{kind} is '{how}', but {end} is not set\. Set {flag(end)}\."):
         make(**{kind: how})
     message = rf"{end} is 2(\.0)?, but {quantity} is constant\. Set {flag(kind)} to linear, .*omit {flag(end)}"
@@ -421,7 +421,7 @@ def test_what_would_do_nothing_is_no_setting_of_the_run(env, algorithm, name):
 @pytest.mark.parametrize("algorithm", ["shes", "es"])
 def test_a_random_controller_heeds_interval_and_distance(algorithm, name):
     config = make_config("point-flagrun", "smoke", {"algorithm": algorithm, name: OF_PRIMITIVES[name]})
-    assert getattr(config.environment, name) == config.settings[name] == OF_PRIMITIVES[name]
+    assert getattr(config.environment, name) == config.values[name] == OF_PRIMITIVES[name]
     assert TrainConfig.from_dict(config.to_dict()) == config
 
 

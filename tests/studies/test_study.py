@@ -271,7 +271,7 @@ def test_large_runs_have_all_workers_and_the_same_numbers(tmp_path, finished):
     study = Study(cells=(cell(),), episodes=3, has_large_runs=True)
     (outcome,) = run_study(study, tmp_path, num_workers=2)
     assert without_seconds(outcome.summary) == without_seconds(finished[1])
-    assert RunFolder(tmp_path / cell().name).read_config().settings["num_workers"] == 2
+    assert RunFolder(tmp_path / cell().name).read_config().values["num_workers"] == 2
 
 
 def test_an_error_nobody_expected_is_an_outcome_with_its_traceback(monkeypatch, tmp_path, in_this_process):
@@ -525,7 +525,7 @@ def test_the_learning_study_has_its_variants_in_words_and_five_seeds():
 
 
 def test_a_piece_left_out_changes_that_piece_alone():
-    configs = {found.variant: cell_config(found, Path("study")).settings for found in learning(seeds=1).cells}
+    configs = {found.variant: cell_config(found, Path("study")).values for found in learning(seeds=1).cells}
     base = configs["base"]
     changed = {
         variant: {name for name, value in config.items() if value != base[name]} - {"evaluation_interval"}

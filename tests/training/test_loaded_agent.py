@@ -204,7 +204,7 @@ def played(tmp_path_factory):
 
 def gymnasium_env(config):
     """Return Gymnasium's environment under the conditions of the run's evaluation."""
-    goals = {name: config.settings.get(name) for name in ("controller_interval", "goal_distance")}
+    goals = {name: config.values.get(name) for name in ("controller_interval", "goal_distance")}
     return gymnasium.make(
         gymnasium_id(config.run.env),
         max_episode_steps=config.episodes.evaluation_horizon,

@@ -46,7 +46,7 @@ PAPER = {
 @pytest.mark.parametrize("name", PAPER)
 def test_the_paper_preset_has_the_numbers_of_table_one(env, name):
     is_pretraining = (name, env) in (("population_size", "ant-flagrun"), ("population_size", "point-flagrun"))
-    assert make_config(env, "paper").settings.get(name, PAPER[name]) == (256 if is_pretraining else PAPER[name])
+    assert make_config(env, "paper").values.get(name, PAPER[name]) == (256 if is_pretraining else PAPER[name])
 
 
 @pytest.mark.parametrize("env", ENVIRONMENTS)
@@ -172,7 +172,7 @@ def test_what_concerns_whole_episodes_is_refused_where_there_are_none(name, valu
     with pytest.raises(ConfigError, match=message):
         make_config("ant-flagrun", "laptop", {name: value})
     chosen = make_config("ant-flagrun", "laptop", {name: value, "primitive_estimate": "episode"})
-    assert chosen.settings[name] == value
+    assert chosen.values[name] == value
 
 
 @pytest.mark.parametrize(
@@ -203,4 +203,4 @@ def test_what_concerns_branches_is_refused_where_the_primitive_stays_as_it_is(na
     with pytest.raises(ConfigError, match=rf"{name} has no effect on a frozen primitive; got {value}"):
         make_config("ant-gather", "laptop", {"primitive": "ant-walker", name: value})
     learns_on = make_config("ant-gather", "laptop", {"primitive": "ant-walker", "freeze_primitive": False, name: value})
-    assert learns_on.settings[name] == value
+    assert learns_on.values[name] == value

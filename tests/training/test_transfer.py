@@ -222,7 +222,7 @@ def test_a_walker_brings_its_view_and_its_symmetry(walker, tmp_path, task):
         controller_view="egocentric", generations=1, population_size=2,
     )  # fmt: skip
     config = RunFolder.open(path).read_config()
-    assert {name: config.settings[name] for name in WALKER} == WALKER
+    assert {name: config.values[name] for name in WALKER} == WALKER
     assert (config.hierarchy.primitive_hidden, config.estimate.primitive_estimate) == (
         (5,),
         "episode",
@@ -407,7 +407,7 @@ def test_a_controller_brings_its_parameters_statistics_and_settings(steered, pla
     assert not same(controller(path, "last"), controller(steered, "last"))  # it learns on
     config = RunFolder.open(path).read_config()
     expected = {**BY_CONTROLLER, **FROM_CONTROLLER, "goal_distance": 3.0}
-    assert {name: config.settings[name] for name in expected} == expected
+    assert {name: config.values[name] for name in expected} == expected
     record = json.loads((path / "config.json").read_text())
     assert record["controller"] == {"run": str(steered), "env": "point-gather", "checkpoint": "last", "generation": 2}
     assert record["primitive"]["run"] == str(plain)

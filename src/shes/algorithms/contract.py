@@ -114,6 +114,14 @@ class Algorithm(ABC, Generic[StateT]):
         """Return the environment steps of a generation if no episode ends early. By default it is one episode."""
         return settings.episodes.horizon
 
+    @staticmethod
+    def population(settings: Any) -> tuple[int, int]:  # noqa: ARG004 - a subclass reads them
+        """Return the policies that a generation evaluates at most, and the most episodes of each; (0, 1) by default.
+
+        A run whose policies and episodes do not fit the memory is refused before it begins.
+        """
+        return 0, 1
+
     def __init__(self, problem: Problem, design: AgentDesign) -> None:
         """Store `problem` and the `design` of the agents. A subclass is made from the problem alone.
 

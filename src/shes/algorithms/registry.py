@@ -16,7 +16,7 @@ from shes.registry import Registry, check_class, full_name
 TAKEN_ROOMS = frozenset({
     "run", "workers", "environment", "body", "episodes", "evaluation",
     "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "rooms", "setting",
-    "settings", "to_dict",
+    "to_dict", "values",
 })  # fmt: skip
 """Names that a room of an algorithm cannot have: rooms of every run, and attributes of `TrainConfig`."""
 

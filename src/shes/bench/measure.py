@@ -75,10 +75,10 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
         workers = backend.num_workers
     return {
         "env": config.run.env,
-        "hidden": list(config.settings["hidden"]),
+        "hidden": list(config.values["hidden"]),
         "integrator": plan.training.integrator,
-        "population_size": config.settings["population_size"],
-        "episodes_per_policy": config.settings["episodes_per_policy"],
+        "population_size": config.values["population_size"],
+        "episodes_per_policy": config.values["episodes_per_policy"],
         "device": config.workers.device,
         "num_workers": workers,
         "generations": len(whole),

@@ -145,7 +145,7 @@ def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequen
     here = settings_in(map(type, config.rooms.values())) if "env" in named else resumable_settings()
     everywhere = known_settings() if asking is None else {}
     offered = {name: each for name, each in {**everywhere, **here}.items() if name not in {*named, "env"}}
-    values = {name: each.default for name, each in offered.items()} | config.settings
+    values = {name: each.default for name, each in offered.items()} | config.values
     if "env" not in named:
         values = dict.fromkeys(offered, "as before")
     if asking is None:

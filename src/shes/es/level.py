@@ -13,6 +13,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from shes.checked import checked
 from shes.es.gradient import group_weights, weighted_noise_sum
 from shes.es.noise import NoiseTable
 from shes.es.novelty import NoveltyState
@@ -20,7 +21,7 @@ from shes.es.optimizers import Adam, Optimizer, OptimizerState
 from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
-from shes.settings import Ge, checked
+from shes.settings import Ge
 from shes.types import F32Array, F64Array, IntArray
 
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any, SupportsIndex
 import numpy as np
 from numpy.typing import ArrayLike
 
+from shes.checked import checked
 from shes.errors import ConfigError, ShapeError
 from shes.es.level import LevelState, TrainState, UpdateRule, draw_noise_index, perturb, select_fitness, update_level
 from shes.es.noise import NoiseTable
@@ -20,7 +21,7 @@ from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, Signs
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.options import make, options_of
-from shes.settings import Ge, Gt, checked
+from shes.settings import Ge, Gt
 from shes.types import F32Array, F64Array, IntArray
 
 

@@ -12,7 +12,8 @@ from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
 
-from shes.settings import Example, Ge, checked
+from shes.checked import checked
+from shes.settings import Example, Ge
 from shes.types import F32Array
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")

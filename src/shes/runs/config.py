@@ -53,7 +53,7 @@ class TrainConfig:
 
     def having(self, **values: Any) -> TrainConfig:
         """Return a copy with other values of some settings."""
-        return TrainConfig({**self.settings, **values})
+        return TrainConfig({**self.values, **values})
 
     def __getattr__(self, name: str) -> Any:
         rooms = self.__dict__.get("rooms", {})
@@ -76,7 +76,7 @@ class TrainConfig:
         return f"TrainConfig({', '.join(map(repr, self.rooms.values()))})"
 
     @property
-    def settings(self) -> dict[str, Any]:
+    def values(self) -> dict[str, Any]:
         """The values of all settings by name."""
         return {name: getattr(room, name) for room in self.rooms.values() for name in settings_in([type(room)])}
 

@@ -11,7 +11,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from shes.settings import Choices, Ge, checked
+from shes.checked import checked
+from shes.settings import Choices, Ge
 from shes.studies.design import (
     Curve,
     CurvePanel,
@@ -220,7 +221,7 @@ def _design(horizon: int, size: _AblationScale) -> StudyDesign:
 def _base(env: str, size: _AblationScale) -> dict[str, Any]:
     """Return the settings of a base, with those that are swept or scaled even if they are the preset's."""
     settings = {**_BASES[env], **size.settings}
-    there = make_config(env, "laptop", settings).settings
+    there = make_config(env, "laptop", settings).values
     return {**{name: there[name] for name in SWEPT}, **settings}
 
 

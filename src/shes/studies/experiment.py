@@ -12,10 +12,11 @@ from shlex import quote
 from time import monotonic, time
 from typing import Annotated, Literal
 
+from shes.checked import checked
 from shes.console import LineConsole
 from shes.listing import Listing, Table
 from shes.runs.rooms import WorkerSettings
-from shes.settings import Gt, checked
+from shes.settings import Gt
 from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
 from shes.studies.figures import draw_figures

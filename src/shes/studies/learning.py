@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from shes.settings import Choices, Ge, checked
+from shes.checked import checked
+from shes.settings import Choices, Ge
 from shes.studies.design import (
     Curve,
     CurvePanel,

@@ -15,7 +15,8 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from shes.bench.speedup import settings_of
-from shes.settings import Choices, Ge, checked
+from shes.checked import checked
+from shes.settings import Choices, Ge
 from shes.studies.design import (
     Curve,
     CurvePanel,

@@ -100,7 +100,7 @@ class Scale:
         if self.preset == "paper" and form == PUBLISHED:
             settings = {}
         elif self.preset != "laptop" and (body, form) == ("ant", PIECES):
-            laptop = make_config(f"ant-{task}", "laptop").settings
+            laptop = make_config(f"ant-{task}", "laptop").values
             settings = {name: laptop[name] for name in _PIECES if name in laptop}
         if self.branched_population is not None and "primitive_population_size" in settings:
             settings["primitive_population_size"] = self.branched_population

@@ -9,10 +9,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from shes.checked import checked
 from shes.errors import ConfigError
 from shes.listing import Listing, Table
 from shes.runs.folder import RunFolder
-from shes.settings import Ge, checked
+from shes.settings import Ge
 from shes.studies.significance import check_scipy, permutation_test
 from shes.training.evaluate import Evaluation, evaluate
 from shes.training.runs_folder import find_runs

@@ -149,7 +149,7 @@ def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
             **each.numbers(),
             "generations": each.run.generations,
             "env_steps": each.run.env_steps,
-            "primitive": each.settings.get("primitive") is not None,
+            "primitive": each.values.get("primitive") is not None,
         }
         for each in (folder.read_config(), config)
     )

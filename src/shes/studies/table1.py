@@ -52,7 +52,7 @@ def settings_beside(env: str = "ant-gather") -> list[Row]:
     }
     rows: list[Row] = []
     for words, of_shes, of_hiro, name, hiro_name in TABLE_1:
-        values = ours.settings.get(name), hiro.settings.get(hiro_name or name)
+        values = ours.values.get(name), hiro.values.get(hiro_name or name)
         here = values if name else experiment[words]
         rows.append({"parameter": words, "shes": of_shes, "shes_here": here[0], "hiro": of_hiro, "hiro_here": here[1]})
     return rows

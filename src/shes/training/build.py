@@ -55,7 +55,7 @@ def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
         horizon=config.episodes.horizon,
         evaluation_horizon=config.evaluation_steps,
         settings=config,
-        noise_table_size=config.settings.get("noise_table_size", DEFAULT_TABLE_SIZE),
+        noise_table_size=config.values.get("noise_table_size", DEFAULT_TABLE_SIZE),
         num_threads=workers.count,
         chunk_size=workers.chunk_size,
         device=workers.device,
@@ -116,7 +116,7 @@ def build_backend(config: TrainConfig, plan: WorkerPlan, num_episodes: int | Non
     """
     factory = partial(RolloutWorker, plan)
     cls: Any = BACKENDS.find(config.workers.backend if config.workers.device == "cpu" else "serial")
-    options = cls.Options.of(config.settings)
+    options = cls.Options.of(config.values)
     count = config.workers.num_workers or cls.all_workers()
     count = count if num_episodes is None else min(count, num_episodes)
     return cls(factory, count, **{name: getattr(options, name) for name in setting_fields(cls.Options)})

@@ -12,13 +12,14 @@ import numpy as np
 from shes.algorithms.contract import Algorithm, AnyState
 from shes.algorithms.roll_out import RollOutBeside
 from shes.backends.backend import Backend
+from shes.checked import checked
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.listing import Listing, facts_listing
 from shes.runs.device import check_asked_device
 from shes.runs.log import logger
-from shes.settings import Ge, checked
+from shes.settings import Ge
 from shes.training.build import build_backend, open_run
 from shes.training.limits import Workload, check_limits
 from shes.types import F64Array

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from shes.checked import checked
 from shes.envs.bodies.body import Body
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.episode_batch import EpisodeBatch
@@ -25,7 +26,6 @@ from shes.es.level import LevelParameters
 from shes.hierarchy.goal_reaching import GoalReachingDesign
 from shes.hierarchy.hierarchical import MIN_COMPONENT_M, HierarchicalDesign
 from shes.policies.mlp import MLP
-from shes.settings import checked
 from shes.storage import write_atomically
 from shes.training.build import OpenedRun, open_run
 from shes.training.onnx_graph import onnx_model
@@ -79,7 +79,7 @@ def export(
 
 def describe(run: OpenedRun) -> dict[str, Any]:
     """Return all of an agent but its networks, as JSON types."""
-    design, settings = run.algorithm.design, run.config.settings
+    design, settings = run.algorithm.design, run.config.values
     task, clock = run.algorithm.problem.sample(), design.clock
     found: dict[str, Any] = {
         "format": _FORMAT,

@@ -32,7 +32,7 @@ class Workload:
     """The numbers that decide how much memory a run, or an evaluation, takes."""
 
     population_size: int
-    """Policies in a generation, those in branches included; 0 if there is none, or it is unknown."""
+    """Policies in a generation; see `Algorithm.population`."""
     episodes_per_policy: int
     """Largest number of episodes of a policy."""
     horizon: int
@@ -45,12 +45,11 @@ class Workload:
     @classmethod
     def of(cls, config: TrainConfig, *, is_evaluation: bool = False) -> Workload:
         """Return the workload of a run with the settings of `config`, or of an evaluation alone."""
-        values = config.settings
-        sizes = (values.get(name) or 0 for name in ("population_size", "primitive_population_size"))
+        policies, episodes = config.algorithm.population(config)
         has_processes = config.workers.device == "cpu" and config.workers.backend == "processes"
         return cls(
-            population_size=0 if is_evaluation else sum(sizes),
-            episodes_per_policy=max(values.get(name) or 1 for name in ("episodes_per_policy", "episodes_end")),
+            population_size=0 if is_evaluation else policies,
+            episodes_per_policy=episodes,
             horizon=config.episodes.horizon,
             evaluation_episodes=config.evaluation.evaluation_episodes,
             evaluation_horizon=config.evaluation_steps,

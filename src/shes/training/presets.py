@@ -74,8 +74,8 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
         setting = config.setting(name)
         if not setting.needs or _is_heeded(config, setting.needs):
             continue
-        needed = [each for each in setting.needs if each.other in config.settings]
-        others = ", ".join(f"{each.other} {config.settings[each.other]!r}" for each in needed)
+        needed = [each for each in setting.needs if each.other in config.values]
+        others = ", ".join(f"{each.other} {config.values[each.other]!r}" for each in needed)
         fixes = ", or ".join(f"{config.setting(each.other).flag}{_one_of(each.values)}" for each in needed[:1])
         raise ConfigError(
             f"{name} has no effect with {others}, got {asked[name]!r}. Set {fixes}, or omit {setting.flag}."
@@ -86,9 +86,9 @@ def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
 def _is_heeded(config: TrainConfig, needs: tuple[Needs, ...]) -> bool:
     """Return whether one of `needs` is fulfilled by a setting that has an effect itself."""
     for need in needs:
-        if need.other not in config.settings:
+        if need.other not in config.values:
             continue
-        value, others = config.settings[need.other], config.setting(need.other).needs
+        value, others = config.values[need.other], config.setting(need.other).needs
         if (value in need.values if need.values else value is not None) and (not others or _is_heeded(config, others)):
             return True
     return False

@@ -209,8 +209,8 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
     last = folder.load("last")
     if config.run.is_over(last.generation, last.env_steps) and not last.owes_evaluation:
         return Run(path=path, config=stored, generation=last.generation, best=last.best)
-    now = {name: config.settings[name] for name in resumable_settings()}
-    changed = {name: value for name, value in now.items() if value != stored.settings[name]}
+    now = {name: config.values[name] for name in resumable_settings()}
+    changed = {name: value for name, value in now.items() if value != stored.values[name]}
     return resume_run(path, listener, **{**changed, "minutes": config.run.minutes})
 
 

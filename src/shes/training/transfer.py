@@ -80,15 +80,15 @@ def brought_settings(
                 f"{name} is {wanted!r}, but the {level} of {path} was trained with {brought[name]!r}. "
                 f"Omit {flag(name)}: it comes with the {level}."
             )
-    return brought | {name: source.settings[name] for name in own.suggested if name not in asked}
+    return brought | {name: source.values[name] for name in own.suggested if name not in asked}
 
 
 def check_robot(config: TrainConfig) -> None:
     """Raise ConfigError if the primitive that `config` names was trained with another robot."""
-    own, path = config.algorithm.transfers.get("primitive"), config.settings.get("primitive")
+    own, path = config.algorithm.transfers.get("primitive"), config.values.get("primitive")
     if own is None or path is None:
         return
-    source = _read("primitive", own, path, config.settings["primitive_checkpoint"])[0].config
+    source = _read("primitive", own, path, config.values["primitive_checkpoint"])[0].config
     (their_robot, theirs), (our_robot, ours) = _robot(source), _robot(config)
     # External robots can only be compared by their observation specs; but they have no egocentric view.
     is_known = None not in (their_robot, our_robot) or own.is_egocentric(source)
@@ -117,10 +117,10 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
     origins: dict[str, dict[str, Any]] = {}
     config = algorithm.problem.settings
     for level, own in algorithm.transfers.items():
-        path = config.settings.get(level)
+        path = config.values.get(level)
         if path is None:
             continue
-        source, origins[level] = _read(level, own, path, config.settings[f"{level}_checkpoint"])
+        source, origins[level] = _read(level, own, path, config.values[f"{level}_checkpoint"])
         theirs, ours = own.spec(source.algorithm.problem), own.spec(algorithm.problem)
         if theirs != ours:
             raise ConfigError(

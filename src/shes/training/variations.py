@@ -107,8 +107,8 @@ def vary(
                 # All that can be refused is refused before the first run.
                 algorithm = build_algorithm(config)
                 check_limits(Workload.of(config), algorithm.design)
-                if "noise_table_size" in config.settings:
-                    NoiseTable.check_room(config.settings["noise_table_size"])
+                if "noise_table_size" in config.values:
+                    NoiseTable.check_room(config.values["noise_table_size"])
             found[f"{group}/seed-{seed}" if group else f"seed-{seed}"] = config
     return found
 

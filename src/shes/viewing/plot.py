@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from shes.checked import checked
 from shes.errors import ConfigError, RunFolderError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.settings import checked
 from shes.storage import write_atomically
 from shes.training.runs_folder import find_runs
 from shes.types import F64Array

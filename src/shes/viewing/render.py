@@ -11,10 +11,11 @@ from typing import Annotated, Literal
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from shes.checked import checked
 from shes.drawing.drawer import Drawer, Picture
 from shes.drawing.rendering import make_drawer
 from shes.errors import ConfigError
-from shes.settings import Ge, Le, Lt, checked, out_of_range
+from shes.settings import Ge, Le, Lt, out_of_range
 from shes.viewing.playback import Moment, Playback
 from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
 

@@ -6,8 +6,9 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated
 
+from shes.checked import checked
 from shes.drawing.rendering import open_window
-from shes.settings import Ge, checked
+from shes.settings import Ge
 from shes.viewing.playback import Playback
 
 

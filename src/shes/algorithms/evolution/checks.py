@@ -23,7 +23,7 @@ _OF_EPISODES = ("common_random_numbers", "episodes_per_policy", "fitness_shaping
 
 def check_together(settings: Any) -> None:
     """Raise ConfigError for values that do not go together."""
-    _check_schedules(settings.settings)
+    _check_schedules(settings.values)
     if is_alone(settings) and learns(settings) == (False,):
         raise ConfigError(
             f"the primitive {settings.transfer.primitive!r} is frozen, so nothing would learn in a run of "
@@ -71,7 +71,7 @@ def _check_population(settings: Any) -> None:
             f"{settings.hierarchy.primitive_view!r}: only what is seen from the robot's own frame can be turned. "
             "Set --primitive-view egocentric, or --symmetry none."
         )
-    perturbation = PERTURBATIONS.find(settings.settings.get("perturbation", "many_to_many"))()
+    perturbation = PERTURBATIONS.find(settings.values.get("perturbation", "many_to_many"))()
     # A population of the same remainder tells as much, without an array of every member.
     small = min(evolution.population_size, _WHOLE_GROUPS + evolution.population_size % _WHOLE_GROUPS)
     try:
@@ -131,7 +131,7 @@ def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
 def schedule_warnings(settings: Any) -> list[str]:
     """Return a warning if the run ends before its schedules do."""
     generations, last = settings.schedules.schedule_generations, settings.run.generations
-    is_constant = all(settings.settings[kind] == "constant" for kind, _ in SCHEDULED.values())
+    is_constant = all(settings.values[kind] == "constant" for kind, _ in SCHEDULED.values())
     if is_constant or last >= generations:
         return []
     warning = f"the schedules take {generations} generations, but the run ends after {last}, short of their end"

@@ -45,7 +45,7 @@ def hierarchical_design(problem: Problem) -> HierarchicalDesign:
     """Return the design of a controller and its primitive; for the errors see `primitive_design`."""
     task, settings = problem.sample(), problem.settings
     output, view = (
-        make_controller_output(settings.hierarchy.controller_output, settings.settings),
+        make_controller_output(settings.hierarchy.controller_output, settings.values),
         _controller_view(settings, task),
     )
     return HierarchicalDesign(
@@ -78,7 +78,7 @@ def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
     """Return the fields of a design that concern the primitive."""
     hierarchy = settings.hierarchy
     task.check_position()
-    encoding, view = make_goal_encoding(hierarchy.goal_encoding, settings.settings), primitive_view(settings, task)
+    encoding, view = make_goal_encoding(hierarchy.goal_encoding, settings.values), primitive_view(settings, task)
     return {
         "primitive": MLP(
             encoding.size + _clock_size(settings) + view.size(task.observation_size),
@@ -88,7 +88,7 @@ def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
         "primitive_view": view,
         "symmetry": _symmetry(settings, task),
         "goal_encoding": encoding,
-        "primitive_reward": make_primitive_reward(hierarchy.primitive_reward, settings.settings),
+        "primitive_reward": make_primitive_reward(hierarchy.primitive_reward, settings.values),
         "controller_interval": hierarchy.controller_interval,
         **_acting(settings, task),
     }
@@ -125,7 +125,7 @@ def _view(settings: Any, task: EpisodeBatch, setting: str, choice: type[ViewChoi
     if view is None:
         env = settings.run.env
         whose = f"{env} has an external robot" if task.robot is None else f"{env} has the {task.robot.name}"
-        name = settings.settings[setting]
+        name = settings.values[setting]
         raise ConfigError(f"{setting} is {name!r}, but {whose}, {choice.lack}. Set {flag(setting)} to another one.")
     return view
 
@@ -162,7 +162,7 @@ def primitive_inputs(problem: Problem) -> tuple[str, ...]:
     """Return the name of each input of the primitive, in order."""
     task, settings = problem.sample(), problem.settings
     encoding, frequency = settings.hierarchy.goal_encoding, settings.networks.clock_frequency
-    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding, settings.settings).size)]
+    features = [f"goal {encoding} {i}" for i in range(make_goal_encoding(encoding, settings.values).size)]
     clock = [] if frequency is None else [f"clock {x} {frequency} Hz" for x in ("sin", "cos")]
     return (*features, *clock, *primitive_view(settings, task).names(task.observation_names))
 

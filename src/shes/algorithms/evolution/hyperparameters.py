@@ -22,7 +22,7 @@ from shes.options import make
 
 def make_hyperparameters(settings: Any) -> Hyperparameters:
     """Return the hyperparameters of Algorithm 1."""
-    evolution, schedules, values = settings.evolution, settings.schedules, settings.settings
+    evolution, schedules, values = settings.evolution, settings.schedules, settings.values
 
     def schedule(name: str) -> Schedule:
         kind, end = (getattr(schedules, setting) for setting in SCHEDULED[name])
@@ -56,7 +56,7 @@ def _interval_estimate(settings: Any, sigma: Schedule, learning_rate: Schedule) 
     """Return the interval estimate of the primitive, or None. `sigma` and `learning_rate` are those of the run."""
     if not is_branched(settings) or not learns(settings)[-1]:
         return None
-    values = settings.settings
+    values = settings.values
 
     def own(quantity: str, shared: Schedule) -> Schedule:
         value = values.get(quantity)
@@ -76,7 +76,7 @@ def _interval_estimate(settings: Any, sigma: Schedule, learning_rate: Schedule) 
 
 def make_update_rules(settings: Any) -> tuple[UpdateRule, ...]:
     """Return the update rule of each level."""
-    evolution, values = settings.evolution, settings.settings
+    evolution, values = settings.evolution, settings.values
     rule = UpdateRule(
         weight_decay=evolution.weight_decay,
         decouples_decay=evolution.weight_decay_form == "decoupled",
@@ -103,6 +103,6 @@ def make_state(settings: Any, design: AgentDesign, seed: int) -> TrainState:
         rng = stream(seed, Purpose.INITIAL_PARAMETERS, number)
         theta = policy.initial(rng, networks.biases, networks.output_weights)
         levels.append(LevelState.start(name, theta, rule.optimizer, policy.sizes[0]))
-    weights = _novelty_rule(settings.settings)
+    weights = _novelty_rule(settings.values)
     novelty = None if weights is None else weights.start()
     return TrainState(seed=seed, generation=0, env_steps=0, levels=tuple(levels), novelty=novelty)

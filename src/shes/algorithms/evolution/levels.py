@@ -30,12 +30,21 @@ def by_episodes(settings: Any) -> tuple[bool, ...]:
     return learns(settings)
 
 
+def population(settings: Any) -> tuple[int, int]:
+    """Return the number of policies in a generation, those in branches included, and the most episodes of each."""
+    evolution = settings.evolution
+    branches = settings.values.get("primitive_population_size") or 0
+    return evolution.population_size + branches, max(
+        evolution.episodes_per_policy, settings.schedules.episodes_end or 1
+    )
+
+
 def steps_per_generation(settings: Any) -> int:
     """Return the environment steps of a generation if no episode and no branch ends early."""
     evolution = settings.evolution
     episodes = evolution.population_size * evolution.episodes_per_policy * settings.episodes.horizon
     if not is_branched(settings) or not learns(settings)[-1]:
         return episodes
-    pairs = settings.settings.get("primitive_population_size") or evolution.population_size
+    pairs = settings.values.get("primitive_population_size") or evolution.population_size
     branches = pairs * settings.estimate.intervals * settings.hierarchy.controller_interval
     return branches if is_alone(settings) else episodes + branches

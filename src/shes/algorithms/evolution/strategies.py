@@ -20,7 +20,7 @@ from shes.algorithms.evolution.designs import (
     primitive_design,
 )
 from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make_state
-from shes.algorithms.evolution.levels import steps_per_generation
+from shes.algorithms.evolution.levels import population, steps_per_generation
 from shes.algorithms.evolution.presets import SES_PRESETS, SHES_PRESETS
 from shes.algorithms.evolution.rooms import PRIMITIVE_ROOMS, SES_ROOMS, SHES_ROOMS
 from shes.algorithms.evolution.state_arrays import check_arrays, check_headers, from_arrays, to_arrays
@@ -48,6 +48,7 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
     check = staticmethod(check_together)
     check_effects = staticmethod(check_effects)
     steps_per_generation = staticmethod(steps_per_generation)
+    population = staticmethod(population)
 
     def __init__(self, problem: Problem) -> None:
         """Create the agents' design and the hyperparameters.

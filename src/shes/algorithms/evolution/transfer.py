@@ -47,10 +47,7 @@ class PrimitiveTransfer(_Transfer):
         view = source.hierarchy.primitive_view
         is_plain = is_alone(source) and PRIMITIVE_VIEWS.find(view).sees_task
         return {
-            **{
-                name: source.settings[name]
-                for name in ("goal_encoding", "clock_frequency", "hide_position", "symmetry")
-            },
+            **{name: source.values[name] for name in ("goal_encoding", "clock_frequency", "hide_position", "symmetry")},
             "hidden" if level_names == ("primitive",) else "primitive_hidden": primitive_layers(source),
             "primitive_view": "proprioception" if is_plain else view,
         }
@@ -80,7 +77,7 @@ class ControllerTransfer(_Transfer):
 
     def settings(self, source: Any, level_names: tuple[str, ...]) -> dict[str, Any]:
         """Return the settings of the controller's inputs, outputs and layers."""
-        return {name: source.settings[name] for name in ("controller_output", "controller_view", "hidden")}
+        return {name: source.values[name] for name in ("controller_output", "controller_view", "hidden")}
 
     def spec(self, problem: Problem) -> str:
         """Return the inputs and outputs of the controller in words."""

@@ -9,9 +9,10 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated
 
+from shes.checked import checked
 from shes.errors import ConfigError
 from shes.runs.shipped import shipped_name
-from shes.settings import Ge, Shown, checked
+from shes.settings import Ge, Shown
 from shes.storage import write_atomically
 from shes.viewing.report.curves import X_AXES, line_look
 from shes.viewing.report.page import check_plotly, page, toolbar
