@@ -220,7 +220,10 @@ BY_ENVIRONMENT = {
             "primitive_learning_rate": 0.05, "intervals": 1, "clock_frequency": 1.2,
         },
     },
-    "point-push": {"branches": {**BRANCHES, "controller_output": "heading_vector", "goal_encoding": "vector"}},
+    "point-push": {
+        "branches": {**BRANCHES, "controller_output": "heading_vector", "goal_encoding": "vector"},
+        "position": {"controller_view": "position", "controller_output": "direction"},
+    },
     # Many members are paid the same here, so that it matters how ties rank.
     "point-gather": {"ties by index": {"rank_ties": "index"}, "novelty": {"novelty": "ns"}},
 }  # fmt: skip

@@ -18,7 +18,13 @@ from shes.hierarchy.outputs import (
 )
 
 NAMES = sorted(CONTROLLER_OUTPUTS)
-TURNS_WITH_THE_ROBOT = {"one_hot": True, "heading_vector": True, "heading_direction": True, "vector": False}
+TURNS_WITH_THE_ROBOT = {
+    "one_hot": True,
+    "heading_vector": True,
+    "heading_direction": True,
+    "direction": False,
+    "vector": False,
+}
 HALF = math.sqrt(0.5)
 DIRECTIONS = [(-HALF, -HALF), (0, -1), (HALF, -HALF), (1, 0), (HALF, HALF), (0, 1), (-HALF, HALF), (-1, 0)]
 """Of the eight outputs, for a robot that faces +x: ahead is +x, its left is +y."""
@@ -46,9 +52,10 @@ def _second_implementation(name, output, heading, goal_distance):
     if name == "heading_vector":
         turned = complex(*output) * goal_distance * complex(math.cos(heading), math.sin(heading))
         return (turned.real, turned.imag)
-    if name == "heading_direction":
+    if name.endswith("direction"):
         length = math.hypot(*output)
-        return _second_implementation("heading_vector", [x / (length or 1) for x in output], heading, goal_distance)
+        unit = [x / (length or 1) for x in output]
+        return _second_implementation(name.replace("direction", "vector"), unit, heading, goal_distance)
     best = 0
     for index, value in enumerate(output):
         if value > output[best]:
@@ -218,7 +225,7 @@ def test_outputs_are_made_by_name(name, output, size):
 @pytest.mark.parametrize("refuse", [CONTROLLER_OUTPUTS.find, make_controller_output])
 def test_an_unknown_output_is_refused_with_the_nearest_name(refuse):
     message = (
-        r"unknown controller output 'onehot'\. Did you mean 'one_hot'\? Known: one_hot, heading_direction, "
+        r"unknown controller output 'onehot'\. Did you mean 'one_hot'\? Known: one_hot, direction, heading_direction, "
         r"heading_vector, vector\. "
         r"Set --controller-output\. Register your own first: shes\.register_controller_output, or --import MODULE"
     )

@@ -299,6 +299,22 @@ def test_a_task_without_sensors_around_the_robot_has_no_nearest_view():
         build_algorithm(make_config("ant-maze", "smoke", {"controller_view": "nearest"}))
 
 
+POSITION = ("torso_x", "torso_y")
+BLOCK = ("block_x", "block_y", "block_vx", "block_vy")
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "seen"),
+    [
+        ("ant-maze", {}, (*POSITION, "time", "target_x", "target_y")),
+        ("ant-push", {"observe_block": True}, (*POSITION, *BLOCK, "time", "target_x", "target_y")),
+    ],
+)
+def test_the_position_view_shows_where_the_robot_is_and_what_is_not_the_robot(env, settings, seen):
+    made = build_algorithm(make_config(env, "smoke", {**settings, "controller_view": "position"}))
+    assert made.design.controller_view.names(made.problem.sample().observation_names) == seen
+
+
 STRANGE = "own-maze"
 
 
@@ -327,3 +343,9 @@ def test_the_symmetry_of_a_robot_that_gymnasium_made_is_not_asked_for(strange):
     settings = {"primitive_view": "egocentric", "symmetry": "rotation"}
     with pytest.raises(ConfigError, match=f"{STRANGE} has an external robot"):
         build_algorithm(make_config(STRANGE, "smoke", settings))
+
+
+def test_a_robot_whose_place_is_not_observed_has_no_position_view(strange):
+    message = rf"controller_view is 'position', but {STRANGE} has an external robot, which observes no absolute position"
+    with pytest.raises(ConfigError, match=message):
+        build_algorithm(make_config(STRANGE, "smoke", {"controller_view": "position"}))

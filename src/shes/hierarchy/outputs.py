@@ -69,24 +69,31 @@ class HeadingVectorOutput(ControllerOutput):
         return np.stack([cosine * ahead - sine * left, sine * ahead + cosine * left], axis=1)
 
 
-class HeadingDirectionOutput(ControllerOutput):
-    """Direction of the goal relative to the heading (ahead, left), at the goal distance.
+class DirectionOutput(VectorOutput):
+    """Direction of the goal in the world frame, at the goal distance.
 
     Only the ratio of the outputs counts, so that a policy near zero, as at the start of training, acts with full goals.
 
     Deviation: the outputs of the paper's controller also set the distance.
     """
 
-    size = 2
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector of length `goal_distance` with the direction of `output`; 0 for outputs of 0."""
+        return super().vector(_direction(output), heading, goal_distance)
+
+
+class HeadingDirectionOutput(HeadingVectorOutput):
+    """Direction of the goal relative to the heading (ahead, left), at the goal distance; see `DirectionOutput`."""
 
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return the vector of length `goal_distance` with the direction of `output`; 0 for outputs of 0."""
-        values = output.astype(np.float64)
-        length = np.sqrt((values * values).sum(axis=1, keepdims=True))
-        return _HEADING_VECTOR.vector(values / np.maximum(length, _LEAST_LENGTH), heading, goal_distance)
+        return super().vector(_direction(output), heading, goal_distance)
 
 
-_HEADING_VECTOR, _LEAST_LENGTH = HeadingVectorOutput(), 1e-9
+def _direction(output: F64Array) -> F64Array:
+    """Return the outputs [N, 2] as vectors of length 1, or 0 for outputs of 0."""
+    values = output.astype(np.float64)
+    return values / np.maximum(np.sqrt((values * values).sum(axis=1, keepdims=True)), 1e-9)
 
 
 class OneHotOutput(ControllerOutput):
@@ -117,6 +124,7 @@ CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(
     "controller output",
     {
         "vector": VectorOutput,
+        "direction": DirectionOutput,
         "heading_vector": HeadingVectorOutput,
         "heading_direction": HeadingDirectionOutput,
         "one_hot": OneHotOutput,

@@ -285,6 +285,23 @@ class Nearest(ViewChoice):
         return NearestView(rings.tolist(), sorted(set(range(task.observation_size)) - elsewhere))
 
 
+class Position(ViewChoice):
+    """The robot's position and what is not the robot's, such as the target.
+
+    Which way to take depends on nothing else, and each input of a controller adds the noise of its weights.
+    """
+
+    lack = "which observes no absolute position"
+
+    def of(self, task: EpisodeBatch) -> View | None:
+        """Return the view of the position and of all values but the robot's, if the position is known."""
+        if not len(task.position_columns):
+            return None
+        robots = set(task.proprioception.tolist())
+        others = sorted(set(range(task.observation_size)) - robots)
+        return ColumnsView([*task.position_columns.tolist(), *others])
+
+
 PRIMITIVE_VIEWS: Registry[type[ViewChoice]] = Registry(
     "primitive view",
     {"observation": Observation, "proprioception": Proprioception, "egocentric": Egocentric},
@@ -294,7 +311,7 @@ PRIMITIVE_VIEWS: Registry[type[ViewChoice]] = Registry(
 """Views of the primitive by name: the choices of `--primitive-view`."""
 CONTROLLER_VIEWS: Registry[type[ViewChoice]] = Registry(
     "controller view",
-    {"observation": WholeObservation, "egocentric": EgocentricAndOthers, "nearest": Nearest},
+    {"observation": WholeObservation, "egocentric": EgocentricAndOthers, "nearest": Nearest, "position": Position},
     fix="Set --controller-view.",
     check=subclass_of(ViewChoice),
 )
