@@ -10,7 +10,7 @@ from operator import attrgetter
 from pathlib import Path
 from shlex import quote
 from time import monotonic, time
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from shes.checked import checked
 from shes.console import LineConsole
@@ -68,9 +68,8 @@ def experiment(
     Raises:
         ShesError: Raised by `choose` or `run_study`.
     """
-    study, say = STUDIES[name](scale, seeds), LineConsole().print_line
-    is_paper = name in _OF_THE_PAPER
-    out = out or Path("runs") / ("paper" if is_paper else name)
+    study = STUDIES[name](scale, seeds)
+    out = out or Path("runs") / ("paper" if name in _OF_THE_PAPER else name)
     until = math.inf if budget is None else time() + 3600 * budget
     num_workers = WorkerSettings(num_workers=num_workers).count
     chosen = choose(study, only)
@@ -80,7 +79,7 @@ def experiment(
     stopped: list[str] = []
     try:
         with closing(run_study(chosen, out, num_workers=num_workers, backend=backend, until=until)) as outcomes:
-            for outcome in with_progress(chosen, outcomes, left, num_workers, say):
+            for outcome in with_progress(chosen, outcomes, left, num_workers, LineConsole().print_line):
                 if outcome.error:
                     failed[outcome.cell.name] = outcome.error
                 elif outcome.summary is None:
@@ -90,37 +89,40 @@ def experiment(
     except KeyboardInterrupt as stop:
         stop.add_note("Stopped; finished runs are kept. Continue with the same command.")
         raise
+    errors = [f"{cell} failed: {error}" for cell, error in failed.items()]
+    if failed:
+        errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
+    facts = {"out": str(out), "cells": len(chosen.cells), "failed": failed, "stopped": stopped}
+    found, parts = _write_results(name, study, out, stopped)
+    return Listing({**facts, **found}, parts, errors)
+
+
+def _write_results(
+    name: str, study: Study, out: Path, stopped: Sequence[str]
+) -> tuple[dict[str, Any], list[Table | str]]:
+    """Write the tables and figures of all finished runs in `out`; return what they hold, as facts and as text."""
     summaries = read_summaries(study, out)
     comparisons = compare(study, summaries)
     write_tables(study.ordered(), summaries, out)
     rows = [each.row() for each in comparisons]
-    table = f"{name}.csv" if is_paper else "comparison.csv"  # experiments of the paper share their folder
+    table = f"{name}.csv" if name in _OF_THE_PAPER else "comparison.csv"  # the paper's experiments share their folder
     write_csv(out / table, rows)
     figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
-    facts = {
-        "out": str(out),
-        "cells": len(chosen.cells),
-        "failed": failed,
-        "stopped": stopped,
-        "figures": figures,
-        "comparisons": rows,
-    }
-    files = (
+    facts: dict[str, Any] = {"figures": figures, "comparisons": rows}
+    parts = [
+        *_parts(study.design, comparisons),
         *([f"The time is over: {len(stopped)} runs are left. The same command continues them."] if stopped else ()),
         f"Tables: runs.csv, curves.csv, {table} in {quote(str(out))}",
         f"Figures: {' '.join(map(quote, figures)) or 'none'}",
-    )
-    errors = [f"{cell} failed: {error}" for cell, error in failed.items()]
-    if failed:
-        errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
-    parts = [*_parts(study.design, comparisons), *files]
+    ]
     if name == "table1":
         rows = settings_beside()
         write_csv(out / "table1-settings.csv", rows)
         texts = [["-" if value is None else f"{value}" for value in row.values()] for row in rows]
         headings = ("Table I", "SHES, SHES-TL", "scale paper", "HIRO", "scale paper")
-        facts, parts = {**facts, "settings": rows}, [Table(headings, texts), *parts]
-    return Listing(facts, parts, errors)
+        facts["settings"] = rows
+        parts = [Table(headings, texts), *parts]
+    return facts, parts
 
 
 def _parts(design: StudyDesign, comparisons: Iterable[Comparison]) -> Iterator[Table | str]:
