@@ -346,6 +346,8 @@ def test_the_symmetry_of_a_robot_that_gymnasium_made_is_not_asked_for(strange):
 
 
 def test_a_robot_whose_place_is_not_observed_has_no_position_view(strange):
-    message = rf"controller_view is 'position', but {STRANGE} has an external robot, which observes no absolute position"
+    message = (
+        rf"controller_view is 'position', but {STRANGE} has an external robot, which observes no absolute position"
+    )
     with pytest.raises(ConfigError, match=message):
         build_algorithm(make_config(STRANGE, "smoke", {"controller_view": "position"}))

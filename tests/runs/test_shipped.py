@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 import shes
+from shes import cli
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs import shipped
 from shes.runs.checkpoint import load_checkpoint, save_checkpoint
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import find_run, read_agent, shipped_name, shipped_names, shipped_path
 from shes.runs.tables import read_csv
+from shes.settings import setting_fields
 from shes.training.build import build_task
 from shes.training.evaluate import evaluate
 from shes.training.presets import make_config
@@ -356,7 +358,20 @@ def test_every_shipped_agent_is_small_complete_and_acts():
         task.close()
 
 
-def test_the_command_of_the_agent_from_scratch_still_gives_the_settings_it_was_trained_with():
-    told, folder = read_agent("ant-gather-coevolved"), RunFolder.open(shipped_path("ant-gather-coevolved"))
-    assert told.commands == ("shes train ant-gather --seed 3",)
-    assert make_config("ant-gather", overrides={"seed": 3}).numbers() == folder.read_config().numbers()
+@pytest.mark.parametrize("name", shipped_names())
+def test_the_last_command_of_a_shipped_agent_still_gives_the_settings_it_was_trained_with(name, monkeypatch):
+    def train(env, *, preset, out, progress, **settings):
+        asked.update(settings)
+        raise ConfigError(f"{env} is not trained here")
+
+    asked: dict[str, object] = {}
+    monkeypatch.setattr("shes.training.train.train", train)
+    assert cli.main(shlex.split(read_agent(name).commands[-1])[1:]) == 2
+    trained = RunFolder.open(shipped_path(name)).read_config()
+    levels = asked.keys() & trained.algorithm.transfers.keys()
+    asked |= dict.fromkeys(levels, name) | dict.fromkeys((f"{level}_checkpoint" for level in levels), "best")
+    gives, had = make_config(trained.run.env, overrides=asked).numbers(), trained.numbers()
+    beside = {f"{level}{end}" for level in trained.algorithm.transfers for end in ("", "_checkpoint")}
+    if trained.values["primitive"] and trained.values["freeze_primitive"]:
+        beside |= {*setting_fields(type(trained.estimate))}  # how a primitive that is frozen would have learned
+    assert {s: v for s, v in gives.items() if s not in beside} == {s: v for s, v in had.items() if s not in beside}
