@@ -168,7 +168,7 @@ def test_the_short_help_leaves_out_what_all_of_the_help_says(shes):
 
 
 def test_no_hidden_layers_are_shown_as_a_word(shes):
-    assert "(default: none (linear))" in " ".join(shes("train", "ant-maze", "--help-all").split())
+    assert "(default: none (linear))" in " ".join(shes("train", "ant-gather", "--help-all").split())
 
 
 def test_values_are_written_as_people_write_them(shes):

@@ -31,25 +31,23 @@ SES_PRESETS: Mapping[str, Preset] = {
 }
 """Values of one policy without goals."""
 
-# With these an ant learns in minutes; docs/learning.md measures each of them.
+# With these an ant learns in minutes; see docs/learning.md.
 _ANT_WALKER: dict[str, Any] = {
     "primitive_view": "egocentric",
     "symmetry": "dihedral",
     "goal_encoding": "angle_metres",
     "clock_frequency": 0.8,
     "primitive_estimate": "interval",
-    "intervals": 2,
-    "fall_price": 2.0,
+    "fall_price": 8.0,
     "output_weights": "zero",
     "weight_decay": 0.0,
     "horizon": 500,
 }
 _ANT: dict[str, Any] = {
     **_ANT_WALKER,
-    "hidden": (),
+    "intervals": 3,
     "primitive_hidden": (64, 64),
-    "controller_view": "egocentric",
-    "controller_output": "heading_vector",
+    "controller_interval": 10,
     "minimum_goal_distance": False,
     "population_size": 200,
     "sigma": 0.1,
@@ -57,22 +55,24 @@ _ANT: dict[str, Any] = {
     "primitive_population_size": 1200,
     "primitive_sigma": 0.05,
     "primitive_learning_rate": 0.015,
-    "generations": 200,
 }
 _ANT_TO_FOOD = {
     **_ANT,
+    "hidden": (),
     "controller_view": "nearest",
     "controller_output": "heading_direction",
-    "controller_interval": 10,
-    "intervals": 3,
-    "fall_price": 8.0,
     "learning_rate_schedule": "exponential",
     "learning_rate_end": 0.01,
     "schedule_generations": 60,
-    "generations": 60,
+    "generations": 100,
 }
-# The egocentric view hides where the robot is, which these tasks turn on.
-_ANT_IN_THE_WORLD = {**_ANT, "controller_view": "observation", "controller_output": "vector"}
+_ANT_TO_TARGET = {
+    **_ANT,
+    "hidden": (32,),
+    "controller_view": "position",
+    "controller_output": "direction",
+    "generations": 200,
+}
 
 SHES_PRESETS: Mapping[str, Preset] = {
     **SES_PRESETS,
@@ -81,7 +81,6 @@ SHES_PRESETS: Mapping[str, Preset] = {
             "ant-flagrun": {
                 **_ANT_WALKER,
                 "intervals": 1,
-                "fall_price": 8.0,
                 "hidden": (),
                 "population_size": 1200,
                 "sigma": 0.05,
@@ -90,7 +89,7 @@ SHES_PRESETS: Mapping[str, Preset] = {
                 "evaluation_interval": 5,
             },
             "ant-gather": _ANT_TO_FOOD,
-            **{f"ant-{task}": _ANT_IN_THE_WORLD for task in ("maze", "push", "fall")},
+            **{f"ant-{task}": _ANT_TO_TARGET for task in ("maze", "push", "fall")},
             "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
             "robotics-point-maze": {"minimum_goal_distance": False},
         }
