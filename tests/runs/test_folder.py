@@ -102,6 +102,10 @@ def test_a_folder_is_a_run_only_with_its_record(tmp_path):
     RunFolder.create(tmp_path)
     with pytest.raises(RunFolderError, match=r"is not a run folder: it has no config\.json"):
         RunFolder.open(tmp_path)
+    with RunFolder(tmp_path).lock():
+        pass
+    with pytest.raises(RunFolderError, match=r"was stopped before it began\. Begin it again by the same command"):
+        RunFolder.open(tmp_path)
     RunFolder.create(tmp_path).record_start(CONFIG, {})
     assert RunFolder.open(tmp_path).read_config() == CONFIG
     with pytest.raises(RunFolderError, match=r"already holds a run\. Go on with it by `shes resume .*--out"):

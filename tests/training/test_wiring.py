@@ -327,13 +327,13 @@ ROWS: dict[str, Row] = {
     ),
     "primitive_fitness_shaping": Row("z_score", spreads, [0, 1], [0, 0.34], **BY_INTERVALS),
     "intervals": Row(
-        3,
+        1,
         lambda r: (
             r.of("training")[0].generation.snapshot_goals,
             r.of("branch")[0].generation.branch_steps,
             r.of("branch")[0].rollout.design.num_goals,
         ),
-        (3, 75, 3), (2, 50, 2), **BY_INTERVALS,
+        (1, 25, 1), (2, 50, 2), **BY_INTERVALS,
     ),
     "fall_price": Row(3.0, rules("fall_price"), [0, 3, 3], [0, 0, 0], **BY_INTERVALS),
     "primitive_population_size": Row(12, lambda r: r.of("branch")[0].num_members, 12, 8, **BY_INTERVALS),

@@ -153,6 +153,10 @@ class RunFolder:
             below = sorted(str(each.parent) for pattern in _BELOW for each in folder.path.glob(pattern))
             if below:
                 raise RunFolderError(f"{folder.path} is a folder of runs: give one of them, such as {below[0]}.")
+            if folder._lock.exists():
+                raise RunFolderError(
+                    f"{folder.path} holds a run that was stopped before it began. Begin it again by the same command."
+                )
             what = "does not exist" if not folder.path.exists() else "is not a run folder: it has no config.json"
             raise RunFolderError(
                 f"{folder.path} {what}. Give the folder that `shes train` printed (its --out).{shipped_hint(run)}"

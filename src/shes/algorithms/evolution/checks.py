@@ -97,6 +97,12 @@ def _check_branches(settings: Any) -> None:
     name, pairs = ("primitive_population_size", own) if own else ("population_size", settings.evolution.population_size)
     if pairs % 2:
         raise out_of_range(name, pairs, "an even number: branches are mirrored pairs")
+    interval, horizon = settings.hierarchy.controller_interval, settings.episodes.horizon
+    if learns(settings)[-1] and settings.estimate.intervals > max(1, horizon // interval):
+        raise ConfigError(
+            f"intervals is {settings.estimate.intervals}, of {interval} steps each, but an episode has {horizon} "
+            f"steps. Set --intervals {max(1, horizon // interval)} or less, or a longer --horizon."
+        )
 
 
 def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
