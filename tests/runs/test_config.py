@@ -472,8 +472,11 @@ def test_a_preset_may_hold_what_does_nothing_here(preset):
         ),
         (
             {
-                **{"primitive_estimate": "interval", "primitive_view": "egocentric"},
-                **{"intervals": 3, "controller_interval": 25, "horizon": 74},
+                "primitive_estimate": "interval",
+                "primitive_view": "egocentric",
+                "intervals": 3,
+                "controller_interval": 25,
+                "horizon": 74,
             },
             r"intervals is 3, of 25 steps each, but an episode has 74 steps\. Set --intervals 2 or less",
         ),
