@@ -1,4 +1,4 @@
-"""The letters of shapes in docstrings and comments are those of the legend in docs/reference/index.md."""
+"""The letters of shapes in docstrings and comments, primes included, are in the legend of docs/reference/index.md."""
 
 import re
 from pathlib import Path
@@ -7,9 +7,15 @@ ROOT = Path(__file__).parents[1]
 SHAPE = re.compile(r"(?<!\w)\[([\w'.]+(?:, [\w'. +*]+)*)\]")
 
 
+LETTER = r"[A-Zn]'?"
+PRIMED = re.compile(r"(?<![\w'])[A-Zn]'(?!\w)")
+
+
 def letters(text):
+    """Return the letters of shapes such as `[N, M' * E]`, and all letters with a prime."""
     axes = [axis for shape in SHAPE.findall(text) for axis in shape.split(", ")]
-    return {axis for axis in axes if re.fullmatch("[A-Zn]", axis)}
+    products = [axis for axis in axes if re.fullmatch(rf"{LETTER}( [*+] {LETTER})*", axis)]
+    return {*re.findall(LETTER, " ".join(products)), *PRIMED.findall(text)}
 
 
 def prose(source):
@@ -20,7 +26,7 @@ def prose(source):
 
 def test_every_letter_of_a_shape_is_in_the_legend():
     rows = re.findall(
-        r"^\| ([A-Zn](?:, [A-Z])*) \| ", (ROOT / "docs/reference/index.md").read_text("utf-8"), re.MULTILINE
+        rf"^\| ({LETTER}(?:, [A-Z])*) \| ", (ROOT / "docs/reference/index.md").read_text("utf-8"), re.MULTILINE
     )
     legend = {letter for row in rows for letter in row.split(", ")}
     used = {

@@ -162,7 +162,7 @@ def test_an_option_has_a_name_of_its_own_unless_it_is_shared(monkeypatch):
     assert "other_shape" not in setting_fields(with_options({"room": Room, "other": Other})["room"])
     assert make(SHAPES, "twin", {"other_shape": "ball"}) == Twin(other_shape="ball")
     monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "egg": Egg})
-    message = r"'other_shape' is an option of shape 'egg', but already a setting of room 'other'\. Choose another name"
+    message = r"'other_shape' is an option of shape 'egg', but already a setting of group 'other'\. Choose another name"
     with pytest.raises(ConfigError, match=message):
         with_options({"room": Room, "other": Other})
 

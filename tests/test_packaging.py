@@ -37,7 +37,7 @@ def test_contributing_names_what_exists():
     for path in re.findall(r"`((?:algorithms|backends|cli|envs|hierarchy|training)/[\w/.-]*)`", CONTRIBUTING):
         assert "NAME" in path or (ROOT / "src" / "shes" / path).exists(), path
     registries = {**vars(goals), **vars(outputs), **vars(rewards), **vars(export), **vars(command_table)}
-    assert set(re.findall(r"`([A-Z_]{6,})`", CONTRIBUTING)) <= {*registries, "PRINTS"}
+    assert set(re.findall(r"`([A-Z_]{6,})`", CONTRIBUTING)) <= {*registries, "LEARNERS", "PRINTS"}
 
 
 def test_contributing_names_every_marker():

@@ -9,7 +9,7 @@ class SGD(Optimizer, Settings):
     "Momentum."
 ```
 
-Registering the class is enough: its options become settings of the room in which the class can be chosen. An option
+Registering the class is enough: its options become settings of the group in which the class can be chosen. An option
 has a name of its own; classes of one registry may share an option if its type, default and range are the same.
 """
 
@@ -88,8 +88,8 @@ def check_options(cls: Any) -> None:
 def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings]]:
     """Return `rooms` with the options of the classes that can be chosen in them.
 
-    An option stands in the room of the first setting that can choose its class. It needs one of the choices that
-    have it.
+    An option belongs to the settings group of the first setting that selects its class. It needs one of the choices
+    that have it.
 
     Raises:
         ConfigError: An option has the name of another setting.
@@ -102,7 +102,7 @@ def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings
             for name, option in options_of(entry).items():
                 if name in room_of and not option.has(Shared):
                     raise ConfigError(
-                        f"{name!r} is an option of {registry.kind} {choice!r}, but already a setting of room "
+                        f"{name!r} is an option of {registry.kind} {choice!r}, but already a setting of group "
                         f"{room_of[name]!r}. Choose another name for the option."
                     )
                 if name not in room_of and not option.has(Unasked):
@@ -117,7 +117,7 @@ def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings
 
 
 class _Home(NamedTuple):
-    """Where an option stands: the room, and the first choice that has the option."""
+    """Where an option belongs: the group, and the first choice that has the option."""
 
     room: str
     registry: Registry[Any]
@@ -136,7 +136,7 @@ class _Home(NamedTuple):
 
 
 def _choosing(rooms: Mapping[str, type[Settings]]) -> Iterator[tuple[str, Setting, Registry[Any]]]:
-    """Yield each setting that chooses a registered class, with its room and the registry."""
+    """Yield each setting that chooses a registered class, with its group and the registry."""
     for room, cls in rooms.items():
         for setting in setting_fields(cls).values():
             for note in setting.notes:

@@ -95,7 +95,7 @@ class Execution:
 
 @dataclass(frozen=True)
 class Shared:
-    """The setting may have the name of a setting of an earlier room. It is then one setting, with one value."""
+    """The setting may have the name of a setting of an earlier group. It is then one setting, with one value."""
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,8 @@ class Setting:
             raise out_of_range(self.name, value, f"one of {', '.join(known.names)}", self.flag)
         if value not in known.names:
             fix = f"Set {self.flag}.{' ' * bool(known.fix)}{known.fix}"
-            raise UnknownNameError(self.name.replace("_", " "), value, known.names, fix)
+            kind = known.names.kind if isinstance(known.names, Registry) else self.name.replace("_", " ")
+            raise UnknownNameError(kind, value, known.names, fix)
         return value
 
     def _is_tuple(self, value: Any) -> bool:

@@ -209,7 +209,7 @@ def test_to_diverge_does_not_pay(table):
 
 
 def test_a_population_that_groups_do_not_fill_is_refused(table):
-    with pytest.raises(ConfigError, match=r"multiple of 4 .*got 10"):
+    with pytest.raises(ConfigError, match=r"multiple of 4, .*got 10"):
         formula_run(table, 1, replace(SETTINGS, population_size=10))
 
 

@@ -160,7 +160,7 @@ def test_it_says_who_learns_where_the_environment_sets_the_goals(own):
     assert [find_algorithm("own", sets_goals=sets_goals) for sets_goals in (False, True)] == [Own, Alone]
     assert TrainConfig.of(env="point-flagrun", algorithm="own").level_names == ("primitive",)
     assert {Own, Alone} <= set(learners())
-    with pytest.raises(ConfigError, match=r"which the controller of hiro is to learn\. Set --algorithm shes or .*own,"):
+    with pytest.raises(ConfigError, match=r"hiro has nothing to learn\. Set --algorithm to shes, .*own"):
         TrainConfig.of(env="point-flagrun", algorithm="hiro")
 
 

@@ -49,10 +49,10 @@ def test_a_whole_number_of_groups_is_accepted(mirrored, num_levels, groups):
 @pytest.mark.parametrize(
     ("population", "mirrored", "levels", "message"),
     [
-        (10, "quad", 2, r"multiple of 4 with 'quad' mirroring and 2 level\(s\), got 10.* --population-size 8 or 12\."),
+        (10, "quad", 2, r"multiple of 4, .* 'quad' mirroring when 2 levels are perturbed, got 10.* 8 or 12\."),
         (3, "quad", 2, r"got 3\. Set --population-size 4 or 8\."),
-        (7, "pair", 2, r"multiple of 2 .*got 7\. Set --population-size 6 or 8\."),
-        (0, "none", 1, r"positive multiple of 1 .*got 0\. Set --population-size 1 or 2\."),
+        (7, "pair", 2, r"multiple of 2, .*got 7\. Set --population-size 6 or 8\."),
+        (0, "none", 1, r"positive multiple of 1, .* when 1 level is perturbed, got 0\. Set --population-size 1 or 2\."),
         (-4, "quad", 2, r"got -4\."),
     ],
 )

@@ -95,18 +95,18 @@ def test_a_population_is_accepted_for_the_first_generation_or_never(name, popula
 @pytest.mark.parametrize(
     ("name", "population", "mirrored", "learns", "message"),
     [
-        ("many_to_many", 10, "quad", BOTH, r"multiple of 4 .* 2 level\(s\), got 10\. Set --population-size 8 or 12\."),
-        ("many_to_many", 7, "quad", CONTROLLER_ALONE, r"multiple of 2 .* 1 level\(s\), got 7\. .* 6 or 8\."),
-        ("one_to_many", 7, "quad", BOTH, r"multiple of 2 .* 1 level\(s\), got 7\. Set --population-size 6 or 8\."),
+        ("many_to_many", 10, "quad", BOTH, r"multiple of 4, .* 2 levels are perturbed, got 10\. .* 8 or 12\."),
+        ("many_to_many", 7, "quad", CONTROLLER_ALONE, r"multiple of 2, .* 1 level is perturbed, got 7\. .* 6 or 8\."),
+        ("one_to_many", 7, "quad", BOTH, r"multiple of 2, .* 1 level is perturbed, got 7\. .* 6 or 8\."),
         (
             "one_to_many_halves", 10, "quad", BOTH,
-            r"positive multiple of 4 with 'quad' mirroring and a share .* each of 2 level\(s\), got 10\. .* 8 or 12\.",
+            r"multiple of 4, a group of 2 with 'quad' mirroring for each level that learns, got 10\. .* 8 or 12\.",
         ),
-        ("one_to_many_halves", 3, "none", BOTH, r"multiple of 2 with 'none' .*got 3\. Set --population-size 2 or 4\."),
-        ("one_to_many_halves", 3, "quad", BOTH, r"multiple of 4 .*got 3\. Set --population-size 4 or 8\."),
-        ("one_to_many_halves", 0, "quad", BOTH, r"positive multiple of 4 .*got 0\. Set --population-size 4 or 8\."),
-        ("one_to_many_halves", -4, "quad", BOTH, r"positive multiple of 4 .*got -4\."),
-        ("one_to_many_halves", 7, "pair", CONTROLLER_ALONE, r"multiple of 2 .* each of 1 level\(s\), got 7\."),
+        ("one_to_many_halves", 3, "none", BOTH, r"multiple of 2, a group of 1 with 'none' .*got 3\. .* 2 or 4\."),
+        ("one_to_many_halves", 3, "quad", BOTH, r"multiple of 4, .*got 3\. Set --population-size 4 or 8\."),
+        ("one_to_many_halves", 0, "quad", BOTH, r"positive multiple of 4, .*got 0\. Set --population-size 4 or 8\."),
+        ("one_to_many_halves", -4, "quad", BOTH, r"positive multiple of 4, .*got -4\."),
+        ("one_to_many_halves", 7, "pair", CONTROLLER_ALONE, r"multiple of 2, a group of 2 .*got 7\."),
     ],
 )  # fmt: skip
 def test_a_population_that_does_not_fit_is_refused_with_one_that_does(name, population, mirrored, learns, message):

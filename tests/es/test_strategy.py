@@ -291,12 +291,12 @@ def test_several_levels_start_where_they_are_told():
             ConfigError,
             "top_fraction must be more than 0 .*got 1",
         ),
-        ({"population_size": 41}, ConfigError, r"multiple of 2 .*got 41\. Set --population-size 40 or 42"),
-        ({"dim": (2, 2), "population_size": 42}, ConfigError, "multiple of 4 .*got 42"),
+        ({"population_size": 41}, ConfigError, r"multiple of 2, .*got 41\. Set --population-size 40 or 42"),
+        ({"dim": (2, 2), "population_size": 42}, ConfigError, "multiple of 4, .*got 42"),
         (
             {"dim": (2, 2), "population_size": 42, "perturbation": "one_to_many_halves"},
             ConfigError,
-            "a share of it for each of 2 .*got 42",
+            "a group of 2 .*got 42",
         ),
         ({"noise_table_size": 9}, ConfigError, "noise_table_size is 9, but a level has 5 parameters .* at least 10"),
         (

@@ -60,7 +60,7 @@ def test_rooms_are_those_of_the_algorithm(env, algorithm, rooms):
     assert list(config.rooms) == [*rooms.split(), "environment", "episodes", "evaluation"]
     for room in ("novelty", "hierarchy"):
         if room not in config:
-            with pytest.raises(AttributeError, match=f"no room of settings '{room}' here; it has run, "):
+            with pytest.raises(AttributeError, match=f"no group of settings '{room}' here; it has run, "):
                 getattr(config, room)
 
 
@@ -157,9 +157,9 @@ def record(env="point-gather", **changes):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"evolution": {"sigmma": 1}}, r"unknown setting 'sigmma' in room 'evolution'\. Did you mean 'sigma'\?"),
-        ({"workers": {"sigma": 0.1}}, r"unknown setting 'sigma' in room 'workers'"),
-        ({"attic": {}}, r"a run of point-gather has no room of settings 'attic'"),
+        ({"evolution": {"sigmma": 1}}, r"unknown setting 'sigmma' in group 'evolution'\. Did you mean 'sigma'\?"),
+        ({"workers": {"sigma": 0.1}}, r"unknown setting 'sigma' in group 'workers'"),
+        ({"attic": {}}, r"a run of point-gather has no group of settings 'attic'"),
         ({"evolution": 1}, r"'evolution' must be an object of settings, got 1"),
         ({"run": {"env": ...}}, r"the configuration names no environment"),
     ],
@@ -184,7 +184,7 @@ def test_a_class_that_is_not_registered_is_named_before_its_options():
 
 
 def test_a_shared_setting_has_one_value_in_a_record():
-    message = r"goal_distance is 4\.0 in room 'hierarchy', but 9\.0 in room 'environment'\. It is one setting"
+    message = r"goal_distance is 4\.0 in group 'hierarchy', but 9\.0 in group 'environment'\. It is one setting"
     with pytest.raises(ConfigError, match=message):
         TrainConfig.from_dict(record("point-flagrun", environment={"goal_distance": 9.0}))
 
@@ -273,7 +273,7 @@ class SlowOptions(TaskOptions):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (PushOptions, r"'sigma' is a setting of room 'evolution' .* of room 'environment' .*PushOptions.*another name"),
+        (PushOptions, r"'sigma' is a setting of group 'evolution' .* of group 'environment' .*PushOptions.*other name"),
         (
             SlowOptions,
             r"'controller_interval' is .*'hierarchy' \(default 25\).*default 10, .*Give both the same default",

@@ -132,9 +132,7 @@ def test_the_primitive_of_a_shipped_agent_is_brought_by_name(agents):
 
 
 def test_a_shipped_agent_has_its_best_checkpoint_alone(agents):
-    with pytest.raises(
-        CheckpointError, match=r"agent point-gather has the checkpoint best alone, got 'last'\. Omit --"
-    ):
+    with pytest.raises(CheckpointError, match=r"agent point-gather has only the checkpoint best, got 'last'\. Omit --"):
         evaluate("point-gather", checkpoint="last")
     with pytest.raises(CheckpointError, match=r"no checkpoint 'last'; it has best\. Omit --primitive-checkpoint"):
         runs.train_tiny(Path("run"), primitive="point-walker", primitive_checkpoint="last")

@@ -23,7 +23,7 @@ COMPARED = [measure.column for study in MADE.values() for measure in study.desig
 COURSE = [measure.column for study in MADE.values() for measure in study.design.curves.values()]
 COURSES = (0.0, 0.2, 0.5, 0.4, 0.9, 0.8)
 """The course of a run's measure, as parts of its score."""
-FORMS = ("as published", "with the pieces")
+FORMS = ("as published", "with the learning changes")
 DRAWN = [(name, figure.file.removesuffix(".png")) for name, study in MADE.items() for figure in study.design.figures]
 
 
@@ -185,7 +185,7 @@ def test_figure_4_has_a_curve_for_every_number_of_workers_over_hours(all_drawn):
 def test_figure_6_has_both_forms_and_flat_es_as_means_over_seeds(all_drawn):
     (axis,) = all_drawn["fig6"][0]["fig6"].axes
     lines = {line.get_label(): line for line in axis.lines}
-    for name in ("SHES as published", "SHES with the pieces", "S-ES"):
+    for name in ("SHES as published", "SHES with the learning changes", "S-ES"):
         for kind in ("projected", "measured", "sleeping workers"):
             assert len(lines[f"{name}, {kind}"].get_xdata()) == 2
     study = MADE["fig6"]

@@ -79,8 +79,8 @@ class Algorithm(ABC, Generic[StateT]):
     """The class that learns instead in environments that set the goals, such as Flagrun; None for this one."""
 
     rooms: ClassVar[Mapping[str, type[Settings]]] = {}
-    """Its settings: dataclasses by the name of their room. Each setting becomes a flag of `shes train` with help, an
-    argument of `shes.train` and an entry of `config.json`. `problem.settings.ROOM.NAME` is its value."""
+    """Its settings: dataclasses by the name of their group. Each setting becomes a flag of `shes train` with help, an
+    argument of `shes.train` and an entry of `config.json`. `problem.settings.GROUP.NAME` is its value."""
 
     presets: ClassVar[Mapping[str, Preset]] = {}
     """Its own values of presets, by name, which win over `shes.algorithms.presets.PRESETS`. A name that is not among
@@ -95,7 +95,7 @@ class Algorithm(ABC, Generic[StateT]):
 
     @staticmethod
     def check(settings: Any) -> None:
-        """Check combinations of values of its settings; `settings.ROOM.NAME` is a value.
+        """Check combinations of values of its settings; `settings.GROUP.NAME` is a value.
 
         Raises:
             ConfigError: Two values do not go together.

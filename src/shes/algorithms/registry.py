@@ -18,14 +18,14 @@ TAKEN_ROOMS = frozenset({
     "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "rooms", "setting",
     "to_dict", "values",
 })  # fmt: skip
-"""Names that a room of an algorithm cannot have: rooms of every run, and attributes of `TrainConfig`."""
+"""Names that a group of an algorithm's settings cannot have: groups of every run, and attributes of `TrainConfig`."""
 
 
 def _check_algorithm(kind: str, cls: Any) -> None:
-    """Check an algorithm, the one that stands in for it, and their rooms of settings.
+    """Check an algorithm, the one that stands in for it, and their groups of settings.
 
     Raises:
-        ConfigError: The class is incomplete, or a room or an option has a name that is taken.
+        ConfigError: The class is incomplete, or a group or an option has a name that is taken.
     """
     check_class(kind, cls, Algorithm, num_arguments=1)
     for room, settings in cls.rooms.items():
@@ -63,7 +63,7 @@ def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
         algorithm: A complete subclass of `Algorithm`, made from one argument, the `Problem`.
 
     Raises:
-        ConfigError: The class is not a complete subclass, or the name, or that of a room or an option, is malformed or
+        ConfigError: The class is not a complete subclass, or the name, or that of a group or an option, is malformed or
             already taken.
     """
     ALGORITHMS.register(name, algorithm)

@@ -32,7 +32,7 @@ _HELD: list[MpiBackend] = []
 
 
 class MpiBackend(PullBackend):
-    """A worker in every MPI rank but the first. The number of workers is that of the ranks, whatever is asked for."""
+    """One worker per MPI rank except the first; --workers is ignored."""
 
     Options: ClassVar[type[Settings]] = WarningSettings
 

@@ -70,7 +70,7 @@ class SocketWorker(RemoteWorker):
                 self.connection.send_bytes(message)
 
     def kill(self) -> None:
-        """End the process of the worker, if it has one of its own. `end` is to follow."""
+        """End the process of the worker, if it has one of its own. Call `end` afterwards."""
 
     def end(self) -> None:
         """Close the connection."""

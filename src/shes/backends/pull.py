@@ -32,7 +32,8 @@ class WarningSettings(Settings):
     """When to tell of workers that give no answer."""
 
     worker_warning_s: Annotated[float, Gt(0), Execution()] | None = 60.0
-    """Seconds without an answer after which a warning names the worker; none for no warning. Long tasks get longer."""
+    """Seconds without an answer after which a warning names the worker; none for no warning. The limit is longer for
+    long tasks."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,7 +45,7 @@ class RaySettings(SilenceSettings):
 
 
 class RayBackend(PullBackend):
-    """Workers on the nodes of a Ray cluster, one for every CPU, and at most as many as asked for."""
+    """Workers on the nodes of a Ray cluster, one per CPU, and at most --workers."""
 
     Options: ClassVar[type[Settings]] = RaySettings
 

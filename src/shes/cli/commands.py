@@ -36,9 +36,9 @@ def train(
         tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=X,Y ...")
     ] = (),
 ) -> Run | Listing:
-    """Train on an environment. Ctrl-C loses nothing: shes resume goes on.
+    """Train on an environment. Ctrl-C stops the run; shes resume continues it.
 
-    Each of several seeds, or of the values of a sweep, becomes a run.
+    Several seeds or sweep values train one run each.
 
     shes train point-gather --generations 60 --out runs/first
 

@@ -57,7 +57,7 @@ def exit_code(work: Callable[[], int], *, is_debug: bool = False) -> int:
             code = error.exit_code if isinstance(error, ShesError) else ConfigError.exit_code
             text = str(error)
             if isinstance(error, MemoryError):
-                text = f"not enough memory ({text or 'no more is free'}). Lower what is asked for; see --help."
+                text = f"not enough memory ({text or 'no more is free'}). Reduce the size of the run; see --help."
             from shes.console import LineConsole  # rich is slow to import
 
             LineConsole(stderr=True).print_error(text)

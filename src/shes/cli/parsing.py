@@ -125,7 +125,7 @@ def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
     """Return the settings of `env` with the preset and the algorithm in `words`; raise UnknownNameError for any name.
 
-    Of whatever setting, an unknown name may be why one of its flags is unknown, too.
+    All names are checked, because an unknown choice also makes its options unknown.
     """
     choosing = {each.flag: each for each in known_settings().values() if each.choices}
     pairs = [*pairwise(words), *(word.split("=", 1) for word in words if "=" in word)]

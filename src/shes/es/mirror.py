@@ -74,7 +74,8 @@ def check_population(population_size: int, mirrored: str, num_levels: int) -> in
     if population_size <= 0 or population_size % members:
         lower = max(members, population_size - population_size % members)
         raise ConfigError(
-            f"population_size must be a positive multiple of {members} with {mirrored!r} mirroring and {num_levels} "
-            f"level(s), got {population_size}. Set --population-size {lower} or {lower + members}."
+            f"population_size must be a positive multiple of {members}, the size of a group with {mirrored!r} "
+            f"mirroring when {num_levels} level{'s are' if num_levels > 1 else ' is'} perturbed, got "
+            f"{population_size}. Set --population-size {lower} or {lower + members}."
         )
     return population_size // members

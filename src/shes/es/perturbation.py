@@ -69,12 +69,13 @@ class OneToManyHalves(Perturbation):
     def signs(self, generation: int, population_size: int, mirrored: str, learns: Sequence[bool]) -> Signs:
         """Return the signs of the controller's half, then those of the primitive's."""
         levels = np.flatnonzero(learns).tolist()
-        least = len(levels) * len(sign_matrix(mirrored, 1))
+        group = len(sign_matrix(mirrored, 1))
+        least = len(levels) * group
         if population_size <= 0 or population_size % least:
             lower = max(least, population_size - population_size % least)
             raise ConfigError(
-                f"population_size must be a positive multiple of {least} with {mirrored!r} mirroring and a share of it "
-                f"for each of {len(levels)} level(s), got {population_size}. "
+                f"population_size must be a positive multiple of {least}, a group of {group} with {mirrored!r} "
+                f"mirroring for each level that learns, got {population_size}. "
                 f"Set --population-size {lower} or {lower + least}."
             )
         share = population_size // len(levels)

@@ -29,11 +29,11 @@ class EvolutionStrategy:
     """Evolution strategy with mirrored noise and an ask-and-tell interface.
 
     ```python
-    es = EvolutionStrategy(10, population_size=40, sigma=0.1, learning_rate=0.05)
+    es = EvolutionStrategy(3, population_size=40, sigma=0.1, learning_rate=0.05)
     for _ in range(100):
-        candidates = es.ask()                        # [40, 10]
-        es.tell([-np.sum(x**2) for x in candidates])
-    es.mean                                          # [10]
+        candidates = es.ask()  # [40, 3]
+        es.tell(-((candidates - [1, 2, 3]) ** 2).sum(axis=1))
+    es.mean  # near [1, 2, 3]
     ```
 
     Args:

@@ -155,7 +155,7 @@ class NearestView(View):
     turns_outputs = True
 
     def __init__(self, rings: Sequence[Sequence[int]], others: Sequence[int] = (), xp: ModuleType = np) -> None:
-        """See the sensors at `rings` [K, B], then the values at `others`."""
+        """See the sensors at `rings` [ring, sector], then the values at `others`."""
         self._places = tuple(tuple(ring) for ring in rings), tuple(others)
         self._rings = xp.asarray(np.array(rings, dtype=np.int64))
         self._others = _columns(self._places[1], xp)
@@ -177,8 +177,8 @@ class NearestView(View):
 
     def write(self, observation: F64Array, angle: F64Array, out: F64Array) -> None:
         """Rotate the readings and copy the other values; see `View.write`."""
-        sector = (self._nearest(observation)[:, None] + self._sectors) % len(self._sectors)  # [N, B]
-        columns = self._rings[:, sector].swapaxes(0, 1).reshape(len(out), -1)  # [N, K * B]
+        sector = (self._nearest(observation)[:, None] + self._sectors) % len(self._sectors)  # [N, sector]
+        columns = self._rings[:, sector].swapaxes(0, 1).reshape(len(out), -1)  # [N, ring * sector]
         out[:, : self._rings.size] = np.take_along_axis(observation, columns, axis=1)
         out[:, self._rings.size :] = observation[:, self._others]
 
@@ -229,7 +229,7 @@ class WholeObservation(ViewChoice):
 
 
 class Observation(ViewChoice):
-    """The task's observation, alone proprioception."""
+    """The task's observation; only the robot's coordinates when the primitive learns without a controller."""
 
     sees_task = True
 

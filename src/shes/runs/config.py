@@ -23,7 +23,7 @@ from shes.settings import Execution, Setting, Settings
 
 
 class TrainConfig:
-    """The settings of a training run, immutable, in rooms: `config.run.seed`. See `shes.runs.rooms`."""
+    """The settings of a training run, immutable, in groups: `config.run.seed`. See `shes.runs.rooms`."""
 
     run: RunSettings
     workers: WorkerSettings
@@ -33,7 +33,7 @@ class TrainConfig:
     evaluation: EvaluationSettings
 
     def __init__(self, values: Mapping[str, Any]) -> None:
-        """Build the rooms from settings by name.
+        """Build the groups from settings by name.
 
         Raises:
             ConfigError: A setting is unknown, a value is out of range, or two values do not go together.
@@ -58,7 +58,7 @@ class TrainConfig:
     def __getattr__(self, name: str) -> Any:
         rooms = self.__dict__.get("rooms", {})
         if name not in rooms:
-            raise AttributeError(f"a run has no room of settings {name!r} here; it has {', '.join(rooms)}")
+            raise AttributeError(f"a run has no group of settings {name!r} here; it has {', '.join(rooms)}")
         return rooms[name]
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -70,7 +70,7 @@ class TrainConfig:
     def __eq__(self, other: object) -> bool:
         return isinstance(other, TrainConfig) and self.rooms == other.rooms
 
-    __hash__ = None  # type: ignore[assignment] - a room may not be hashable
+    __hash__ = None  # type: ignore[assignment] - a group may not be hashable
 
     def __repr__(self) -> str:
         return f"TrainConfig({', '.join(map(repr, self.rooms.values()))})"
@@ -85,7 +85,7 @@ class TrainConfig:
         return settings_in(map(type, self.rooms.values()))[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as JSON types, by room."""
+        """Return the settings as JSON types, by group."""
         return {name: room.to_dict() for name, room in self.rooms.items()}
 
     @classmethod
@@ -102,7 +102,7 @@ class TrainConfig:
         return config
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by the record, because a room with options of registered classes is a class made at run time."""
+        """Pickle by the record, because a group with options of registered classes is a class made at run time."""
         return TrainConfig.from_dict, (self.to_dict(),)
 
     def numbers(self) -> dict[str, Any]:
@@ -141,7 +141,7 @@ class TrainConfig:
         self.algorithm.check(self)
 
     def _check_shared(self) -> None:
-        """Check that a setting of two rooms has one value."""
+        """Check that a setting of two groups has one value."""
         first: dict[str, tuple[str, Any]] = {}
         for room, settings in self.rooms.items():
             for name in settings_in([type(settings)]):
@@ -149,6 +149,6 @@ class TrainConfig:
                 home, other = first.setdefault(name, (room, value))
                 if value != other:
                     raise ConfigError(
-                        f"{name} is {other!r} in room {home!r}, but {value!r} in room {room!r}. It is one setting: "
+                        f"{name} is {other!r} in group {home!r}, but {value!r} in group {room!r}. It is one setting: "
                         "give both the same value."
                     )

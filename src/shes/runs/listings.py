@@ -43,7 +43,7 @@ def _row(run: RunState) -> tuple[str, ...]:
 
 
 def describe_run(run: Path | str, *, full: bool = False) -> Listing:
-    """Show the settings and the state of a run.
+    """Show the state of a run, and with --full its settings.
 
     Args:
         run: The run folder, or the name of a shipped agent.

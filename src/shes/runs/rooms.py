@@ -1,6 +1,6 @@
-"""The settings of a run, in rooms: one frozen dataclass each.
+"""The settings of a run, in groups ("rooms" in the code): one frozen dataclass each.
 
-Every run has the rooms below, `environment` (the options of its task) and `body` if the robot has options. The others
+Every run has the groups below, `environment` (the options of its task) and `body` if the robot has options. The others
 are those of its algorithm: a run of es has no `hierarchy`.
 """
 
@@ -60,9 +60,9 @@ class WorkerSettings(Settings):
     backend: Annotated[str, Choices(BACKENDS, is_described=True), Execution()] = "processes"
     """What runs the episodes on the CPU."""
     num_workers: Annotated[int, Ge(0), Execution(), Shown(flag="--workers", everyday=True)] = 0
-    """Worker processes; 0 is one for every core. Never changes a number."""
+    """Worker processes; 0 is one for every core. Does not affect results."""
     chunk_size: Annotated[int, Ge(0), Execution()] = 0
-    """Policies that a worker or a device runs in lockstep; 0 is automatic. Never changes a number on the CPU."""
+    """Policies that a worker or a device runs in lockstep; 0 is automatic. Does not affect results on the CPU."""
     device: Annotated[str, Choices(("cpu", *DEVICES)), Execution(), Shown(everyday=True)] = "cpu"
     """Device of the physics: cpu, cuda (an NVIDIA GPU; extra gpu) or warp-cpu (extra warp; for tests)."""
     nconmax: Annotated[int, Ge(1), Execution()] | None = None
@@ -116,14 +116,14 @@ def learner(run: RunSettings) -> type[Algorithm[Any]]:
     if sets_goals and "controller" in found.level_names:
         fitting = [name for name in ALGORITHMS if "controller" not in find_algorithm(name, sets_goals=True).level_names]
         raise ConfigError(
-            f"{run.env} sets the goals itself, which the controller of {run.algorithm} is to learn. Set --algorithm "
-            f"{' or '.join(fitting)}, which have no controller there."
+            f"{run.env} sets the goals, so the controller of {run.algorithm} has nothing to learn. "
+            f"Set --algorithm to {', '.join(fitting[:-1])} or {fitting[-1]}."
         )
     return found
 
 
 def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run by room, in the order of the help; raise ConfigError if names clash."""
+    """Return the settings classes of a run by group, in the order of the help; raise ConfigError if names clash."""
     env = find_environment(run.env)
     body = env.body.Options if isinstance(env, Environment) else Settings
     rooms = with_options(
@@ -142,7 +142,7 @@ def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
 
 
 def _check_distinct(rooms: Mapping[str, type[Settings]]) -> None:
-    """Raise ConfigError if settings of different rooms have one name, unless it is a shared setting."""
+    """Raise ConfigError if settings of different groups have one name, unless it is a shared setting."""
     first: dict[str, tuple[str, Setting]] = {}
     for room, cls in rooms.items():
         for name, setting in settings_in([cls]).items():
@@ -151,8 +151,8 @@ def _check_distinct(rooms: Mapping[str, type[Settings]]) -> None:
                 continue
             fix = "Give both the same default" if setting.has(Shared) else "Choose another name for one of them"
             raise ConfigError(
-                f"{name!r} is a setting of room {home!r} (default {other.default!r}) and another one of room {room!r} "
-                f"(default {setting.default!r}, {setting.owner.__qualname__}). {fix}."
+                f"{name!r} is a setting of group {home!r} (default {other.default!r}) and another one of group "
+                f"{room!r} (default {setting.default!r}, {setting.owner.__qualname__}). {fix}."
             )
 
 
@@ -180,7 +180,7 @@ def execution_settings() -> dict[str, Setting]:
 
 
 def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run by room; raise ConfigError unless the names in `values` are its settings."""
+    """Return the settings classes of a run by group; raise ConfigError unless all names in `values` are settings."""
     if "env" not in values:
         raise ConfigError(_NO_ENVIRONMENT)
     classes = rooms_of(RunSettings.of(values))
@@ -193,13 +193,13 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
 
 
 def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run with this record, by room.
+    """Return the settings classes of a run with this record, by group.
 
     A missing setting takes its default. A setting that was deleted by hand is detected, because checkpoints store the
     settings too.
 
     Raises:
-        ConfigError: A room or a setting is unknown.
+        ConfigError: A group or a setting is unknown.
         UnknownNameError: A value is an unknown name.
     """
     for room, values in rooms.items():
@@ -212,11 +212,11 @@ def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Setti
     settings = {room: settings_in([cls]) for room, cls in classes.items()}
     for room, values in rooms.items():
         if room not in classes:
-            raise ConfigError(f"a run of {run['env']} has no room of settings {room!r}.")
+            raise ConfigError(f"a run of {run['env']} has no group of settings {room!r}.")
         _check_choices(settings[room], values)
         for name in values:
             if name not in settings[room]:
-                raise _unknown(name, settings[room], f" in room {room!r}")
+                raise _unknown(name, settings[room], f" in group {room!r}")
     return classes
 
 

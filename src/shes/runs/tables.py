@@ -65,7 +65,7 @@ def _damaged(path: Path, error: Exception) -> RunFolderError:
 def check_tables(folder: RunFolder, generation: int, *, owes_evaluation: bool = False) -> None:
     """Raise RunFolderError unless the tables of a run are there and can be read after `generation`.
 
-    The first evaluation, of generation 1, may be owed: then there is no table of evaluations.
+    The first evaluation, of generation 1, may be pending: then there is no table of evaluations.
     """
     for path in (folder.progress, folder.evaluation) if generation else ():
         if path == folder.evaluation and generation == 1 and owes_evaluation and not path.exists():
@@ -127,7 +127,7 @@ class Records:
     ) -> None:
         """Open the tables and remove the rows after `generation`, which ended at `env_steps`.
 
-        If its evaluation is owed, it has no row either.
+        If its evaluation is pending, it has no row either.
         """
         kept = {folder.progress: generation, folder.evaluation: generation - owes_evaluation}
         self._tables = {path.stem: CsvTable(path, until) for path, until in kept.items()}

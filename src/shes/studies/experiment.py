@@ -49,17 +49,17 @@ def experiment(
     Args:
         name: ablation: the paper's choices, a sweep of the settings, transfer and horizon, on Point Gather and Maze;
             learning: an ablation of the walker's training method, on Ant Flagrun; the others: Table I and the figures
-            of the paper, with SHES as published and with the pieces of the learning study; table1 and fig3 also with
-            HIRO, which needs the extra hiro.
-        out: Folder of its runs, tables and figures; finished runs in it are kept. If none, below runs/ its name, and
-            paper for the experiments of the paper, which share runs.
-        num_workers: Runs at a time, or the workers of each run of scale paper; 0 is one for every core. fig4 has
-            numbers of its own, fig6 measures all up to this one.
+            of the paper, with SHES as published and with the changes of the learning study; table1 and fig3 also
+            with HIRO, which needs the extra hiro.
+        out: Folder of its runs, tables and figures; finished runs in it are kept. Default: runs/NAME; the paper's
+            experiments share runs/paper.
+        num_workers: Runs at a time, or the workers of each run of scale paper; 0 is one for every core. fig4 sets its
+            own worker counts; fig6 measures every count up to this one.
         backend: Backend of the runs of scale paper, such as ray.
         scale: paper: Table I, ten runs of up to ten hours, for experiments of the paper only; laptop: hours on two
             cores; smoke: minutes, as a test.
-        seeds: Seeds of every variant; if none 10, of scale laptop 5 in a sweep, in learning and for the ant, and 3 in
-            fig4 and fig6; of scale smoke 1 or 2.
+        seeds: Number of seeds per variant. Default: 10; at scale laptop, 5 for sweeps, the learning study and the ant,
+            and 3 for fig4 and fig6; at scale smoke, 1 or 2.
         only: Groups or environments to run, groups beside the base; all if none. ablation: choices, horizon, sweep,
             transfer; learning: alternatives, form, pieces, sweep; table1: methods; fig3: methods; fig4: workers;
             fig5: methods, transfer; fig6: speedup.

@@ -1,7 +1,8 @@
 """The paper's experiments: Table I, and Figures 3 to 6.
 
-Each compares the paper's method as published with the pieces of `docs/learning.md`: egocentric views, the body's
-symmetry, a primitive evaluated by branched intervals. In one folder, the experiments share their runs.
+Each compares the paper's method as published with the same method with the learning changes of `docs/learning.md`:
+egocentric views, the body's symmetry, a primitive evaluated by branched intervals. In one folder, the experiments
+share their runs.
 
 Source: SHES paper, section III and Table I.
 """
@@ -35,13 +36,13 @@ from shes.studies.study_tables import Cell
 METHODS, TRANSFER, WORKERS, SPEEDUP = "methods", "transfer", "workers", "speedup"
 HIRO, FLAT = "hiro", "es"
 _GROUPS = {
-    METHODS: "controller and primitive together from scratch: as published, and with the pieces",
+    METHODS: "controller and primitive together from scratch: as published, and with the learning changes",
     TRANSFER: "the same with a primitive that was trained alone (SHES-TL)",
     WORKERS: "the same as from scratch with several numbers of workers",
     SPEEDUP: "the time of a generation on more cores",
 }
 _FORMS = (PUBLISHED, PIECES)
-_WORDS = {PUBLISHED: "as published", PIECES: "with the pieces", HIRO: "HIRO"}
+_WORDS = {PUBLISHED: "as published", PIECES: "with the learning changes", HIRO: "HIRO"}
 _SCORE, _TRAINING = Measure("score_mean", "test score"), Measure("training_return_mean", "training reward")
 _BEST = Measure("best_score", "score of the best checkpoint", "score")
 _STEPS_PER_S = 16_000  # of one core: 10,000 for the ant, 35,000 for the point
@@ -130,7 +131,7 @@ def figure_6(scale: str = "laptop", seeds: int | None = None) -> Study:
             cell = replace(run, group=SPEEDUP, settings={**settings, "generations": 1})
             flat = {**settings_of(cell.env, FLAT, cell.settings), "algorithm": FLAT}
             cells += [cell, *([replace(cell, variant=FLAT, settings=flat)] if cell.variant == PUBLISHED else [])]
-    labels = {PUBLISHED: "SHES as published", PIECES: "SHES with the pieces", FLAT: "S-ES"}
+    labels = {PUBLISHED: "SHES as published", PIECES: "SHES with the learning changes", FLAT: "S-ES"}
     study = _study(
         size,
         cells,

@@ -1,4 +1,4 @@
-"""The sizes of the paper's experiments, and the settings of the method as published and of the one with the pieces."""
+"""The sizes of the paper's experiments, and the settings of the method as published and with the learning changes."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ _FORMS: dict[tuple[str, str], dict[str, Any]] = {
     ("ant", PUBLISHED): _ANT_PUBLISHED,
     ("ant", PIECES): {},
 }
-"""Settings over the preset, by body and form. For the ant, the preset `laptop` has the pieces: the form as published is
-over `smoke`, which has none."""
+"""Settings over the preset, by body and form. For the ant, the preset `laptop` has the changes: the form as published
+is over `smoke`, which has none."""
 _ALONE: dict[tuple[str, str], dict[str, Any]] = {
     ("point", PUBLISHED): _POINT,
     ("point", PIECES): {**_POINT, **_VIEWS, **_BRANCHES, **_PLAIN, "population_size": 400, "learning_rate": 0.03},
@@ -64,7 +64,7 @@ _PIECES = (
     *("fall_price", "output_weights", "weight_decay", "hold_tied", "controller_view", "controller_output"),
     *("minimum_goal_distance", "primitive_population_size", "primitive_sigma", "primitive_learning_rate"),
 )
-"""Settings that are pieces; the others of a preset say how large networks and population are."""
+"""Settings that are learning changes; the others of a preset say how large networks and population are."""
 OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")
 """Settings, beside `primitive_...`, that come with a transferred primitive or have no effect on a frozen one."""
 

@@ -1,4 +1,4 @@
-"""Table I of the paper beside what the experiments of scale `paper` have. Source: SHES paper, Table I."""
+"""Table I of the paper compared with the settings of scale `paper`. Source: SHES paper, Table I."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def check_limits(workload: Workload, design: AgentDesign, names: Mapping[str, st
     needs = f"takes {need / 1e9:,.1f} GB of memory, but {free / 1e9:,.1f} GB are free"
     fits = {name: _largest_fit(workload, name, design, free) for name in (*_SIZES, "chunk_size", "num_workers")}
     shares = {name: fit / max(1, getattr(workload, name)) for name, fit in fits.items()}
-    # What must be lowered least; but before all others what changes no number and costs little time.
+    # Prefer chunk_size, which does not affect results, then the smallest reduction.
     least = "chunk_size" if fits["chunk_size"] else max(shares, key=lambda name: shares[name])
     if fits[least]:
         shown, value = names.get(least, least), getattr(workload, least)

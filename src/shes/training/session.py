@@ -37,7 +37,7 @@ class _Owed:
 class Session:
     """The records, evaluations and checkpoints of a run during one call.
 
-    A generation is evaluated beside the next one. Until then its checkpoint says that it owes the evaluation.
+    A generation is evaluated beside the next one. Until then its checkpoint marks the evaluation as pending.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Session:
         return self._is_stopped or is_late or self._config.run.is_over(last.generation, last.env_steps)
 
     def start_owed_evaluation(self, state: Any) -> None:
-        """Begin the evaluation that the checkpoint of `state` owes, if any."""
+        """Begin the evaluation that the checkpoint of `state` marks as pending, if any."""
         if self.checkpoint.owes_evaluation:
             self._owed = self._evaluate(state, self.checkpoint)
 

@@ -91,7 +91,7 @@ def train(
 
     Args:
         env: Environment, e.g. `ant-gather`.
-        preset: `paper`, `laptop` or `smoke`.
+        preset: `laptop`, `paper`, `smoke`, or one of the algorithm's own: `hiro-paper`, `hiro-table1`.
         out: The run folder, which must not hold a run; a new one below `runs/` if none.
         listener: Receives the progress: a function of a row of `progress.csv`, an object with any of the methods
             `on_start`, `on_generation`, `on_evaluation` and `on_event`, or a list of these. It ends the run by

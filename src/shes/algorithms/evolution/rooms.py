@@ -1,6 +1,6 @@
-"""Settings of the evolution strategies: one class per room, and the rooms of each algorithm.
+"""Settings of the evolution strategies: one class per group, and the groups of each algorithm.
 
-Options of an optimizer, a reward or another registered class stand with that class: see `shes.options`.
+Options of an optimizer, a reward or another registered class are defined in that class: see `shes.options`.
 
 Source: tables and sections are those of the SHES paper.
 Deviation: the defaults are those of the preset `laptop`. The docstrings give the values of Table I of the paper.

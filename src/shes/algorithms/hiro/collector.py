@@ -67,20 +67,20 @@ class Summary:
 
 @dataclass(frozen=True, kw_only=True)
 class _Step:
-    """A control step of n running episodes."""
+    """A control step of the running episodes."""
 
     rows: IntArray
-    """Their rows among the N environments [n]."""
+    """Their rows among the N environments [running]."""
     observation: F64Array
     """Observations before the step [N, O]."""
     control: F64Array
     """Controls [N, A]."""
     is_sound: BoolArray
-    """Whether the simulation has not diverged [n]."""
+    """Whether the simulation has not diverged [running]."""
     terminated: BoolArray
-    """Whether the episode is in a terminal state now [n]."""
+    """Whether the episode is in a terminal state now [running]."""
     ended: BoolArray
-    """Whether it has ended, for whatever reason [n]."""
+    """Whether it has ended, for whatever reason [running]."""
 
 
 class Collector:
@@ -97,7 +97,7 @@ class Collector:
     ) -> None:
         """Play in `batch` with `actors`, by level. The environment's reward is multiplied by `reward_scale`.
 
-        With `bootstraps`, a terminal state has a value as any other.
+        With `bootstraps`, values are bootstrapped from terminal states, too.
         """
         self._batch, self._actors, self._horizon = batch, actors, horizon
         self._bootstraps, self._reward_scale = bootstraps, reward_scale

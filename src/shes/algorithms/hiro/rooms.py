@@ -30,7 +30,7 @@ class LearnerSettings(Settings):
     replay_size: Annotated[int, Ge(1)] = 200_000
     """Most transitions in the replay buffer of each level, all of them in memory and in the checkpoint `last`."""
     target_rate: Annotated[float, Gt(0), Le(1)] = 0.005
-    """Part of the way that the target networks take to the networks in an update of theirs (tau)."""
+    """Interpolation factor of the target-network update (tau)."""
     policy_delay: Annotated[int, Ge(1)] = 2
     """Updates of the critics for one of the actor and of all target networks (HIRO's code: 2; its paper: 1)."""
     critic_loss: Literal["huber", "mse"] = "huber"
@@ -47,7 +47,7 @@ class LearnerSettings(Settings):
     reward_scale: Annotated[float, Gt(0)] = 1.0
     """Factor on the environment's reward (HIRO: 0.1). The primitive's own reward has none."""
     bootstrap_terminal: bool = False
-    """Whether a terminal state has a value as any other (HIRO's code: yes). A time limit never ends the return."""
+    """Whether to bootstrap from terminal states (HIRO's code: yes). A time limit never ends the return."""
     normalise_inputs: bool = True
     """Whether the networks' inputs are normalised by observation statistics (HIRO: no)."""
     num_envs: Annotated[int, Ge(1), Shown(everyday=True)] = 1

@@ -33,8 +33,8 @@ class MazeOptions(TargetOptions):
             )
         if self.waypoints is not None and self.target is None and not self.evaluation:
             raise ConfigError(
-                f"waypoints {self.waypoints} lead to one target, and training's target is random. Set --target, the "
-                f"task's own is {Maze.own_target}."
+                f"waypoints {self.waypoints} need a fixed target, but the training target is random. "
+                f"Set --target, e.g. --target {' '.join(f'{x:g}' for x in Maze.own_target)}."
             )
 
 

@@ -30,11 +30,11 @@ class PlayedEpisode:
     """The path of one episode."""
 
     path: F64Array
-    """Positions of the robot at its start and after each step [T + 1, 2] in metres."""
+    """Positions of the robot at its start and after each step [steps + 1, 2] in metres."""
     goals: F64Array
-    """The goals in the order in which they were set [G, 2] in metres; empty if there are none."""
+    """The goals in the order in which they were set [goals, 2] in metres; empty if there are none."""
     goal_steps: list[int]
-    """Steps before which they were set [G]."""
+    """Steps before which they were set [goals]."""
     score: float
     markers: list[Marker]
     """The task's markers at its start."""

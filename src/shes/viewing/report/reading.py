@@ -56,7 +56,7 @@ class ReportedGroup:
 
     @property
     def title(self) -> str:
-        """The name of its run if it has one alone, else its label."""
+        """The run's name if the group has a single run, otherwise the label."""
         return self.runs[0].name if len(self.runs) == 1 else self.label
 
 
