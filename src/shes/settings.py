@@ -199,6 +199,8 @@ class Setting:
     def checked(self, value: Any) -> Any:
         """Return `value`, with NumPy types and lists converted to built-in types and tuples.
 
+        For a tuple of any length, a single number stands for a tuple of one.
+
         Raises:
             ConfigError: The value is not allowed.
             UnknownNameError: The value is an unknown name.
@@ -206,6 +208,8 @@ class Setting:
         value = _plain(value)
         if value is None and self.is_optional:
             return None
+        if self.kind is tuple and self.length is None and isinstance(value, int | float):
+            value = (value,)
         for note in self.notes:
             if isinstance(note, Choices):
                 return self._checked_name(value, note)

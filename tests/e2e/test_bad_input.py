@@ -196,7 +196,7 @@ WORDS = {
     ),
     "nameless_primitive": (
         [*TRAIN, "--primitive="],
-        r"primitive must be the path of a run folder, got ''\. Set --prim",
+        r"primitive must be a name, e\.g\. --primitive ant-walker, got ''\. Set --primitive",
     ),
     "flags_too_near": (
         ["train", "point-flagrun", *TRAIN[2:], "--goal-distance", "0.5"],

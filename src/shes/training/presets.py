@@ -31,15 +31,14 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     if not isinstance(preset, str) or preset not in PRESET_NAMES:
         raise UnknownNameError("preset", str(preset), PRESET_NAMES, "Set --preset.")
     asked = dict(overrides or {})
-    for name in ("hidden", "primitive_hidden"):
-        if isinstance(asked.get(name), int):
-            asked[name] = (asked[name],)
     for name in transferred_levels():
         if isinstance(asked.get(name), Path):
             asked[name] = run_text(asked[name])
     identity = {"env": env, "preset": preset}
     values = {**identity, **_preset_values(env, preset, asked), **asked}
-    check_names(values)
+    known = settings_in(check_names(values).values())
+    asked = {name: known[name].checked(value) for name, value in asked.items()}
+    values |= asked
     for level in learner(RunSettings.of(values)).transfers:
         if values.get(level) is not None:
             checkpoint = values.get(f"{level}_checkpoint", "best")
