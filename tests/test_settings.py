@@ -55,10 +55,26 @@ WRONG = {
     "path": (r"a name, e\.g\. --path runs/a", ["", 3, True]),
     "switch": (r"true or false", [1, 0, "no", None, np.array(True), []]),
     "maybe": (r"true or false", ["no", 0.0]),
-    "layers": (r"positive whole numbers, e\.g\. --net 64 64", [(0,), (8, -1), (8.5,), ("8",), (True,), 0, 8.5, True, "8 8", None]),
+    "layers": (
+        r"positive whole numbers, e\.g\. --net 64 64",
+        [(0,), (8, -1), (8.5,), ("8",), (True,), 0, 8.5, True, "8 8", None],
+    ),
     "place": (
         r"numbers between -9 and 9, e\.g\. --place 0 8",
-        [10, float("nan"), "ab", ("0", "1"), [[1], [2, 3]], {0: 1}, (True, 1), (0, None), (0, np.nan), (9.1, 0), (), np.zeros((2, 1))],
+        [
+            10,
+            np.nan,
+            "ab",
+            ("0", "1"),
+            [[1], [2, 3]],
+            {0: 1},
+            (True, 1),
+            (0, None),
+            (0, np.nan),
+            (9.1, 0),
+            (),
+            np.zeros((2, 1)),
+        ],
     ),
 }
 

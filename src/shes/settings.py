@@ -196,6 +196,11 @@ class Setting:
         """Whether the short help shows it."""
         return any(isinstance(note, Shown) and note.everyday for note in self.notes)
 
+    @property
+    def can_be_empty(self) -> bool:
+        """Whether its value may be an empty tuple: no hidden layers."""
+        return self.kind is tuple and self.length is None and self.item is int
+
     def checked(self, value: Any) -> Any:
         """Return `value`, with NumPy types and lists converted to built-in types and tuples.
 
@@ -228,10 +233,10 @@ class Setting:
         return value
 
     def _is_tuple(self, value: Any) -> bool:
-        """Return whether `value` is an allowed tuple. An empty one is allowed for integers: no hidden layers."""
+        """Return whether `value` is an allowed tuple."""
         if not isinstance(value, tuple) or (self.length is not None and len(value) != self.length):
             return False
-        return (bool(value) or self.item is int) and all(map(self._is_item, value))
+        return (bool(value) or self.can_be_empty) and all(map(self._is_item, value))
 
     def _is_item(self, value: Any) -> bool:
         """Return whether `value` has the type of an item and is within the bounds; a bool is not a number.

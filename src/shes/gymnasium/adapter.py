@@ -36,7 +36,7 @@ class TaskAdapter:
         options: Mapping[str, Any],
         num_threads: int = 1,
     ) -> None:
-        """Make `num_envs` episodes of environment `name`, simulated by `num_threads` threads; check names and options."""
+        """Make `num_envs` episodes of environment `name`, simulated by `num_threads` threads; check the names."""
         if render_mode is not None and render_mode not in render_modes:
             raise UnknownNameError("render_mode", str(render_mode), render_modes)
         self._render_mode = render_mode

@@ -22,7 +22,6 @@ from shes.envs.external.reader import ExternalReader, Locate, find_physics
 from shes.envs.tasks.task import SimulatorFactory
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
-from shes.settings import flag
 from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
 
@@ -74,17 +73,13 @@ class ExternalEnvironment:
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> ExternalTask:
-        """Return `num_episodes` episodes.
+        """Return `num_episodes` episodes. `options` are those of SHES's own physics; they have no effect.
 
         Raises:
-            ConfigError: The device is not the CPU, the environment cannot be made or used, or an option that no preset
-                sets is not the default.
+            ConfigError: The device is not the CPU, or the environment cannot be made or used.
         """
         if simulator is not CpuSimulator:
             raise ConfigError(f"{self.name} has its own physics, which runs on the CPU only. Set --device cpu.")
-        for name, value in vars(options or TaskOptions()).items():
-            if value != getattr(TaskOptions(), name) and name not in ("reset_noise", "evaluation"):
-                raise ConfigError(f"{self.name} has no {name}. Omit {flag(name)}.")
         return ExternalTask(self, num_episodes)
 
     def make_one(self, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
