@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import statistics
 from collections import defaultdict
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +20,7 @@ from shes.bench.bare_physics import record_generation
 from shes.bench.evolution import GenerationReport, Hyperparameters, evolution_strategy, evolve
 from shes.bench.random_results import RandomResults
 from shes.bench.update_parts import learning_levels, time_parts, timed
+from shes.cores import on_one_core
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.perturbation import ManyToMany
@@ -57,7 +56,7 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
     whole: list[float] = []
     is_alone = config.workers.device == "cpu" and (config.workers.backend == "serial" or config.workers.count == 1)
     with (
-        _on_one_core() if is_alone else nullcontext(),
+        on_one_core() if is_alone else nullcontext(),
         build_backend(config, plan) as backend,
         ThreadPoolExecutor(backend.num_workers) as pool,
     ):
@@ -84,20 +83,6 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
         "bare_steps_per_s": statistics.median(bare),
         "ratio": statistics.median(w / b for w, b in zip(whole, bare, strict=True)) / workers,
     }
-
-
-@contextmanager
-def _on_one_core() -> Iterator[None]:
-    """Keep this process and new child processes on one core inside the block, if the system can."""
-    if not hasattr(os, "sched_getaffinity"):
-        yield
-        return
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(cores)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
 
 
 def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -> dict[str, Any]:
