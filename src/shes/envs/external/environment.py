@@ -22,6 +22,7 @@ from shes.envs.external.reader import ExternalReader, Locate, find_physics
 from shes.envs.tasks.task import SimulatorFactory
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
+from shes.registry import full_name
 from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
 
@@ -43,6 +44,10 @@ class ExternalEnvironment:
     locate: Locate | None = None
     primitive_view: tuple[int, ...] | None = None
     is_scored_by_success: bool = False
+
+    def __repr__(self) -> str:
+        """Return what makes it, by which `Registry` compares."""
+        return full_name(self.source)
 
     def __getstate__(self) -> dict[str, Any]:
         """Replace the id by its registration, which a worker process lacks if a script made it."""
