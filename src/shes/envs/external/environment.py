@@ -114,6 +114,8 @@ class ExternalEnvironment:
             # gymnasium.envs.box2d.lunar_lander:LunarLander is installed by the extra gymnasium[box2d].
             room = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")
             extra = f"gymnasium[{room}]" if room else "shes[robotics]" if "gymnasium_robotics" in told else None
+            if room and isinstance(error, gymnasium.error.DependencyNotInstalled):  # its advice names other packages
+                told = f"{self.name} cannot {action}: {str(error).partition(',')[0]}"
             is_told = extra is None or "pip install" in told
             raise MissingExtraError(told if is_told else f"{told} (pip install '{extra}')") from error
 
