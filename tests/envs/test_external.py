@@ -458,7 +458,9 @@ def test_a_missing_package_names_the_extra_that_brings_it(name, missing, extra, 
     environment = find_environment(name)
     monkeypatch.delitem(gymnasium.registry, "AntMaze_UMaze-v5", raising=False)
     monkeypatch.delitem(gymnasium.registry, "PointMaze_Open-v3", raising=False)
-    with pytest.raises(MissingExtraError, match=rf"^{name} cannot be \w+: [^,]*{missing}[^,]* \(pip install '{extra}'\)$"):
+    with pytest.raises(
+        MissingExtraError, match=rf"^{name} cannot be \w+: [^,]*{missing}[^,]* \(pip install '{extra}'\)$"
+    ):
         environment.make(1)
 
 
