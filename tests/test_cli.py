@@ -175,19 +175,7 @@ def test_a_shipped_agent_is_named_where_a_run_is_read(shes, agent, tiny_run):
     )
     assert one == {**other, "run": agent}
     assert shes("plot", agent) == "Learning curves: curves.png\n"
-    shes(
-        "train",
-        "point-gather",
-        *TINY,
-        "--generations",
-        1,
-        "--primitive-hidden",
-        4,
-        "--primitive",
-        agent,
-        "--out",
-        "run",
-    )
+    shes("train", "point-gather", *TINY, "--primitive-hidden", 4, "--primitive", agent, "--out", "run")
     assert RunFolder.open("run").read_config().transfer.primitive == agent
     assert {path.name for path in Path().iterdir()} == {"curves.png", "run"}
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout
 from itertools import pairwise
@@ -101,14 +100,16 @@ def _flags() -> dict[str, str]:
 
 
 def _check_repeated(words: Sequence[str], parameters: Mapping[str, inspect.Parameter]) -> None:
-    """Raise ConfigError if a flag is given several times, of which tyro would heed the last."""
-    found = filter(None, map(re.compile(r"--(?:no-)?(\w[\w-]*)").match, words))
-    names = [each[1].replace("-", "_") for each in found]
-    repeatable = [name for name, each in parameters.items() if tyro.conf.UseAppendAction in get_args(each.annotation)]
-    flags = _flags()
-    for given, count in Counter(flags.get(name, flag(name)) for name in names if name not in repeatable).items():
-        if count > 1:
-            raise ConfigError(f"{given} is given {count} times. Give it once, with its value or values.")
+    """Raise ConfigError if a flag of several values is given twice; of other flags the last one counts."""
+    several = {name for name, each in known_settings().items() if each.kind is tuple}
+    for name, each in parameters.items():
+        kind, *notes = get_args(each.annotation) or (None,)
+        if get_origin(kind) is tuple and tyro.conf.UseAppendAction not in notes:
+            several.add(name)
+    given = [word.partition("=")[0] for word in words]
+    for name in several:
+        if given.count(flag(name)) > 1:
+            raise ConfigError(f"{flag(name)} is given twice. Give it once, with all its values.")
 
 
 def _joined(docstring: str) -> str:
