@@ -34,7 +34,7 @@ from shes.envs.bodies.ant import Ant
 from shes.envs.tasks.flagrun import Flagrun
 from shes.es import level
 from shes.es.noise import NoiseTable
-from shes.studies.learning import learning
+from shes.studies.walker_study import learning
 from shes.training.build import open_run
 
 ENV_STEPS = 660_000

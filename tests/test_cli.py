@@ -137,15 +137,18 @@ def test_list_shows_the_runs_that_cannot_be_read_with_the_reason(shes, tiny_run,
     (tmp_path / "another" / "config.json").write_text("{}")
 
     found = {Path(run["run"]).name: run for run in json.loads(shes("list", tmp_path, "--json"))["runs"]}
-    assert {name: run["state"] in ("unreadable", "damaged") for name, run in found.items()} == {
+    assert {name: run["state"] in ("unregistered", "damaged") for name, run in found.items()} == {
         "huge": True, "theirs": True, "whole": False,
     }  # fmt: skip
     theirs = found["theirs"]
-    assert (theirs["env"], theirs["algorithm"], theirs["generation"]) == ("point-gather", "their-own", None)
+    assert (theirs["env"], theirs["algorithm"]) == ("point-gather", "their-own")
+    reached = ("generation", "generations", "env_steps", "best_score")
+    assert [theirs[name] for name in reached] == [found["whole"][name] for name in reached]
     assert "unknown algorithm 'their-own'" in theirs["problem"]
     text = shes("list", tmp_path)
-    assert re.search(r"theirs +│ point-gather +│ - / 4 +│ - +│ unreadable", text)
-    assert "theirs is unreadable: " in text
+    assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unregistered", text)
+    assert "theirs is unregistered: " in text
+    assert "--import MODULE" in text
 
 
 def test_memory_that_runs_out_is_one_line(capsys, monkeypatch):
@@ -172,19 +175,7 @@ def test_a_shipped_agent_is_named_where_a_run_is_read(shes, agent, tiny_run):
     )
     assert one == {**other, "run": agent}
     assert shes("plot", agent) == "Learning curves: curves.png\n"
-    shes(
-        "train",
-        "point-gather",
-        *TINY,
-        "--generations",
-        1,
-        "--primitive-hidden",
-        4,
-        "--primitive",
-        agent,
-        "--out",
-        "run",
-    )
+    shes("train", "point-gather", *TINY, "--primitive-hidden", 4, "--primitive", agent, "--out", "run")
     assert RunFolder.open("run").read_config().transfer.primitive == agent
     assert {path.name for path in Path().iterdir()} == {"curves.png", "run"}
 

@@ -55,10 +55,26 @@ WRONG = {
     "path": (r"a name, e\.g\. --path runs/a", ["", 3, True]),
     "switch": (r"true or false", [1, 0, "no", None, np.array(True), []]),
     "maybe": (r"true or false", ["no", 0.0]),
-    "layers": (r"positive whole numbers, e\.g\. --net 64 64", [(0,), (8, -1), (8.5,), ("8",), (True,), 8, "8 8", None]),
+    "layers": (
+        r"positive whole numbers, e\.g\. --net 64 64",
+        [(0,), (8, -1), (8.5,), ("8",), (True,), 0, 8.5, True, "8 8", None],
+    ),
     "place": (
         r"numbers between -9 and 9, e\.g\. --place 0 8",
-        [5, "ab", ("0", "1"), [[1], [2, 3]], {0: 1}, (True, 1), (0, None), (0, np.nan), (9.1, 0), (), np.zeros((2, 1))],
+        [
+            10,
+            np.nan,
+            "ab",
+            ("0", "1"),
+            [[1], [2, 3]],
+            {0: 1},
+            (True, 1),
+            (0, None),
+            (0, np.nan),
+            (9.1, 0),
+            (),
+            np.zeros((2, 1)),
+        ],
     ),
 }
 
@@ -117,6 +133,11 @@ def test_values_of_numpy_become_those_of_python():
     assert {name: type(getattr(made, name)) for name in plain} == {name: type(value) for name, value in plain.items()}
     assert type(EveryKind(positive=2).positive) is float
     assert [type(each) for each in EveryKind(place=[1, 2]).place] == [float, float]
+
+
+def test_a_number_stands_for_a_tuple_of_one():
+    assert EveryKind(layers=8) == EveryKind(layers=(np.int64(8),))
+    assert EveryKind(place=5).place == (5.0,)
 
 
 def test_what_may_be_none_is_and_no_layer_is_a_choice():

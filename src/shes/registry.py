@@ -6,6 +6,7 @@ import importlib
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from types import FunctionType
 from typing import TypeVar
 
 from shes.errors import ConfigError, UnknownNameError
@@ -36,7 +37,7 @@ class Registry(MutableMapping[str, T]):
         self.update(entries)
 
     def register(self, name: str, entry: T) -> None:
-        """Add `entry` as `name`. A class with the same full name as the existing entry replaces it.
+        """Add `entry` as `name`. A class or function with the same full name as the existing entry replaces it.
 
         Raises:
             ConfigError: The entry is invalid, or the name is malformed or already taken.
@@ -123,10 +124,10 @@ def check_name_form(kind: str, name: object) -> None:
 
 
 def full_name(entry: object) -> str:
-    """Return the module and the name of a class, or of the classes in a tuple; otherwise the `repr`."""
+    """Return the module and the name of a class or function, or of those in a tuple; otherwise the `repr`."""
     if isinstance(entry, tuple):
         return " with ".join(full_name(part) for part in entry)
-    return f"{entry.__module__}.{entry.__qualname__}" if isinstance(entry, type) else repr(entry)
+    return f"{entry.__module__}.{entry.__qualname__}" if isinstance(entry, type | FunctionType) else repr(entry)
 
 
 def import_registering(name: str | None) -> None:

@@ -196,8 +196,15 @@ class Setting:
         """Whether the short help shows it."""
         return any(isinstance(note, Shown) and note.everyday for note in self.notes)
 
+    @property
+    def can_be_empty(self) -> bool:
+        """Whether its value may be an empty tuple: no hidden layers."""
+        return self.kind is tuple and self.length is None and self.item is int
+
     def checked(self, value: Any) -> Any:
         """Return `value`, with NumPy types and lists converted to built-in types and tuples.
+
+        For a tuple of any length, a single number stands for a tuple of one.
 
         Raises:
             ConfigError: The value is not allowed.
@@ -206,6 +213,8 @@ class Setting:
         value = _plain(value)
         if value is None and self.is_optional:
             return None
+        if self.kind is tuple and self.length is None and isinstance(value, int | float):
+            value = (value,)
         for note in self.notes:
             if isinstance(note, Choices):
                 return self._checked_name(value, note)
@@ -225,10 +234,10 @@ class Setting:
         return value
 
     def _is_tuple(self, value: Any) -> bool:
-        """Return whether `value` is an allowed tuple. An empty one is allowed for integers: no hidden layers."""
+        """Return whether `value` is an allowed tuple."""
         if not isinstance(value, tuple) or (self.length is not None and len(value) != self.length):
             return False
-        return (bool(value) or self.item is int) and all(map(self._is_item, value))
+        return (bool(value) or self.can_be_empty) and all(map(self._is_item, value))
 
     def _is_item(self, value: Any) -> bool:
         """Return whether `value` has the type of an item and is within the bounds; a bool is not a number.

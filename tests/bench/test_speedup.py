@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shes.bench.bench import bench
 from shes.bench.lockstep import Lockstep, StepCost
 from shes.bench.simulation import Costs, Network, simulate
 from shes.bench.speedup import bench_speedup, read_rows, speedup_of
@@ -124,10 +125,13 @@ def test_the_bench_measures_projects_and_validates(tmp_path, settings):
     draw_speedup(rows[:3], tmp_path / "again.png")  # the figure is built from the table
 
 
-def test_settings_of_the_network_are_checked(tmp_path):
-    for latency, bandwidth, name in ((-1, 10, "latency_us"), (50, 0, "gigabits_per_s")):
-        with pytest.raises(ConfigError, match=rf"{name} must be .* got"):
-            speedup_of("point-gather", {}, tmp_path, latency, bandwidth, 0.0)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("latency_us", -1), ("latency_us", math.inf), ("gigabits_per_s", 0), ("seconds", -1), ("seconds", math.nan)],
+)
+def test_an_argument_out_of_range_is_refused(name, value):
+    with pytest.raises(ConfigError, match=rf"{name} must be .*positive number, got {value}\. Set --{name[:5]}"):
+        bench("speedup", {}, "point-gather", **{name: value})
 
 
 def test_a_device_is_refused(tmp_path):

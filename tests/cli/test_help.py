@@ -9,9 +9,9 @@ from typing import get_args, get_type_hints
 
 import pytest
 
-from shes.algorithms.registry import PRESET_NAMES
+from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES
 from shes.cli import main, parsing
-from shes.cli.command_table import COMMANDS, find_command
+from shes.cli.command_table import COMMANDS, EVERYWHERE, find_command
 from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
@@ -43,7 +43,8 @@ def test_help_names_every_command(shes, words):
     for command in COMMANDS:
         assert re.search(rf"^  {command} +\w", text, re.MULTILINE)
     assert "First steps: shes train point-gather" in text
-    assert "--import MODULE" in text
+    for flag in EVERYWHERE:
+        assert re.search(rf"^  (-h, )?{flag} ", text, re.MULTILINE)
 
 
 def test_every_command_is_found():
@@ -55,6 +56,14 @@ def test_every_command_explains_itself(shes, command):
     text = shes(command, "--help")
     assert text.startswith(f"usage: shes {command} ")
     assert "-h, --help" in text
+    assert "and return" not in text  # the result is for callers in Python
+
+
+def test_the_help_breaks_lines_where_the_terminal_does_and_not_where_the_source_does(shes, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "1000")
+    text = shes("bench", "--help")
+    assert "update: milliseconds of the parent's work between generations, by part; speedup: SHES and S-ES on" in text
+    assert "\n\nshes bench rollout --seconds 60\n" in text
 
 
 def test_no_module_of_the_command_line_knows_one_that_knows_it():
@@ -109,13 +118,22 @@ def test_with_json_a_command_prints_nothing_but_its_facts(capsys):
 # The settings of a run.
 
 
-@pytest.mark.parametrize("env", [*ENVIRONMENTS, None])
-def test_the_help_of_train_fits_two_screens(shes, env):
-    text = shes("train", *([env] if env else []), "--help")
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        *([env] for env in ENVIRONMENTS),
+        *(["--algorithm", name] for name in ALGORITHMS),
+        *(["--preset", name] for name in PRESET_NAMES),
+    ],
+    ids=lambda words: " ".join(words) or "train",
+)
+def test_the_help_of_train_fits_two_screens(shes, words):
+    text = shes("train", *words, "--help")
     assert sum(-(-max(len(line), 1) // 80) for line in text.splitlines()) <= 48
     _, algorithm, *others = re.split(r"\n  --(?=\w)", text.partition("everyday options")[2])
     assert algorithm.startswith("algorithm ")
-    assert len(others) == 10
+    assert 7 <= len(others) <= 10
     for entry in others:
         assert len(entry.strip().splitlines()) <= 2
         assert "(default: " in " ".join(entry.split())
@@ -167,7 +185,8 @@ def test_the_short_help_leaves_out_what_all_of_the_help_says(shes):
         assert text in short
 
 
-def test_no_hidden_layers_are_shown_as_a_word(shes):
+def test_no_values_are_shown_as_a_word(shes):
+    assert "are a group. (default: none)" in " ".join(shes("report", "--help").replace("│", "").split())
     assert "(default: none (linear))" in " ".join(shes("train", "ant-gather", "--help-all").split())
 
 
@@ -210,6 +229,25 @@ def test_only_what_is_written_is_given_even_if_it_is_the_presets_value(given):
     assert given("point-gather", "--no-hold-tied", "--evaluation_horizon=none", "--hidden") == {
         "hold_tied": False, "evaluation_horizon": None, "hidden": (),
     }  # fmt: skip
+
+
+def test_no_hidden_layers_are_written_as_they_are_shown(given):
+    assert given("point-gather", "--hidden", "none", "--primitive-hidden", "none") == {
+        "hidden": (), "primitive_hidden": None,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "flag"),
+    [
+        (["--seed", "1", "--seed", "2"], "--seed"),
+        (["--hidden=1", "--sigma", "1", "--sigma", "2", "--hidden", "2"], "--hidden"),
+        (["--sweep", "sigma=1", "--sweep", "seed=1", "--seed", "1", "--seed=2"], "--seed"),
+    ],
+)
+def test_a_flag_of_several_values_given_twice_is_refused(capsys, words, flag):
+    assert main(["train", "point-gather", *words]) == 2
+    assert capsys.readouterr() == ("", f"Error: {flag} is given twice. Give it once, with all its values.\n")
 
 
 @pytest.mark.parametrize(

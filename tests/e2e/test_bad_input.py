@@ -72,8 +72,14 @@ WORDS = {
     ),
     "one_word_too_many": ([*TRAIN, "extra"], r"Unrecognized options: extra"),
     "wrong_type": ([*TRAIN, "--sigma", "abc"], r"Error parsing --sigma: could not convert string to float: 'abc'"),
-    "wrong_type_in_a_list": ([*TRAIN, "--hidden", "8", "x"], r"Error parsing --hidden: .*\['8', 'x'\]"),
-    "flag_without_a_value": ([*TRAIN, "--sigma", "--seed", "1"], r"Missing value for argument '--sigma'"),
+    "wrong_type_in_a_list": (
+        ["train", "point-gather", "--hidden", "8", "x"],
+        r"Error parsing --hidden: .*\['8', 'x'\]",
+    ),
+    "flag_without_a_value": (
+        ["train", "point-gather", "--sigma", "--seed", "1"],
+        r"Missing value for argument '--sigma'",
+    ),
     "last_flag_without_a_value": ([*TRAIN, "--mirrored"], r"Missing value for argument '--mirrored'"),
     "switch_with_a_value": ([*TRAIN, "--minimum-goal-distance=no"], r"Unrecognized options: no"),
     "flag_of_another_kind": ([*TRAIN, "-s", "1"], r"Unrecognized options: -s, 1"),
@@ -196,7 +202,7 @@ WORDS = {
     ),
     "nameless_primitive": (
         [*TRAIN, "--primitive="],
-        r"primitive must be the path of a run folder, got ''\. Set --prim",
+        r"primitive must be a name, e\.g\. --primitive ant-walker, got ''\. Set --primitive",
     ),
     "flags_too_near": (
         ["train", "point-flagrun", *TRAIN[2:], "--goal-distance", "0.5"],

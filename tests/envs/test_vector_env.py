@@ -27,7 +27,7 @@ def test_minus_one_takes_the_time_limit_away_as_in_gymnasium():
 
 @pytest.mark.parametrize("wrong", [0, -3, 2.5, "a", True])
 def test_another_limit_is_a_whole_number_of_at_least_one(wrong):
-    with pytest.raises(ConfigError, match=rf"max_episode_steps must be .*at least 1, or -1 .*got {wrong!r}"):
+    with pytest.raises(ConfigError, match=rf"max_episode_steps must be a whole number of at least 1, got {wrong!r}"):
         make(max_episode_steps=wrong)
 
 

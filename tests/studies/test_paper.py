@@ -12,8 +12,8 @@ from shes.studies import speedup
 from shes.studies.comparison import compare
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
-from shes.studies.origin import joined, origin_columns
 from shes.studies.paper_scales import SCALES
+from shes.studies.provenance_columns import joined, provenance_columns
 from shes.studies.running import check_study, read_summaries, run_cell, run_study
 from shes.studies.study import ALONE, cell_config
 from shes.studies.study_tables import Cell, Summary, write_tables
@@ -145,7 +145,7 @@ def test_a_measurement_is_a_summary_and_is_not_repeated(tmp_path, measured):
 
 def test_the_origin_of_a_run_names_hardware_versions_and_commit_of_each_part_once():
     other = {**PART, "git_commit": "9abcdef0", "device": {"name": "cuda", "model": "H100"}}
-    assert origin_columns([PART, other, PART]) == {
+    assert provenance_columns([PART, other, PART]) == {
         "hardware": "Zen, 24 cores; Zen, 24 cores, name cuda, model H100",
         "versions": "python 3.12.1, numpy 2.4",
         "commit": "12345678; 9abcdef0",
@@ -159,7 +159,7 @@ def test_a_comparison_has_success_rates_time_and_origin():
     summaries = {}
     for cell in study.cells:
         row = {"best_score": cell.seed, "best_success": cell.seed / 4, "seconds": 1800 * cell.seed}
-        row |= origin_columns([{**PART, "git_commit": str(cell.seed)}])
+        row |= provenance_columns([{**PART, "git_commit": str(cell.seed)}])
         summaries[cell.name] = Summary(row={**cell.identity, **row}, curve=())
     first = compare(study, summaries)[0]
     assert (first.env, first.seeds) == ("point-gather", 2)

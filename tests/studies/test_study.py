@@ -18,9 +18,8 @@ from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
 from shes.runs.folder import RunFolder
 from shes.studies import ablation as ablations
-from shes.studies import learning as lessons
 from shes.studies import paper_scales as papers
-from shes.studies import running
+from shes.studies import running, walker_study
 from shes.studies.comparison import compare
 from shes.studies.design import Curves, sweep_name
 from shes.studies.experiment import experiment, with_progress
@@ -491,7 +490,7 @@ def test_the_command_offers_the_studies_the_scales_and_the_groups_there_are(name
     offered = get_type_hints(experiment)
     assert get_args(offered["name"]) == tuple(STUDIES)
     assert set(get_args(offered["scale"])) == set(papers.SCALES)
-    assert set(ablations.SCALES) == set(lessons.SCALES) == set(papers.SCALES) - {"paper"}
+    assert set(ablations.SCALES) == set(walker_study.SCALES) == set(papers.SCALES) - {"paper"}
     help_of_only = " ".join(experiment.__doc__.split()).partition("only: ")[2]
     assert f"{name}: {', '.join(sorted(MADE[name]('smoke').design.groups))}" in help_of_only
 
@@ -500,7 +499,7 @@ def test_the_command_offers_the_studies_the_scales_and_the_groups_there_are(name
 
 
 def test_every_run_of_the_learning_study_ends_after_as_many_steps_and_evaluates_as_often():
-    for scale, size in lessons.SCALES.items():
+    for scale, size in walker_study.SCALES.items():
         for found in learning(scale, seeds=1).cells:
             config = cell_config(found, Path("study"))
             assert config.run.env_steps == size.env_steps
@@ -511,7 +510,7 @@ def test_every_run_of_the_learning_study_ends_after_as_many_steps_and_evaluates_
 
 
 def test_the_learning_study_has_its_variants_in_words_and_five_seeds():
-    study, groups = learning(), lessons.variants()
+    study, groups = learning(), walker_study.variants()
     assert {group: len(found) for group, found in groups.items()} == {
         "pieces": 11,
         "form": 5,

@@ -61,7 +61,7 @@ class ProcessesBackend(PullBackend):
             WorkerError: The system allows no more processes or open files.
         """
         try:
-            self._start_missing()
+            self.start_missing()
         except OSError as error:
             self.close()
             raise WorkerError(
@@ -69,13 +69,15 @@ class ProcessesBackend(PullBackend):
                 "Lower --workers, or raise the limit on processes and open files (ulimit)."
             ) from error
 
-    def _start_missing(self) -> None:
+    def start_missing(self) -> None:
+        """Start workers until there are `num_workers`; a subclass may prepare them. Raises OSError."""
         while len(self.workers) < self.num_workers:
-            worker = self._start_worker()
+            worker = self.start_worker()
             self.workers.append(worker)
             self._selector.register(worker.connection, EVENT_READ, worker)
 
-    def _start_worker(self) -> SocketWorker:
+    def start_worker(self) -> SocketWorker:
+        """Start a worker; a subclass may start another kind."""
         return WorkerProcess(self._factory, self._import_path, self.worker_timeout_s)
 
     def send_state(self, worker: RemoteWorker, state: State) -> None:

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from shes.bench.measure import bench_rollout, bench_update
 from shes.bench.speedup import speedup_of
-from shes.errors import ConfigError
+from shes.checked import checked
 from shes.listing import Listing, facts_listing
+from shes.settings import Ge, Gt
 from shes.training.presets import make_config
 
 
+@checked
 def bench(
     name: Literal["rollout", "update", "speedup"],
     settings: dict[str, Any],
     env: str = "ant-gather",
     *,
-    seconds: float = 0.0,
+    seconds: Annotated[float, Ge(0)] = 0.0,
     out: Path = Path("speedup"),
-    latency_us: float = 50.0,
-    gigabits_per_s: float = 10.0,
+    latency_us: Annotated[float, Ge(0)] = 50.0,
+    gigabits_per_s: Annotated[float, Gt(0)] = 10.0,
 ) -> Listing:
     """Measure the speed of this machine, with the settings of shes train.
 
@@ -40,8 +42,6 @@ def bench(
     Raises:
         ConfigError: An argument or a setting is out of range.
     """
-    if not 0 <= seconds < float("inf"):
-        raise ConfigError(f"seconds must be zero or a positive number, got {seconds}. Set --seconds.")
     if name == "speedup":
         return facts_listing(speedup_of(env, settings, out, latency_us, gigabits_per_s, seconds))
     config = make_config(env, settings.pop("preset", "laptop"), settings)

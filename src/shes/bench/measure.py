@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
-import os
 import statistics
 from collections import defaultdict
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,9 +17,10 @@ import numpy as np
 
 from shes.backends.serial import SerialBackend
 from shes.bench.bare_physics import record_generation
-from shes.bench.evolution import EvolutionAlgorithm, GenerationReport, Hyperparameters, evolution_strategy, evolve
+from shes.bench.evolution import GenerationReport, Hyperparameters, evolution_strategy, evolve
 from shes.bench.random_results import RandomResults
 from shes.bench.update_parts import learning_levels, time_parts, timed
+from shes.cores import on_one_core
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.perturbation import ManyToMany
@@ -43,15 +41,14 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
     `repeats` generations, for `seconds` or longer.
 
     Raises:
-        ConfigError: The environment has its own physics, the algorithm is not an evolution strategy, or `seconds` is
-            negative or not finite.
+        ConfigError: The environment has its own physics, or the algorithm is not an evolution strategy.
     """
     if find_environment(config.run.env).has_own_physics:
         raise ConfigError(
             f"bench rollout compares with MuJoCo alone, but {config.run.env} has its own physics. Name one of SHES's "
             "environments, e.g. ant-gather."
         )
-    algorithm = _evolution_strategy(config, seconds)
+    algorithm = evolution_strategy(config)
     plan, settings, state = algorithm.plan(), algorithm.hyperparameters, algorithm.start(config.run.seed)
     table = algorithm.table.on(algorithm.problem.xp)
     physics = record_generation(plan, state, settings, table.size)
@@ -59,7 +56,7 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
     whole: list[float] = []
     is_alone = config.workers.device == "cpu" and (config.workers.backend == "serial" or config.workers.count == 1)
     with (
-        _on_one_core() if is_alone else nullcontext(),
+        on_one_core() if is_alone else nullcontext(),
         build_backend(config, plan) as backend,
         ThreadPoolExecutor(backend.num_workers) as pool,
     ):
@@ -88,27 +85,6 @@ def bench_rollout(config: TrainConfig, repeats: int = 5, seconds: float = 0.0) -
     }
 
 
-@contextmanager
-def _on_one_core() -> Iterator[None]:
-    """Keep this process and new child processes on one core inside the block, if the system can."""
-    if not hasattr(os, "sched_getaffinity"):
-        yield
-        return
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(cores)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
-
-
-def _evolution_strategy(config: TrainConfig, seconds: float) -> EvolutionAlgorithm:
-    """Return the algorithm of `config`; raise ConfigError if it, the machine or `seconds` is unfit."""
-    if not 0 <= seconds < math.inf:
-        raise ConfigError(f"seconds must be zero or a positive number, got {seconds}. Set --seconds.")
-    return evolution_strategy(config)
-
-
 def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -> dict[str, Any]:
     """Measure the parent's work between generations, in total and by part: medians in milliseconds.
 
@@ -117,15 +93,14 @@ def bench_update(config: TrainConfig, repeats: int = 20, seconds: float = 0.0) -
     not part of `total_ms`. There are at least `repeats` updates, for `seconds` or longer.
 
     Raises:
-        ConfigError: The device is not the CPU, the algorithm is not an evolution strategy, or `seconds` is negative or
-            not finite.
+        ConfigError: The device is not the CPU, or the algorithm is not an evolution strategy.
     """
     if config.workers.device != "cpu":
         raise ConfigError(
             f"bench update measures the CPU, got device {config.workers.device!r}. Omit --device; the columns "
             "update_s and rollout_s of a run's progress.csv have the times of a device."
         )
-    algorithm = _evolution_strategy(config, seconds)
+    algorithm = evolution_strategy(config)
     table, state = algorithm.table, algorithm.start(config.run.seed)
     settings = replace(algorithm.hyperparameters, perturbation=ManyToMany())  # so that all levels learn in a generation
     backend = SerialBackend(partial(RandomResults, _state_size(config, settings)))

@@ -98,12 +98,14 @@ class SleepersBackend(ProcessesBackend):
             host.wait()
         self._hosts.clear()
 
-    def _start_missing(self) -> None:
+    def start_missing(self) -> None:
+        """Start the hosts before the first workers."""
         if not self._hosts:
             self._sockets = [own for first in range(0, self.num_workers, _THREADS) for own in self._start_host(first)]
-        super()._start_missing()
+        super().start_missing()
 
-    def _start_worker(self) -> SocketWorker:
+    def start_worker(self) -> SocketWorker:
+        """Connect to the next worker of the hosts."""
         return SocketWorker(self._sockets.pop(), self._factory, None)
 
     def _start_host(self, first: int) -> list[socket.socket]:

@@ -10,6 +10,7 @@ files that it has written.
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout
@@ -23,7 +24,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 from shes.cli.output import show, show_steps
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
-from shes.errors import UnknownNameError
+from shes.errors import ConfigError, UnknownNameError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.rooms import known_settings, settings_in
@@ -39,8 +40,6 @@ DEFAULT_ENV = "ant-gather"
 _HELP_ALL = "--help-all"
 _BRIEF_WIDTH = 53  # characters beside the flags, in 80 columns
 
-_OTHER_FLAGS = {"num_workers": "workers", "checkpoints": "checkpoint"}
-"""Short flags; the parameter's own name is accepted as an alias."""
 _WRITES = {"plot": "Learning curves", "report": "Report", "render": "Video", "export": "Policy"}
 """Description of the files that a command writes."""
 
@@ -60,13 +59,15 @@ def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
     env, words = _environment_first(words)
     shows_help = not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
     parameters = _parameters(function)
+    if not shows_help:
+        _check_repeated(words, parameters)
     shows_steps = parameters.pop("on_step", None) is not None
     if "settings" in parameters:
         kind = _settings_type(parameters, _asked_config(env, words), words if shows_help else None)
         parameters["settings"] = parameters["settings"].replace(annotation=Annotated[kind, tyro.conf.arg(name="")])
     program.__annotations__ = {name: each.annotation for name, each in parameters.items()}
     program.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined] - tyro reads it
-    program.__doc__ = (inspect.getdoc(function) or "").replace("`", "")
+    program.__doc__ = _joined(inspect.getdoc(function) or "").replace("`", "")
     try:
         return tyro.cli(
             program,
@@ -92,9 +93,33 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
     return DEFAULT_ENV, list(words)
 
 
+def _flags() -> dict[str, str]:
+    """Return the flags of the parameters and settings whose flag is not their name, by name. The name is an alias."""
+    own = {each.name: each.flag for each in known_settings().values() if each.flag != flag(each.name)}
+    return {"checkpoints": "--checkpoint", **own}
+
+
+def _check_repeated(words: Sequence[str], parameters: Mapping[str, inspect.Parameter]) -> None:
+    """Raise ConfigError if a flag of several values is given twice; of other flags the last one counts."""
+    several = {name for name, each in known_settings().items() if each.kind is tuple}
+    for name, each in parameters.items():
+        kind, *notes = get_args(each.annotation) or (None,)
+        if get_origin(kind) is tuple and tyro.conf.UseAppendAction not in notes:
+            several.add(name)
+    given = [word.partition("=")[0] for word in words]
+    for name in several:
+        if given.count(flag(name)) > 1:
+            raise ConfigError(f"{flag(name)} is given twice. Give it once, with all its values.")
+
+
+def _joined(docstring: str) -> str:
+    """Return `docstring` with each paragraph, and the text of each argument, on one line."""
+    return re.sub(r"(?<=\S)\n( {8})?(?=\S)", " ", docstring)
+
+
 def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """Return the parameters of a command by name, as tyro reads them, with `json` if it returns a listing."""
-    signature = inspect.signature(function, eval_str=True)
+    signature, flags = inspect.signature(function, eval_str=True), _flags()
     found: dict[str, inspect.Parameter] = {}
     for name, each in signature.parameters.items():
         kind, is_required = each.annotation, each.default is each.empty
@@ -103,12 +128,13 @@ def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
         several, one = any(get_origin(it) is Sequence for it in kinds), name.removesuffix("s").upper()
         if several:
             kind = tuple[str, ...] | None if NoneType in kinds else tuple[str, ...]
-            shown |= {"metavar": f"{one} [{one} ...]", "help_behavior_hint": "(required)" if is_required else None}
+            hint = "(required)" if is_required else None if each.default else "(default: none)"
+            shown |= {"metavar": f"{one} [{one} ...]", "help_behavior_hint": hint}
         elif str in kinds:  # text where text will do
             kind = str | None if NoneType in kinds else str
             shown |= {"metavar": one} if is_required or name == "env" else {}
-        if name in _OTHER_FLAGS:
-            shown |= {"name": _OTHER_FLAGS[name], "aliases": (flag(name),)}
+        if name in flags:
+            shown |= {"name": flags[name][2:], "aliases": (flag(name),)}
         kind = Annotated[kind, tyro.conf.arg(**shown)] if shown else kind
         if (not found or name == "env") and each.kind is not each.KEYWORD_ONLY and not is_required:
             kind = Annotated[kind, tyro.conf.Positional]
@@ -172,6 +198,8 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
         kind: Any = (
             tuple[each.item, ...] if each.kind is tuple else Literal[each.choices] if each.choices else each.kind
         )
+        if each.can_be_empty and not each.is_optional:
+            kind |= _Empty
         value = values[name]
         if isinstance(value, tuple):  # the only one that may be empty has the sizes of hidden layers
             value = " ".join(map(str, value)) or "none (linear)"
@@ -196,13 +224,17 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
 def _brief_metavar(setting: Setting, text: str) -> str | None:
     """Return a short metavar for several numbers, and for names that `text` explains."""
     if setting.kind is tuple and setting.length is None:
-        return f"{setting.item.__name__.upper()} ..."
+        return f"{'none|' * setting.can_be_empty}{setting.item.__name__.upper()} ..."
     return "NAME" if setting.choices and all(name in text for name in setting.choices) else None
 
 
 # Rules for values that tyro by itself reads otherwise.
 
 _VALUES = ConstructorRegistry()
+
+
+class _Empty:
+    """Type of the empty tuple, written `none`."""
 
 
 @_VALUES.primitive_rule
@@ -221,9 +253,9 @@ def _name_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[str] | None:
 
 
 @_VALUES.primitive_rule
-def _none_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[None] | None:
-    """Read None as `none`."""
-    if info.type is not NoneType:
+def _none_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Read None, or the empty tuple, as `none`."""
+    if info.type not in (NoneType, _Empty):
         return None
-    words = ("none", "None")
-    return PrimitiveConstructorSpec(1, "none", lambda _: None, lambda it: it is None, lambda _: ["none"], words)
+    words, value = ("none", "None"), None if info.type is NoneType else ()
+    return PrimitiveConstructorSpec(1, "none", lambda _: value, lambda it: it == value, lambda _: ["none"], words)

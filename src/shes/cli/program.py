@@ -21,6 +21,7 @@ commands:
 
 everywhere:
   -h, --help       Show the help of a command.
+  --help-all       Show it with all settings of a run.
   --import MODULE  Import a module that registers environments or other classes. Repeatable.
   --debug          Show the traceback of an error.
   --version        Show the version.

@@ -16,7 +16,7 @@ from shes.envs.tasks.task import SimulatorFactory, Task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.options import check_options
-from shes.registry import Registry, check_class, check_name_form
+from shes.registry import Registry, check_class
 from shes.settings import Settings
 from shes.sim.cpu import CpuSimulator
 from shes.types import is_whole
@@ -147,15 +147,8 @@ def register_external(
             full name, may be registered again.
         UnknownNameError: `score` is unknown.
     """
-    check_name_form("environment", name)
-    if not callable(make) and not isinstance(make, str):
-        raise ConfigError(f"make must be a Gymnasium id or a function that returns an environment, got {make!r}.")
-    source = make.removeprefix(GYMNASIUM) if isinstance(make, str) else make
-    other = EXTERNAL_ENVIRONMENTS.get(name)
-    if name in ENVIRONMENTS or name in INCLUDED or (other is not None and _origin(other.source) != _origin(source)):
+    if name in ENVIRONMENTS or name in INCLUDED:
         raise ConfigError(f"environment {name!r} is already taken. Choose another name.")
-    if locate is not None and not callable(locate):
-        raise ConfigError(f"locate must be a function of an observation and its info, got {locate!r}.")
     view = None if primitive_view is None else tuple(primitive_view)
     if view is not None and not all(is_whole(index) for index in view):
         raise ConfigError(f"primitive_view must be indices in the flat observation, got {primitive_view!r}.")
@@ -163,16 +156,11 @@ def register_external(
         raise UnknownNameError("score", str(score), _SCORES)
     EXTERNAL_ENVIRONMENTS[name] = ExternalEnvironment(
         name=name,
-        source=source,
+        source=make.removeprefix(GYMNASIUM) if isinstance(make, str) else make,
         locate=locate,
         primitive_view=view,
         is_scored_by_success=score == "success",
     )
-
-
-def _origin(source: Any) -> tuple[Any, ...]:
-    """Return the full name of a function or class; otherwise `source`. Functions are compared by it; see `Registry`."""
-    return getattr(source, "__module__", None), getattr(source, "__qualname__", source)
 
 
 def find_environment(name: str) -> EnvironmentMaker:

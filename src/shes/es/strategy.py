@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from operator import index
-from typing import Annotated, Any, SupportsIndex
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +21,7 @@ from shes.es.perturbation import PERTURBATIONS, Signs
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.options import make, options_of
 from shes.settings import Ge, Gt
-from shes.types import F32Array, F64Array, IntArray
+from shes.types import F32Array, F64Array, IntArray, is_whole
 
 
 class EvolutionStrategy:
@@ -80,7 +79,7 @@ class EvolutionStrategy:
     ) -> None:
         dims = tuple(dim) if isinstance(dim, Sequence) else (dim,)
         self._single = not isinstance(dim, Sequence)
-        if not dims or not all(map(_is_positive, dims)):
+        if not dims or not all(is_whole(size) and size > 0 for size in dims):
             raise ConfigError(f"dim must be a positive whole number, or one per level, got {dim!r}.")
         _check_options(options)
         self.dims: tuple[int, ...] = tuple(int(size) for size in dims)
@@ -162,11 +161,6 @@ class EvolutionStrategy:
             for i, x in enumerate(starts)
         )
         return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
-
-
-def _is_positive(value: object) -> bool:
-    """Return whether `value` is a positive whole number."""
-    return isinstance(value, SupportsIndex) and not isinstance(value, bool) and index(value) > 0
 
 
 def _check_options(options: dict[str, Any]) -> None:

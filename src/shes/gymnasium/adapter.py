@@ -19,7 +19,7 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError, nearest_first
 from shes.settings import Settings, setting_fields
 from shes.sim.cpu import CpuSimulator
-from shes.types import BoolArray, F64Array, IntArray, is_whole
+from shes.types import BoolArray, F64Array, IntArray
 
 _PICTURE_DEFAULTS: dict[str, Any] = {"width": 480, "height": 480, "camera": "follow"}
 
@@ -36,9 +36,7 @@ class TaskAdapter:
         options: Mapping[str, Any],
         num_threads: int = 1,
     ) -> None:
-        """Make `num_envs` episodes of environment `name`, simulated by `num_threads` threads; check all arguments."""
-        if not is_whole(num_envs) or num_envs < 1:
-            raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs!r}.")
+        """Make `num_envs` episodes of environment `name`, simulated by `num_threads` threads; check the names."""
         if render_mode is not None and render_mode not in render_modes:
             raise UnknownNameError("render_mode", str(render_mode), render_modes)
         self._render_mode = render_mode

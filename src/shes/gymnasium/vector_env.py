@@ -7,7 +7,7 @@ It implements the three autoreset modes of Gymnasium's `VectorEnv`. Its results 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -16,10 +16,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from shes.checked import checked
 from shes.cores import num_cores
 from shes.drawing.drawer import Picture
 from shes.errors import ConfigError
 from shes.gymnasium.adapter import TaskAdapter
+from shes.settings import Ge
 from shes.types import BoolArray, F64Array, IntArray, is_whole
 
 _RENDER_MODES = ["rgb_array"]
@@ -28,14 +30,15 @@ _RENDER_MODES = ["rgb_array"]
 class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
     """N episodes of a task at a time. Actions [N, A] lie in [-1, 1]; a step takes 0.1 s of simulated time."""
 
+    @checked
     def __init__(
         self,
         name: str,
-        num_envs: int = 1,
+        num_envs: Annotated[int, Ge(1)] = 1,
         max_episode_steps: int | None = None,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        num_threads: int = 0,
+        num_threads: Annotated[int, Ge(0)] = 0,
         **options: Any,
     ) -> None:
         """Make `num_envs` copies of environment `name` of the registry.
@@ -54,8 +57,6 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             UnknownNameError: `name`, `render_mode` or another name is unknown.
             ConfigError: An option is unknown or out of range.
         """
-        if not is_whole(num_threads) or num_threads < 0:
-            raise ConfigError(f"num_threads must be a whole number of at least 0, got {num_threads!r}.")
         threads = num_threads or num_cores()
         self._adapter = TaskAdapter(name, num_envs, render_mode, _RENDER_MODES, options, threads)
         try:
@@ -70,7 +71,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         self.single_action_space = self._adapter.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._max_steps = _step_limit(max_episode_steps)
+        self._max_steps = _step_limit(None if max_episode_steps == -1 else max_episode_steps)
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._has_ended: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self._is_ready: BoolArray = np.zeros(num_envs, dtype=np.bool_)
@@ -190,12 +191,7 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
         self._adapter.close()
 
 
-def _step_limit(max_episode_steps: int | None) -> float:
-    """Return the steps after which an episode is truncated: infinity for None and -1."""
-    if max_episode_steps is None or max_episode_steps == -1:
-        return np.inf
-    if not is_whole(max_episode_steps) or max_episode_steps < 1:
-        raise ConfigError(
-            f"max_episode_steps must be a whole number of at least 1, or -1 for no limit; got {max_episode_steps!r}."
-        )
-    return int(max_episode_steps)
+@checked
+def _step_limit(max_episode_steps: Annotated[int, Ge(1)] | None) -> float:
+    """Return the steps after which an episode is truncated: infinity for None."""
+    return np.inf if max_episode_steps is None else max_episode_steps

@@ -21,7 +21,7 @@ def list_runs(folder: Path | str = "runs") -> Listing:
     parts: list[Table | str] = [f"There is no run below {folder}."]
     if runs:
         parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
-    parts += [f"{run.run} is unreadable: {run.problem}" for run in runs if run.problem is not None]
+    parts += [f"{run.run} is {run.state}: {run.problem}" for run in runs if run.problem is not None]
     rows: list[tuple[str, ...]] = []
     for name, agent in agents.items():
         score = f"{agent.evaluation.score_mean:.2f} ± {agent.evaluation.score_std:.2f}"

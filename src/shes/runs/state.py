@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import fcntl
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from shes.errors import CheckpointError, ShesError
+from shes.errors import CheckpointError, RunFolderError, ShesError, UnknownNameError
 from shes.runs.folder import RunFolder
+from shes.runs.tables import read_csv
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,11 +29,11 @@ class RunState:
     env_steps: int | None
     best_score: float | None
     """Score of the best evaluation; None before the first one."""
-    state: Literal["running", "finished", "stopped", "damaged", "tables only", "unreadable"]
-    """A `stopped` run can be resumed; a run with `tables only` has no checkpoints. Unknown fields of an
-    `unreadable` run are None."""
+    state: Literal["running", "finished", "stopped", "damaged", "tables only", "unregistered", "unreadable"]
+    """A `stopped` run can be resumed; a run with `tables only` has no checkpoints; an `unregistered` one needs a
+    class that is not registered here. Unknown fields of the latter and of an `unreadable` run are None."""
     problem: str | None = None
-    """Why the run is unreadable."""
+    """Why the run is unreadable, or what is not registered."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the state as JSON types."""
@@ -67,7 +69,7 @@ def run_state(folder: RunFolder) -> RunState:
 
 
 def states_below(path: Path) -> list[RunState]:
-    """Return the states of the runs below `path`, in alphabetical order; runs that cannot be read are `unreadable`."""
+    """Return the states of the runs below `path`, in alphabetical order; runs that cannot be read say why."""
     found: list[RunState] = []
     for file in sorted(path.glob("**/config.json")):
         folder = RunFolder(file.parent)
@@ -76,25 +78,28 @@ def states_below(path: Path) -> list[RunState]:
         try:
             found.append(run_state(folder))
         except Exception as error:  # noqa: BLE001 - one bad folder, whatever is in it, must not hide the other runs
-            found.append(_unreadable_state(folder, error))
+            found.append(_state_by_tables(folder, error))
     return found
 
 
-def _unreadable_state(folder: RunFolder, error: Exception) -> RunState:
-    """Return what the record of a run tells whose state cannot be read because of `error`."""
+def _state_by_tables(folder: RunFolder, error: Exception) -> RunState:
+    """Return what the record and the tables of a run tell whose settings cannot be read because of `error`."""
     try:
         run = dict(folder.read_record()["config"]["run"])
     except (ShesError, KeyError, TypeError, ValueError):
         run = {}
     if not isinstance(run.get("env"), str):
         run["env"] = None
+    reached: dict[str, Any] = {"generation": None, "env_steps": None, "best_score": None}
+    with suppress(RunFolderError, KeyError, ValueError, OverflowError):
+        progress = read_csv(folder.progress)
+        reached |= {name: int(progress[name][-1]) for name in ("generation", "env_steps")}
+        reached["best_score"] = max(read_csv(folder.evaluation)["score_mean"])
     return RunState(
         run=str(folder.path),
         **{name: run.get(name) for name in ("env", "algorithm", "preset", "seed", "generations")},
-        generation=None,
-        env_steps=None,
-        best_score=None,
-        state="unreadable",
+        **reached,
+        state="unregistered" if isinstance(error.__cause__, UnknownNameError) else "unreadable",
         problem=str(error) or type(error).__name__,
     )
 

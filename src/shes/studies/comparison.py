@@ -10,7 +10,7 @@ import numpy as np
 
 from shes.runs.tables import Row
 from shes.studies.design import StudyDesign
-from shes.studies.origin import ORIGIN, joined
+from shes.studies.provenance_columns import PROVENANCE, joined
 from shes.studies.significance import holm, interquartile_mean, mann_whitney, permutation_test, superiority
 from shes.studies.study import Study
 from shes.studies.study_tables import Summary
@@ -96,7 +96,7 @@ def _facts(rows: Sequence[Row]) -> dict[str, Any]:
         "success_mean": float(np.mean(success)) if success else None,
         "success_error": _standard_error(success),
         "hours": float(np.mean(seconds)) / 3600 if seconds else None,
-        **{name: joined(row.get(name) for row in rows) for name in ORIGIN},
+        **{name: joined(row.get(name) for row in rows) for name in PROVENANCE},
     }
 
 

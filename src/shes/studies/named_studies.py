@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from shes.studies.ablation import ablation
-from shes.studies.learning import learning
 from shes.studies.paper import figure_3, figure_4, figure_5, figure_6, table_1
 from shes.studies.study import Study
+from shes.studies.walker_study import learning
 
 STUDIES: dict[str, Callable[[str, int | None], Study]] = {
     "ablation": ablation,

@@ -25,7 +25,7 @@ from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.tables import Row, read_csv, read_wall_time
 from shes.storage import storage_errors, write_atomically
-from shes.studies.origin import origin_columns
+from shes.studies.provenance_columns import provenance_columns
 from shes.studies.significance import check_scipy
 from shes.studies.study import ALONE, CHECKPOINTS, Study, cell_config, cell_workers
 from shes.studies.study_tables import Cell, Summary, read_tables
@@ -126,7 +126,7 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
     random = evaluate(folder.path, episodes=episodes, checkpoint="last", num_workers=1, targets="training").summary()
     row |= {"last_training_success": random["success_rate"], "last_training_return": random["return_mean"]}
     record = folder.read_record()
-    row |= origin_columns([record, *record.get("resumed", [])])
+    row |= provenance_columns([record, *record.get("resumed", [])])
     table, progress = read_csv(folder.evaluation), read_csv(folder.progress)
     outer = f"{open_run(folder.path, 'last').algorithm.level_names[0]}_return_mean"
     curve: list[Row] = []

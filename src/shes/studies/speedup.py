@@ -15,7 +15,7 @@ from shes.bench.simulation import Network
 from shes.bench.speedup import CORES, measure_speedup
 from shes.runs.provenance import provenance
 from shes.runs.tables import Row
-from shes.studies.origin import origin_columns
+from shes.studies.provenance_columns import provenance_columns
 from shes.studies.running import read_summary, write_summary
 from shes.studies.study import cell_config
 from shes.studies.study_tables import Cell, Summary
@@ -62,7 +62,7 @@ def run_speedup(
         "speedup_here": by_place["measured", most],
         **{f"speedup_{cores}": by_place["projected", cores] for cores in PAPER_CORES},
         "seconds": perf_counter() - start,
-        **origin_columns([provenance(config.workers.device)]),
+        **provenance_columns([provenance(config.workers.device)]),
     }
     curve = tuple({**cell.identity, **{name: _value(value) for name, value in each.items()}} for each in rows)
     return write_summary(out / cell.name, Summary(row=row, curve=curve))

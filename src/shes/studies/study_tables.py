@@ -13,11 +13,11 @@ from typing import Any
 from shes.errors import RunFolderError
 from shes.runs.tables import Row, csv_text
 from shes.storage import write_atomically
-from shes.studies.origin import ORIGIN
+from shes.studies.provenance_columns import PROVENANCE
 
 _SETTINGS = "settings"  # the column with the digest of a row's settings
 _PLACE = ("group", "variant", "env", "seed")
-_WORDS = frozenset({"group", "variant", "env", "kind", _SETTINGS, *ORIGIN})  # columns of text
+_WORDS = frozenset({"group", "variant", "env", "kind", _SETTINGS, *PROVENANCE})  # columns of text
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,7 +44,7 @@ def export(
     format: Literal["npz", "onnx"] = "npz",  # noqa: A002 - as the flag
     checkpoint: str = "best",
 ) -> tuple[Path, ...]:
-    """Write the mean policies of a run, with their normalisation, to files that need no SHES, and return these.
+    """Write the mean policies of a run, with their normalisation, to files that need no SHES.
 
     The program examples/run_exported.py acts from an npz file with NumPy alone.
 
@@ -56,6 +56,9 @@ def export(
         format: `npz`, or `onnx` (extra `onnx`). The latter writes `policy-controller.onnx` and `policy-primitive.onnx`
             for an agent with two levels.
         checkpoint: Checkpoint: `best`, `last` or the number of a generation.
+
+    Returns:
+        Paths of the files.
 
     Raises:
         UnknownNameError: There is no such format.

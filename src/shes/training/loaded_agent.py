@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from shes.algorithms.contract import Algorithm
+from shes.checked import checked
 from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.es.level import LevelParameters
 from shes.hierarchy.frames import Frames
 from shes.runs.config import TrainConfig
+from shes.settings import Ge
 from shes.training.build import OpenedRun, build_algorithm, open_run
 from shes.types import F32Array, F64Array, FloatArray
 
@@ -32,9 +34,8 @@ class Agent:
     The agent keeps its goals between calls: call `reset` when an episode begins. It can be pickled and copied.
     """
 
-    def __init__(self, run: OpenedRun, num_envs: int = 1) -> None:
-        if num_envs < 1:
-            raise ConfigError(f"num_envs must be a whole number of at least 1, got {num_envs}.")
+    @checked
+    def __init__(self, run: OpenedRun, num_envs: Annotated[int, Ge(1)] = 1) -> None:
         self._build(run.config, run.algorithm, run.algorithm.parameters(run.state), num_envs)
         self.reset()
 

@@ -9,13 +9,17 @@ from typing import Any
 from shes.algorithms.presets import PRESETS, Preset
 from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES
 from shes.envs.registry import find_environment
+from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
 from shes.runs.rooms import RunSettings, check_names, learner, rooms_of, settings_in
 from shes.runs.shipped import run_text
-from shes.settings import Needs
+from shes.settings import Needs, setting_fields
 from shes.training.transfer import brought_settings, transferred_levels
+
+_OF_OUR_PHYSICS = (*setting_fields(TaskOptions), "evaluation_reset_noise")
+"""Settings that an environment with its own physics ignores."""
 
 
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
@@ -31,15 +35,14 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     if not isinstance(preset, str) or preset not in PRESET_NAMES:
         raise UnknownNameError("preset", str(preset), PRESET_NAMES, "Set --preset.")
     asked = dict(overrides or {})
-    for name in ("hidden", "primitive_hidden"):
-        if isinstance(asked.get(name), int):
-            asked[name] = (asked[name],)
     for name in transferred_levels():
         if isinstance(asked.get(name), Path):
             asked[name] = run_text(asked[name])
     identity = {"env": env, "preset": preset}
     values = {**identity, **_preset_values(env, preset, asked), **asked}
-    check_names(values)
+    known = settings_in(check_names(values).values())
+    asked = {name: known[name].checked(value) for name, value in asked.items()}
+    values |= asked
     for level in learner(RunSettings.of(values)).transfers:
         if values.get(level) is not None:
             checkpoint = values.get(f"{level}_checkpoint", "best")
@@ -70,8 +73,14 @@ def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str,
 
 def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
     """Raise ConfigError if a setting in `asked` has no effect beside the others."""
+    is_ours = not find_environment(config.run.env).has_own_physics
     for name in asked:
         setting = config.setting(name)
+        if name in _OF_OUR_PHYSICS and not is_ours:
+            raise ConfigError(
+                f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
+                f"Omit {setting.flag}."
+            )
         if not setting.needs or _is_heeded(config, setting.needs):
             continue
         needed = [each for each in setting.needs if each.other in config.values]

@@ -67,17 +67,14 @@ def brought_settings(
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: The run has no such level, or a setting was asked for with another value than the level's.
     """
-    if not isinstance(path, str) or not path:
-        raise ConfigError(f"{level} must be the path of a run folder, got {path!r}. Set --{level}.")
     algorithm = learner(RunSettings.of(values))
     own = algorithm.transfers[level]
     source = _read(level, own, path, checkpoint)[0].config
     brought = own.settings(source, algorithm.level_names)
     for name in sorted(brought.keys() & asked.keys()):
-        wanted = tuple(asked[name]) if isinstance(asked[name], list) else asked[name]
-        if wanted != brought[name]:
+        if asked[name] != brought[name]:
             raise ConfigError(
-                f"{name} is {wanted!r}, but the {level} of {path} was trained with {brought[name]!r}. "
+                f"{name} is {asked[name]!r}, but the {level} of {path} was trained with {brought[name]!r}. "
                 f"Omit {flag(name)}: it comes with the {level}."
             )
     return brought | {name: source.values[name] for name in own.suggested if name not in asked}

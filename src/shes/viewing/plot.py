@@ -52,7 +52,7 @@ def plot(
     *,
     x: Literal["env_steps", "generation", "wall_time_s"] = "env_steps",
 ) -> Path:
-    """Draw the learning curves of `runs` and return the picture's path.
+    """Draw the learning curves of `runs`.
 
     Runs that differ in the seed only form a group: the figure shows its mean and a 95 % bootstrap interval over its
     runs. A single run shows its evaluation's mean plus or minus two standard errors over episodes instead. Runs with
@@ -64,6 +64,9 @@ def plot(
         runs: Run folders, folders of runs, or names of shipped agents.
         out: Path of the picture; the suffix (.png, .pdf, .svg) selects the format.
         x: Horizontal axis.
+
+    Returns:
+        Path of the picture.
 
     Raises:
         RunFolderError: A run is neither a folder of runs nor a shipped agent, or has no generation yet.

@@ -41,7 +41,7 @@ def render(
     sensors: bool = False,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a video of an episode and return its path. Several runs or checkpoints are shown side by side.
+    """Write a video of an episode. Several runs or checkpoints are shown side by side.
 
     The episode is one of those that `evaluate` runs; it has the same seed for all. Poses between control steps are
     interpolated. An external environment draws itself, with its own camera and without goals. Needs no screen: EGL or
@@ -65,6 +65,9 @@ def render(
         steps: Maximum number of control steps; those of an evaluation if None.
         sensors: Whether to show what the agent's sensors read, if the environment has any (Gather).
         on_step: Called with the number of control steps drawn and their maximum.
+
+    Returns:
+        Path of the video.
 
     Raises:
         RunFolderError: One of `runs` is neither a run folder nor a shipped agent.

@@ -19,9 +19,9 @@ class LearnerSettings(Settings):
 
     hidden: Annotated[tuple[int, ...], Ge(1), Example("300 300"), Shown(everyday=True)] = (64, 64)
     """Sizes of the hidden layers of actors and critics (HIRO: 300 300)."""
-    actor_learning_rate: Annotated[float, Gt(0), Shown(everyday=True)] = 3e-4
+    actor_learning_rate: Annotated[float, Gt(0)] = 3e-4
     """Learning rate of Adam for the actors (HIRO: 0.0001; Table I: 0.001)."""
-    critic_learning_rate: Annotated[float, Gt(0), Shown(everyday=True)] = 1e-3
+    critic_learning_rate: Annotated[float, Gt(0)] = 1e-3
     """Learning rate of Adam for the critics (HIRO: 0.001)."""
     discount: Annotated[float, Ge(0), Lt(1)] = 0.99
     """Discount per transition, at both levels."""

@@ -22,7 +22,7 @@ from shes.envs.external.reader import ExternalReader, Locate, find_physics
 from shes.envs.tasks.task import SimulatorFactory
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
-from shes.settings import flag
+from shes.registry import full_name
 from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
 
@@ -44,6 +44,10 @@ class ExternalEnvironment:
     locate: Locate | None = None
     primitive_view: tuple[int, ...] | None = None
     is_scored_by_success: bool = False
+
+    def __repr__(self) -> str:
+        """Return what makes it, by which `Registry` compares."""
+        return full_name(self.source)
 
     def __getstate__(self) -> dict[str, Any]:
         """Replace the id by its registration, which a worker process lacks if a script made it."""
@@ -74,17 +78,13 @@ class ExternalEnvironment:
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> ExternalTask:
-        """Return `num_episodes` episodes.
+        """Return `num_episodes` episodes. `options` are those of SHES's own physics; they have no effect.
 
         Raises:
-            ConfigError: The device is not the CPU, the environment cannot be made or used, or an option that no preset
-                sets is not the default.
+            ConfigError: The device is not the CPU, or the environment cannot be made or used.
         """
         if simulator is not CpuSimulator:
             raise ConfigError(f"{self.name} has its own physics, which runs on the CPU only. Set --device cpu.")
-        for name, value in vars(options or TaskOptions()).items():
-            if value != getattr(TaskOptions(), name) and name not in ("reset_noise", "evaluation"):
-                raise ConfigError(f"{self.name} has no {name}. Omit {flag(name)}.")
         return ExternalTask(self, num_episodes)
 
     def make_one(self, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
@@ -114,6 +114,8 @@ class ExternalEnvironment:
             # gymnasium.envs.box2d.lunar_lander:LunarLander is installed by the extra gymnasium[box2d].
             room = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")
             extra = f"gymnasium[{room}]" if room else "shes[robotics]" if "gymnasium_robotics" in told else None
+            if room and isinstance(error, gymnasium.error.DependencyNotInstalled):  # its advice names other packages
+                told = f"{self.name} cannot {action}: {str(error).partition(',')[0]}"
             is_told = extra is None or "pip install" in told
             raise MissingExtraError(told if is_told else f"{told} (pip install '{extra}')") from error
 

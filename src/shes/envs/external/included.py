@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.root import yaw
+from shes.errors import ConfigError
+from shes.registry import Registry
 
 __all__ = ["EXTERNAL_ENVIRONMENTS", "INCLUDED"]
 
@@ -25,5 +27,17 @@ INCLUDED = {
 }
 """Mazes of Gymnasium-Robotics, which the extra `robotics` installs."""
 
-EXTERNAL_ENVIRONMENTS: dict[str, ExternalEnvironment] = dict(INCLUDED)
+
+def _check(_kind: str, environment: ExternalEnvironment) -> None:
+    if not callable(environment.source) and not isinstance(environment.source, str):
+        raise ConfigError(
+            f"make must be a Gymnasium id or a function that returns an environment, got {environment.source!r}."
+        )
+    if environment.locate is not None and not callable(environment.locate):
+        raise ConfigError(f"locate must be a function of an observation and its info, got {environment.locate!r}.")
+
+
+EXTERNAL_ENVIRONMENTS: Registry[ExternalEnvironment] = Registry(
+    "environment", INCLUDED, fix="See `shes envs`.", check=_check
+)
 """Every external environment with a name; `shes.register_external` adds to it."""

@@ -34,7 +34,7 @@ def report(
     video: bool = True,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a report of `runs`, one HTML page that needs no network, and return its path.
+    """Write a report of `runs`, one HTML page that needs no network.
 
     What cannot be read, or done with one of the runs, is noted in the report. Runs are grouped as by `plot`. The folder
     of an experiment also has its figures and comparisons. It needs plotly (extra report). Without a graphics card a
@@ -52,6 +52,9 @@ def report(
         num_workers: Worker processes; 0 is one for every core. Does not change results.
         video: Whether the report has videos.
         on_step: Called with the number of parts of the work that have begun, and their total.
+
+    Returns:
+        Path of the page.
 
     Raises:
         RunFolderError: A run is neither a folder of runs nor a shipped agent, or none can be read.

@@ -1,4 +1,4 @@
-"""The origin of results: hardware, versions and commits, as columns of text."""
+"""The provenance of results: hardware, versions and commits, as columns of text. See `shes.runs.provenance`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 
 from shes.runs.tables import Row
 
-ORIGIN = ("hardware", "versions", "commit")
+PROVENANCE = ("hardware", "versions", "commit")
 
 
-def origin_columns(parts: Sequence[Mapping[str, Any]]) -> Row:
-    """Return the columns `ORIGIN` of a run with these parts, each with the provenance of one process."""
+def provenance_columns(parts: Sequence[Mapping[str, Any]]) -> Row:
+    """Return the columns `PROVENANCE` of a run with these parts, each with the provenance of one process."""
     return {
         "hardware": joined(_hardware(part) for part in parts),
         "versions": joined(_facts(part.get("versions", {})) for part in parts),
