@@ -470,16 +470,6 @@ def test_a_preset_may_hold_what_does_nothing_here(preset):
             {"primitive_estimate": "interval", "primitive_view": "egocentric", "primitive_population_size": 3},
             r"primitive_population_size must be an even number: branches are mirrored pairs, got 3\.",
         ),
-        (
-            {
-                "primitive_estimate": "interval",
-                "primitive_view": "egocentric",
-                "intervals": 3,
-                "controller_interval": 25,
-                "horizon": 74,
-            },
-            r"intervals is 3, of 25 steps each, but an episode has 74 steps\. Set --intervals 2 or less",
-        ),
     ],
 )
 def test_an_estimate_that_cannot_be_made_is_refused(settings, message):

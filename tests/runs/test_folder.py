@@ -139,7 +139,7 @@ def test_a_setting_out_of_range_is_refused_by_naming_the_file(run_copy):
         RunFolder.open(run_copy).read_config()
 
 
-@pytest.mark.parametrize("wrong", [{"hidden": 5}, {"env": 5}, {"env": ["x"]}, {"hidden": ["x"]}])
+@pytest.mark.parametrize("wrong", [{"hidden": "x"}, {"env": 5}, {"env": ["x"]}, {"hidden": ["x"]}])
 def test_settings_of_a_wrong_type_are_refused(run_copy, wrong):
     config = run_copy / "config.json"
     record = json.loads(config.read_text())

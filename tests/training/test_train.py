@@ -129,18 +129,30 @@ class _Heard:
 FALLING = {"sigma_schedule": "linear", "sigma_end": 0.01}
 
 
-@pytest.mark.parametrize(("settings", "is_short"), [({}, False), (FALLING, True)])
-def test_a_run_that_ends_before_its_schedule_says_so_when_it_begins(tmp_path, settings, is_short):
+BRANCHES = {"primitive_view": "egocentric", "primitive_estimate": "interval", "controller_interval": 4, "horizon": 8}
+WARNINGS = [
+    ({}, ()),
+    (
+        FALLING,
+        (
+            "the schedules take 1000 generations, but the run ends after 1, short of their end: see --schedule-generations",
+        ),
+    ),
+    ({**BRANCHES, "intervals": 2}, ()),
+    ({**BRANCHES, "intervals": 3}, ("a branch has 12 steps, more than an episode (8): see --intervals",)),
+]
+
+
+@pytest.mark.parametrize(("settings", "told"), WARNINGS)
+def test_a_run_warns_of_its_settings_when_it_begins(tmp_path, settings, told):
     heard = _Heard()
     path = runs.train_tiny(tmp_path / "run", generations=1, listener=heard, **settings)
-    told = (
-        "the schedules take 1000 generations, but the run ends after 1, short of their end: see --schedule-generations"
-    )
-    assert heard.events == [told] * is_short
-    assert (told in (path / "log.txt").read_text()) == is_short
+    assert heard.events == [*told]
+    log = (path / "log.txt").read_text()
+    assert all(warning in log for warning in told)
     on = _Heard()
     resume(path, generations=2, listener=on)
-    assert len(on.events) == is_short
+    assert len(on.events) == len(told)
 
 
 def test_a_run_as_long_as_its_schedule_says_nothing_of_it(tmp_path):

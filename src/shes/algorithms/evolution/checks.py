@@ -97,12 +97,6 @@ def _check_branches(settings: Any) -> None:
     name, pairs = ("primitive_population_size", own) if own else ("population_size", settings.evolution.population_size)
     if pairs % 2:
         raise out_of_range(name, pairs, "an even number: branches are mirrored pairs")
-    interval, horizon = settings.hierarchy.controller_interval, settings.episodes.horizon
-    if learns(settings)[-1] and settings.estimate.intervals > max(1, horizon // interval):
-        raise ConfigError(
-            f"intervals is {settings.estimate.intervals}, of {interval} steps each, but an episode has {horizon} "
-            f"steps. Set --intervals {max(1, horizon // interval)} or less, or a longer --horizon."
-        )
 
 
 def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
@@ -134,8 +128,21 @@ def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:
         )
 
 
-def schedule_warnings(settings: Any) -> list[str]:
-    """Return a warning if the run ends before its schedules do."""
+def warnings(settings: Any) -> list[str]:
+    """Return a warning if branches are longer than episodes, and one if the run ends before its schedules do."""
+    return [*_branch_warnings(settings), *_schedule_warnings(settings)]
+
+
+def _branch_warnings(settings: Any) -> list[str]:
+    if not is_branched(settings) or not learns(settings)[-1]:
+        return []
+    steps, horizon = settings.estimate.intervals * settings.hierarchy.controller_interval, settings.episodes.horizon
+    if steps <= horizon:
+        return []
+    return [f"a branch has {steps} steps, more than an episode ({horizon}): see --intervals"]
+
+
+def _schedule_warnings(settings: Any) -> list[str]:
     generations, last = settings.schedules.schedule_generations, settings.run.generations
     is_constant = all(settings.values[kind] == "constant" for kind, _ in SCHEDULED.values())
     if is_constant or last >= generations:

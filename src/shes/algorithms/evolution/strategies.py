@@ -11,7 +11,7 @@ import numpy as np
 
 from shes.algorithms.contract import Algorithm, Report
 from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.evolution.checks import check_effects, check_together, schedule_warnings
+from shes.algorithms.evolution.checks import check_effects, check_together, warnings
 from shes.algorithms.evolution.columns import columns
 from shes.algorithms.evolution.designs import (
     branch_design,
@@ -126,8 +126,8 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         return replace(state, levels=levels, running=None)
 
     def warnings(self) -> list[str]:
-        """Return a warning if the run ends before its schedules do."""
-        return schedule_warnings(self.problem.settings)
+        """Return warnings about branches longer than episodes, and schedules that do not end."""
+        return warnings(self.problem.settings)
 
     @property
     def episodes_in_lockstep(self) -> int:
