@@ -130,14 +130,10 @@ FALLING = {"sigma_schedule": "linear", "sigma_end": 0.01}
 
 
 BRANCHES = {"primitive_view": "egocentric", "primitive_estimate": "interval", "controller_interval": 4, "horizon": 8}
+SHORT = "the schedules take 1000 generations, but the run ends after 1, short of their end: see --schedule-generations"
 WARNINGS = [
     ({}, ()),
-    (
-        FALLING,
-        (
-            "the schedules take 1000 generations, but the run ends after 1, short of their end: see --schedule-generations",
-        ),
-    ),
+    (FALLING, (SHORT,)),
     ({**BRANCHES, "intervals": 2}, ()),
     ({**BRANCHES, "intervals": 3}, ("a branch has 12 steps, more than an episode (8): see --intervals",)),
 ]
