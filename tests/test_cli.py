@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import re
 import shlex
 import shutil
@@ -82,7 +83,10 @@ def test_list_shows_runs_and_shipped_agents(shes, agent, tiny_run, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
     text = shes("list", tiny_run.parent)
     assert re.search(r"│ \S+run +│ point-gather +│ 4 / 4 +│ -?[\d.]+ +│ finished", text)
-    assert re.search(r"point-food +│ point-gather +│ -?[\d.]+ ± [\d.]+ +│ 640 +│ Collects food\. ", text)
+    fresh = read_agent(agent).evaluation
+    score = f"{fresh.score_mean:.2f} ± {fresh.score_std / math.sqrt(fresh.episodes):.2f}"
+    assert re.search(rf"point-food +│ point-gather +│ {score} +│ 640 +│", text)
+    assert f"{agent} Collects food.\n" in text
     (line,) = shes("list", tiny_run.parent, "--json").splitlines()
     found = json.loads(line)
     assert found["agents"] == {agent: read_agent(agent).to_dict()}
@@ -167,6 +171,14 @@ def test_info_shows_what_a_run_is(shes, tiny_run):
     assert "problem" not in text
     assert re.search(r"sigma +│ 0\.070", shes("info", tiny_run, "--full"))
     assert json.loads(shes("info", tiny_run, "--json"))["config"]["evolution"]["sigma"] == 0.07
+
+
+def test_info_shows_how_a_shipped_agent_was_trained(shes, agent):
+    told = read_agent(agent)
+    text = shes("info", agent)
+    assert f"{told.evaluation.score} over {told.evaluation.episodes} fresh episodes" in text
+    assert f"Trained by:\n{told.commands[0]}\n" in text
+    assert json.loads(shes("info", agent, "--json"))["commands"] == [*told.commands]
 
 
 def test_a_shipped_agent_is_named_where_a_run_is_read(shes, agent, tiny_run):

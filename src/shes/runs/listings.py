@@ -7,7 +7,7 @@ from typing import Any
 
 from shes.listing import Listing, Table, facts_listing
 from shes.runs.folder import RunFolder
-from shes.runs.shipped import read_agent, shipped_names
+from shes.runs.shipped import read_agent, shipped_name, shipped_names
 from shes.runs.state import RunState, run_state, states_below
 
 
@@ -22,14 +22,12 @@ def list_runs(folder: Path | str = "runs") -> Listing:
     if runs:
         parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
     parts += [f"{run.run} is {run.state}: {run.problem}" for run in runs if run.problem is not None]
-    rows: list[tuple[str, ...]] = []
-    for name, agent in agents.items():
-        score = f"{agent.evaluation.score_mean:.2f} ± {agent.evaluation.score_std:.2f}"
-        rows.append((name, agent.env, score, f"{agent.env_steps:,}", agent.description))
-    if rows:
+    if agents:
+        rows = [(name, it.env, it.evaluation.score, f"{it.env_steps:,}") for name, it in agents.items()]
         parts += [
-            Table(("agent", "environment", "score", "steps", "description"), rows),
-            "Score: mean and standard deviation over fresh episodes. Steps: environment steps of training.",
+            Table(("agent", "environment", "score", "steps"), rows),
+            "Score: mean and standard error over fresh episodes. Steps: environment steps of training.",
+            *(f"{name} {agent.description.rstrip('.')}." for name, agent in agents.items()),
         ]
     shown = {name: agent.to_dict() for name, agent in agents.items()}
     return Listing({"runs": [run.to_dict() for run in runs], "agents": shown}, parts)
@@ -43,7 +41,7 @@ def _row(run: RunState) -> tuple[str, ...]:
 
 
 def describe_run(run: Path | str, *, full: bool = False) -> Listing:
-    """Show the state of a run, and with --full its settings.
+    """Show the state of a run, and with --full its settings; of a shipped agent its result and how it was trained.
 
     Args:
         run: The run folder, or the name of a shipped agent.
@@ -54,12 +52,25 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
     """
     folder = RunFolder.open(run)
     record, config = folder.read_record(), folder.read_config()
-    facts: dict[str, Any] = {
-        **run_state(folder).to_dict(),
-        "levels": ", ".join(config.level_names),
-        "started": record.get("started"),
-        "command": " ".join(record.get("command", [])),
-    }
-    del facts["problem"]  # of a run that cannot be read
-    settings = {name: value for room in config.to_dict().values() for name, value in room.items()}
-    return facts_listing(facts | settings if full else facts)._replace(facts={**facts, "config": record["config"]})
+    name, parts = shipped_name(folder.path), list[Table | str]()
+    if name is None:
+        facts: dict[str, Any] = {**run_state(folder).to_dict(), "started": record.get("started")}
+        facts |= {"command": " ".join(record.get("command", []))}
+        del facts["problem"]  # of a run that cannot be read
+    else:
+        agent = read_agent(name)
+        fresh = agent.evaluation
+        facts = {
+            "agent": name,
+            "env": agent.env,
+            "algorithm": config.run.algorithm,
+            "score": f"{fresh.score} over {fresh.episodes} fresh episodes",
+            "success_rate": fresh.success_rate,
+            "env_steps": f"{agent.env_steps:,}",
+            "training": f"{agent.hours:.2f} hours of {agent.cores} cores",
+        }
+        parts = [f"It {agent.description.rstrip('.')}. Trained by:", *agent.commands]
+    facts["levels"] = ", ".join(config.level_names)
+    settings = {name: value for room in config.to_dict().values() for name, value in room.items()} if full else {}
+    shown = facts_listing({**facts, **settings})
+    return Listing({**facts, "commands": parts[1:], "config": record["config"]}, [*shown.parts, *parts])

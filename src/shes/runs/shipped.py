@@ -35,6 +35,11 @@ class FreshEvaluation:
     seed: int | None
     """Seed of the episodes; if None, from a stream of the run that its training does not use."""
 
+    @property
+    def score(self) -> str:
+        """Mean score and its standard error over the episodes, as text."""
+        return f"{self.score_mean:.2f} ± {self.score_std / self.episodes**0.5:.2f}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class ShippedAgent:
