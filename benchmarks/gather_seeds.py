@@ -1,11 +1,12 @@
 """Ant Gather from nothing, over seeds and ways: `python benchmarks/gather_seeds.py --out runs/gather`.
 
-- `transfer`: a walker (`shes train ant-flagrun`), then a controller on it (`shes train ant-gather --primitive WALKER`).
+- `transfer`: a walker (`shes train ant-flagrun`), then a controller on it (`shes train ant-gather --primitive WALKER
+  --generations 60`).
 - `coevolved`: both levels together (`shes train ant-gather`).
 
 Every run can be interrupted at any time: the same command goes on. `--results FOLDER` also writes the tables:
 `gather_runs.csv` (best checkpoint of each run over 200 fresh episodes of the task as specified; environment steps and
-wall-clock include the walker's) and `gather_curves.csv` (every evaluation). Five to seven minutes of two cores for each
+wall-clock include the walker's) and `gather_curves.csv` (every evaluation). Five to ten minutes of two cores for each
 seed and way.
 """
 
@@ -39,7 +40,7 @@ def runs(way: str, seed: int, out: Path) -> list[Path]:
     if way == "coevolved":
         return [finished("ant-gather", out / way / f"seed_{seed}", seed=seed)]
     walker = finished("ant-flagrun", out / "walker" / f"seed_{seed}", seed=seed)
-    return [walker, finished("ant-gather", out / way / f"seed_{seed}", seed=seed, primitive=walker)]
+    return [walker, finished("ant-gather", out / way / f"seed_{seed}", seed=seed, primitive=walker, generations=60)]
 
 
 def results(way: str, seed: int, paths: list[Path]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
