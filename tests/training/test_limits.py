@@ -159,3 +159,20 @@ def test_the_noise_table_is_checked_before_the_run_folder_is_made(tmp_path, monk
         runs.train_tiny(tmp_path / "run", noise_table_size=HUGE)
     assert list(tmp_path.iterdir()) == []
     assert NoiseTable.open(10).size == 10
+
+
+BRANCHES = {"primitive_estimate": "interval", "primitive_view": "egocentric", "primitive_population_size": 30}
+
+
+@pytest.mark.parametrize(
+    ("settings", "policies", "episodes"),
+    [
+        ({"episodes_per_policy": 2}, 16, 2),
+        ({"episodes_schedule": "linear", "episodes_end": 3}, 16, 3),
+        (BRANCHES, 16 + 30, 1),
+        ({"algorithm": "td3"}, 0, 1),
+    ],
+)
+def test_an_algorithm_tells_how_many_policies_and_episodes_take_memory(settings, policies, episodes):
+    found = Workload.of(make_config("point-gather", "smoke", settings))
+    assert (found.population_size, found.episodes_per_policy) == (policies, episodes)

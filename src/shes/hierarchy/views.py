@@ -268,7 +268,7 @@ class EgocentricAndOthers(Egocentric):
 
     def others(self, task: EpisodeBatch) -> Sequence[int]:
         """Return the indices of all other values."""
-        return sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
+        return _not_the_robots(task)
 
 
 class Nearest(ViewChoice):
@@ -281,8 +281,8 @@ class Nearest(ViewChoice):
         rings = task.sensor_rings
         if not rings.size:
             return None
-        elsewhere = {*task.proprioception.tolist(), *rings.ravel().tolist()}
-        return NearestView(rings.tolist(), sorted(set(range(task.observation_size)) - elsewhere))
+        sensors = set(rings.ravel().tolist())
+        return NearestView(rings.tolist(), [index for index in _not_the_robots(task) if index not in sensors])
 
 
 class Position(ViewChoice):
@@ -297,9 +297,12 @@ class Position(ViewChoice):
         """Return the view of the position and of all values but the robot's, if the position is known."""
         if not len(task.position_columns):
             return None
-        robots = set(task.proprioception.tolist())
-        others = sorted(set(range(task.observation_size)) - robots)
-        return ColumnsView([*task.position_columns.tolist(), *others])
+        return ColumnsView([*task.position_columns.tolist(), *_not_the_robots(task)])
+
+
+def _not_the_robots(task: EpisodeBatch) -> list[int]:
+    """Return the indices of the observed values besides the robot's coordinates, in ascending order."""
+    return sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
 
 
 PRIMITIVE_VIEWS: Registry[type[ViewChoice]] = Registry(

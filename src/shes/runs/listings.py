@@ -52,25 +52,23 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
     """
     folder = RunFolder.open(run)
     record, config = folder.read_record(), folder.read_config()
-    name, parts = shipped_name(folder.path), list[Table | str]()
+    levels, name = ", ".join(config.level_names), shipped_name(folder.path)
+    parts: list[Table | str] = []
     if name is None:
-        facts: dict[str, Any] = {**run_state(folder).to_dict(), "started": record.get("started")}
-        facts |= {"command": " ".join(record.get("command", []))}
+        facts: dict[str, Any] = {
+            **run_state(folder).to_dict(),
+            "levels": levels,
+            "started": record.get("started"),
+            "command": " ".join(record.get("command", [])),
+        }
         del facts["problem"]  # of a run that cannot be read
+        shown = facts
     else:
         agent = read_agent(name)
-        fresh = agent.evaluation
-        facts = {
-            "agent": name,
-            "env": agent.env,
-            "algorithm": config.run.algorithm,
-            "score": f"{fresh.score} over {fresh.episodes} fresh episodes",
-            "success_rate": fresh.success_rate,
-            "env_steps": f"{agent.env_steps:,}",
-            "training": f"{agent.hours:.2f} hours of {agent.cores} cores",
-        }
+        facts = {"agent": name, "algorithm": config.run.algorithm, "levels": levels, **agent.to_dict()}
+        shown = {each: facts[each] for each in ("agent", "env", "algorithm", "levels", "env_steps", "hours", "cores")}
+        shown["score"] = f"{agent.evaluation.score} over {agent.evaluation.episodes} fresh episodes"
         parts = [f"It {agent.description.rstrip('.')}. Trained by:", *agent.commands]
-    facts["levels"] = ", ".join(config.level_names)
-    settings = {name: value for room in config.to_dict().values() for name, value in room.items()} if full else {}
-    shown = facts_listing({**facts, **settings})
-    return Listing({**facts, "commands": parts[1:], "config": record["config"]}, [*shown.parts, *parts])
+    settings = {each: value for room in config.to_dict().values() for each, value in room.items()} if full else {}
+    listing = facts_listing({**shown, **settings})
+    return Listing({**facts, "config": record["config"]}, [*listing.parts, *parts])

@@ -34,9 +34,8 @@ def population(settings: Any) -> tuple[int, int]:
     """Return the number of policies in a generation, those in branches included, and the most episodes of each."""
     evolution = settings.evolution
     branches = settings.values.get("primitive_population_size") or 0
-    return evolution.population_size + branches, max(
-        evolution.episodes_per_policy, settings.schedules.episodes_end or 1
-    )
+    episodes = max(evolution.episodes_per_policy, settings.schedules.episodes_end or 1)
+    return evolution.population_size + branches, episodes
 
 
 def steps_per_generation(settings: Any) -> int:
