@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from shes.algorithms.evolution.presets import SHES_PRESETS
 from shes.cli import main
 from shes.studies import experiment as experiments
 from shes.studies import speedup
@@ -57,6 +58,14 @@ def test_the_runs_of_scale_paper_have_ten_seeds_ten_hours_and_three_numbers_of_w
     timed = STUDIES["fig4"]("paper").cells
     assert {cell.settings["num_workers"] for cell in timed} == {48, 240, 600}
     assert {cell.seed for cell in timed} == set(range(1, 11))
+
+
+def test_the_learning_changes_of_scale_paper_are_those_of_the_preset_but_for_sizes_and_steps():
+    sizes = {"hidden", "primitive_hidden", "population_size", "generations", "horizon", "sigma"}
+    for cell in (each for each in STUDIES["table1"]("paper", seeds=1).cells if each.variant == "pieces"):
+        preset = SHES_PRESETS["laptop"].per_environment[cell.env].items()
+        changes = {k: v for k, v in preset if k not in sizes and not k.startswith(("learning_rate", "schedule"))}
+        assert changes.items() <= cell.settings.items()
 
 
 # Runs.

@@ -62,7 +62,8 @@ _ALONE: dict[tuple[str, str], dict[str, Any]] = {
 _PIECES = (
     *("primitive_view", "symmetry", "goal_encoding", "clock_frequency", "primitive_estimate", "intervals"),
     *("fall_price", "output_weights", "weight_decay", "hold_tied", "controller_view", "controller_output"),
-    *("minimum_goal_distance", "primitive_population_size", "primitive_sigma", "primitive_learning_rate"),
+    *("controller_interval", "minimum_goal_distance", "primitive_population_size", "primitive_sigma"),
+    "primitive_learning_rate",
 )
 """Settings that are learning changes; the others of a preset say how large networks and population are."""
 OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")
