@@ -157,9 +157,10 @@ def terminal_values() -> Iterator[None]:
         populations._roll_out_pairs = original
 
 
-def speed_ahead(run: Path, num_robots: int = 64, steps: int = 150, skipped: int = 30) -> float:
+def speed_ahead(run: Path | str, checkpoint: str, num_robots: int = 64, steps: int = 150, skipped: int = 30) -> float:
     """Return the mean speed in m/s towards goals 8 m ahead, after `skipped` steps, of robots that have not fallen."""
-    problem, agent = open_run(run, "last").algorithm.problem, shes.load(run, checkpoint="last", num_envs=num_robots)
+    problem = open_run(run, checkpoint).algorithm.problem
+    agent = shes.load(run, checkpoint=checkpoint, num_envs=num_robots)
     task = problem.env.make(num_robots, problem.evaluation)
     robots = np.arange(num_robots)
     task.reset(robots, robots.tolist())
@@ -185,7 +186,7 @@ def measure(idea: str, seed: int, env_steps: int) -> dict[str, Any]:
     with TemporaryDirectory() as folder, terminal_values() if "terminal values" in idea else nullcontext():
         run = shes.train(env, preset="smoke", out=Path(folder) / "run", seed=seed, **settings)
         found = shes.evaluate(run.path, checkpoint="last", episodes=50, num_workers=2).summary()
-        ahead = speed_ahead(run.path)
+        ahead = speed_ahead(run.path, "last")
     return {
         "idea": idea,
         "seed": seed,

@@ -22,11 +22,11 @@ assert shes
 
 COMMON = {"spec", "integrator", "reset_noise", "evaluation"}
 OWN = {
-    Gather: {"fall_penalty"},
+    Gather: {"fall_penalty", "max_tilt"},
     Maze: {"target", "evaluation_target", "waypoints", "target_sampling"},
     Push: {"target", "evaluation_target", "waypoints", "observe_block"},
     Fall: {"target", "evaluation_target", "waypoints", "observe_block"},
-    Flagrun: {"controller_interval", "goal_distance", "stiff_contacts"},
+    Flagrun: {"controller_interval", "goal_distance", "stiff_contacts", "max_tilt"},
 }
 
 
@@ -127,6 +127,28 @@ def test_the_reward_is_the_way_left_through_the_waypoints_and_evaluation_ignores
     evaluated = make_task("point-maze", 1, MazeOptions(**options, evaluation_target=(0.0, 5.0), evaluation=True))
     evaluated.reset(both[:1], [1])
     assert evaluated.update_features().tolist() == [-5]
+
+
+@pytest.mark.parametrize("name", ["ant-flagrun", "ant-gather"])
+def test_a_robot_that_tilts_too_far_has_fallen_in_training_alone(name):
+    kind, tilts = ENVIRONMENTS[name].options, np.deg2rad([0, 44, 46, 180, -46])
+    for limit, evaluation, expected in [
+        (45.0, False, [False, False, True, True, True]),
+        (45.0, True, [False] * 5),
+        (None, False, [False] * 5),
+    ]:
+        task = make_task(name, len(tilts), kind(max_tilt=limit, evaluation=evaluation))
+        task.reset(np.arange(len(tilts)), range(len(tilts)))
+        task.sim.qpos[:, 3:7] = np.stack([np.cos(tilts / 2), 0 * tilts, np.sin(tilts / 2), 0 * tilts], axis=1)
+        assert task.terminated.tolist() == task.fallen.tolist() == expected
+        task.sim.qpos[:, 2] = 0.1  # as specified: the torso lies on the floor
+        assert task.terminated.all()
+
+
+@pytest.mark.parametrize("evaluation", [False, True])
+def test_a_point_has_no_tilt_to_limit(evaluation):
+    with pytest.raises(ConfigError, match=r"the point cannot tilt, so it needs no max_tilt\. Omit --max-tilt\."):
+        make_task("point-flagrun", 1, FlagrunOptions(max_tilt=45.0, evaluation=evaluation))
 
 
 def test_options_that_every_task_has_suffice():

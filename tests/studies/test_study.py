@@ -513,12 +513,13 @@ def test_the_learning_study_has_its_variants_in_words_and_five_seeds():
     study, groups = learning(), walker_study.variants()
     assert {group: len(found) for group, found in groups.items()} == {
         "pieces": 11,
-        "form": 5,
-        "alternatives": 6,
+        "form": 8,
+        "alternatives": 8,
         "sweep": 8,
+        "grid": 12,
     }
     assert all(variant.words for found in groups.values() for variant in found.values())
-    assert len(study.cells) == 5 * 30
+    assert len(study.cells) == 5 * 47
     assert {found.seed for found in study.cells} == {1, 2, 3, 4, 5}
     assert {found.seed for found in learning(seeds=2).cells} == {1, 2}
 
@@ -534,7 +535,9 @@ def test_a_piece_left_out_changes_that_piece_alone():
     assert changed["no-view"] == {"primitive_view", "symmetry"}
     assert changed["episodes"] == {"primitive_estimate", "population_size"}
     assert changed["sigma-decay"] == {"sigma_schedule", "sigma_end", "schedule_generations"}
-    single = [name for name in changed if name not in ("base", "no-view", "sigma-decay")]
+    single = [
+        name for name in changed if name not in ("base", "no-view", "sigma-decay", *walker_study.variants()["grid"])
+    ]
     single = [name for name in single if not name.startswith(("episodes", "form"))]
     assert {name: len(changed[name]) for name in single} == dict.fromkeys(single, 1)
     parts = ("no-view", "glorot-output", "no-clock", "episodes", "goal-angle", "fall-price-0")
@@ -542,7 +545,11 @@ def test_a_piece_left_out_changes_that_piece_alone():
     assert changed["form-egocentric"] == changed["form"] - {"primitive_view"}
     assert changed["form-dihedral"] == changed["form"] - {"primitive_view", "symmetry"}
     assert changed["form-interval"] == changed["form"] - changed["episodes"]
-    assert changed["form-zero"] == changed["form"] - {"output_weights"}
+    for piece in ("output_weights", "clock_frequency", "goal_encoding", "fall_price"):
+        assert changed["form"] - {piece} in changed.values()
+    assert changed["sigma-x0.5-learning-rate-x2"] == {"sigma", "learning_rate"}
+    assert configs["population-size-x2-sigma-x0.5"]["population_size"] == 2 * base["population_size"]
+    assert configs["population-size-x2-sigma-x0.5"]["sigma"] == base["sigma"] / 2
     assert configs["sigma-decay"]["sigma_end"] == pytest.approx(base["sigma"] / 5)
     assert configs["sigma-decay"]["schedule_generations"] == 11
 

@@ -373,6 +373,10 @@ ROWS: dict[str, Row] = {
     "stiff_contacts": Row(
         True, batches(lambda b: set(b.sim.model.geom_solimp[:, 0])), [{0.995}] * 2, [{0.8}] * 2, env="point-flagrun"
     ),
+    "max_tilt": Row(
+        60.0, batches(lambda b: b._min_cos_tilt and round(b._min_cos_tilt, 9)), [0.5, None], [None] * 2,
+        env="ant-gather",
+    ),
     "waypoints": Row(
         (-8.0, 8.0), batches(lambda b: b._num_waypoints), [1, 0], [0, 0], env="point-push"
     ),

@@ -5,10 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 
-@runtime_checkable
 class Divisible(Protocol):
     """A task of several units of work, which may be done by different workers."""
 
@@ -28,7 +27,7 @@ class Divisible(Protocol):
 
 def num_units(task: Any) -> int:
     """Return the number of units of `task`: 1 if it is not divisible."""
-    return task.num_units if isinstance(task, Divisible) else 1
+    return getattr(task, "num_units", 1)  # isinstance with a protocol takes twenty times as long
 
 
 class TaskSource(Iterator[tuple[int, Any]]):

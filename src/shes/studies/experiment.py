@@ -61,8 +61,8 @@ def experiment(
         seeds: Number of seeds per variant. Default: 10; at scale laptop, 5 for sweeps, the learning study and the ant,
             and 3 for fig4 and fig6; at scale smoke, 1 or 2.
         only: Groups or environments to run, groups beside the base; all if none. ablation: choices, horizon, sweep,
-            transfer; learning: alternatives, form, pieces, sweep; table1: methods; fig3: methods; fig4: workers;
-            fig5: methods, transfer; fig6: speedup.
+            transfer; learning: alternatives, form, grid, pieces, sweep; table1: methods; fig3: methods; fig4:
+            workers; fig5: methods, transfer; fig6: speedup.
         budget: Hours after which all runs stop; the same command continues them.
 
     Raises:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Annotated, Any
 
 from shes.checked import checked
@@ -36,6 +37,7 @@ GROUPS: dict[str, str] = {
     "form": "the paper's form, alone and with one piece added",
     "alternatives": "other networks, fitness shapings, reward and schedule",
     "sweep": "population, sigma, learning rate and intervals, at half and twice the base",
+    "grid": "two of population, sigma and learning rate, both at half or twice the base",
 }
 BASE = "base"
 SWEPT = ("population_size", "sigma", "learning_rate", "intervals")
@@ -144,6 +146,9 @@ def variants(scale: str = "laptop") -> dict[str, dict[str, Variant]]:
             "form-dihedral": Variant("form + egocentric, dihedral", {**form, **_EGOCENTRIC, "symmetry": "dihedral"}),
             "form-interval": Variant("form + branched pairs", {**form, **branched}),
             "form-zero": Variant("form + zero output", {**form, "output_weights": "zero"}),
+            "form-clock": Variant("form + clock", {**form, "clock_frequency": base["clock_frequency"]}),
+            "form-goal": Variant("form + metres in the goal", {**form, "goal_encoding": base["goal_encoding"]}),
+            "form-fall-price": Variant("form + fall price", {**form, "fall_price": base["fall_price"]}),
         },
         "alternatives": {
             "hidden-32": Variant("32 hidden units", {"hidden": (32,)}),
@@ -151,14 +156,33 @@ def variants(scale: str = "laptop") -> dict[str, dict[str, Variant]]:
             "centred-rank": Variant("ranks of all", {"primitive_fitness_shaping": "centred_rank"}),
             "z-score": Variant("z-scores", {"primitive_fitness_shaping": "z_score"}),
             "metres": Variant("paid in metres", {"primitive_reward": "metres"}),
+            "negative-distance": Variant("paid minus the distance", {"primitive_reward": "negative_distance"}),
+            "cosine": Variant("paid for the direction", {"primitive_reward": "cosine"}),
             "sigma-decay": Variant("sigma to a fifth", decay),
         },
         "sweep": {
-            sweep_name(name, factor): Variant(f"{name.replace('_', ' ')} × {factor:g}", multiplied(base, name, factor))
+            sweep_name(name, factor): Variant(f"{_words(name)} × {factor:g}", multiplied(base, name, factor))
             for name in SWEPT
             for factor in FACTORS
         },
+        "grid": _grid(base),
     }
+
+
+def _grid(base: Mapping[str, Any]) -> dict[str, Variant]:
+    """Return the corners: two settings at half or twice the base, for a bad value of one may suit one of the other."""
+    return {
+        f"{sweep_name(one, by)}-{sweep_name(other, at)}": Variant(
+            f"{_words(one)} × {by:g}, {_words(other)} × {at:g}", multiplied(base, one, by) | multiplied(base, other, at)
+        )
+        for one, other in combinations(("population_size", "sigma", "learning_rate"), 2)
+        for by in FACTORS
+        for at in FACTORS
+    }
+
+
+def _words(setting: str) -> str:
+    return setting.replace("_", " ")
 
 
 def _pieces(whole_episodes: Mapping[str, Any]) -> dict[str, Variant]:
@@ -184,7 +208,7 @@ def learning(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated
     """Return the cells of the learning study, with `seeds` seeds of every variant; with those of the scale if None.
 
     Raises:
-        UnknownNameError: There is no such scale: `laptop` takes two hours on two cores, `smoke` a minute.
+        UnknownNameError: There is no such scale: `laptop` takes three hours on two cores, `smoke` a minute.
         ConfigError: `seeds` is not positive.
     """
     size, groups = SCALES[scale], variants(scale)
@@ -214,6 +238,7 @@ def _design(labels: Mapping[str, str]) -> StudyDesign:
 
     pieces = ("no-view", "no-symmetry", "rotation", "no-clock", "episodes")
     form = ("form", "form-egocentric", "form-dihedral", "form-interval", "form-zero")
+    pieces_of_form = (*form[1:], "form-clock", "form-goal", "form-fall-price")
     others = ("hidden-32", "hidden-64-64", "z-score", "metres", "sigma-decay")
     return StudyDesign(
         groups=GROUPS,
@@ -221,11 +246,15 @@ def _design(labels: Mapping[str, str]) -> StudyDesign:
         metrics={ENV: Measure("last_return", "return of the last policy over 500 steps", "return")},
         curves={ENV: Measure("return_mean", "evaluation return")},
         labels=labels,
-        paired={"pieces": (("episodes", "episodes-unmirrored"),), "form": tuple(("form", name) for name in form[1:])},
+        paired={
+            "pieces": (("episodes", "episodes-unmirrored"),),
+            "form": tuple(("form", name) for name in pieces_of_form),
+        },
         figures=(
             Forest(file="pieces.png", group="pieces"),
             Forest(file="form.png", group="form"),
             Forest(file="alternatives.png", group="alternatives"),
+            Forest(file="grid.png", group="grid"),
             Sweep(file="sweep.png", group="sweep", settings=SWEPT, factors=FACTORS),
             Curves(
                 file="curves.png",

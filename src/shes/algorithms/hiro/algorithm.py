@@ -23,7 +23,7 @@ from shes.algorithms.hiro.agent import HiroDesign
 from shes.algorithms.hiro.collector import Actor, Collector, HiroCollector
 from shes.algorithms.hiro.columns import columns
 from shes.algorithms.hiro.designs import check_memory, flat_design, flat_levels, hiro_design, hiro_levels
-from shes.algorithms.hiro.levels import Level, LevelState, within
+from shes.algorithms.hiro.levels import LearnerState, Level, within
 from shes.algorithms.hiro.presets import HIRO_PRESETS
 from shes.algorithms.hiro.rooms import HIRO_ROOMS, TD3_ROOMS
 from shes.algorithms.presets import Preset
@@ -46,7 +46,7 @@ class TD3State:
     seed: int
     generation: int
     env_steps: int
-    learners: tuple[LevelState, ...]
+    learners: tuple[LearnerState, ...]
     """State of each level, controller first."""
 
 
@@ -254,7 +254,7 @@ def _episode_seeds(state: TD3State) -> Iterator[int]:
         yield int(rng.integers(0, 2**63))
 
 
-def _check_finite(name: str, level: LevelState, losses: Mapping[str, float]) -> None:
+def _check_finite(name: str, level: LearnerState, losses: Mapping[str, float]) -> None:
     """Raise DivergenceError if a loss or a parameter of a level is NaN or infinite."""
     # A generation that makes no update of a network has no loss.
     has_nan = level.num_updates and np.isinf(losses["critic_loss"])

@@ -51,7 +51,7 @@ class Actor:
 
 
 @dataclass
-class Summary:
+class Collected:
     """Steps, returns and times of the episodes of a generation."""
 
     num_steps: int = 0
@@ -103,14 +103,14 @@ class Collector:
         self._bootstraps, self._reward_scale = bootstraps, reward_scale
         self._steps: IntArray = np.zeros(batch.num_episodes, np.int64)
         self._observation: F64Array = np.zeros((batch.num_episodes, batch.observation_size))
-        self.summary = Summary()
+        self.summary = Collected()
 
     def run(self, num_steps: int, seeds: Iterator[int], rng: np.random.Generator) -> Iterator[dict[str, Rows]]:
         """Yield the new transitions of each level after every control step.
 
         Episodes begin until `num_steps` have been made; the generation ends when the last of them has ended.
         """
-        batch, self.summary = self._batch, Summary()
+        batch, self.summary = self._batch, Collected()
         running = np.arange(batch.num_episodes)
         start, physics_s = perf_counter(), batch.physics_s
         self.begin(running, seeds, rng)

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from shes.algorithms.hiro.collector import Summary
-from shes.algorithms.hiro.levels import LevelState
+from shes.algorithms.hiro.collector import Collected
+from shes.algorithms.hiro.levels import LearnerState
 
 
 def columns(
-    levels: Mapping[str, tuple[LevelState, Mapping[str, float]]], summary: Summary, total_s: float
+    levels: Mapping[str, tuple[LearnerState, Mapping[str, float]]], summary: Collected, total_s: float
 ) -> dict[str, Any]:
     """Return the row of `progress.csv` for a generation, by column: `levels` with their losses, `summary`, and times.
 

@@ -14,7 +14,7 @@ import optax
 
 from shes.algorithms.hiro.correction import relabelled
 from shes.algorithms.hiro.goals import candidates
-from shes.algorithms.hiro.levels import Level, LevelState
+from shes.algorithms.hiro.levels import LearnerState, Level
 from shes.algorithms.hiro.replay import Rows
 from shes.algorithms.hiro.td3 import Learner, Losses, Network, Transitions, compiled_update
 from shes.es.level import LevelParameters
@@ -27,7 +27,7 @@ _Shapes = tuple[tuple[int, int], ...]
 class LevelLearner:
     """Learns one level from its replay buffer."""
 
-    def __init__(self, level: Level, state: LevelState, discount: float, batch_size: int, clip: float) -> None:
+    def __init__(self, level: Level, state: LearnerState, discount: float, batch_size: int, clip: float) -> None:
         """Begin with `state`. Normalised inputs are clipped to plus and minus `clip`."""
         self.level, self._state = level, state
         self._discount, self._batch_size, self._clip = discount, batch_size, clip
@@ -73,7 +73,7 @@ class LevelLearner:
         """Return `count` batches of transitions [K, B, ...]."""
         return self.replay.sample(rng, count, self._batch_size)
 
-    def finish(self, *, normalises: bool) -> tuple[LevelState, dict[str, float]]:
+    def finish(self, *, normalises: bool) -> tuple[LearnerState, dict[str, float]]:
         """Return the state of the level after the generation, and the means of the losses by name.
 
         With `normalises`, the statistics include the inputs of this generation from now on.
@@ -109,7 +109,7 @@ class ControllerLearner(LevelLearner):
     def __init__(
         self,
         level: Level,
-        state: LevelState,
+        state: LearnerState,
         discount: float,
         batch_size: int,
         clip: float,
@@ -164,7 +164,7 @@ def network(parameters: F32Array, shapes: _Shapes) -> Network:
     return tuple(layers)
 
 
-def to_learner(level: Level, state: LevelState) -> Learner:
+def to_learner(level: Level, state: LearnerState) -> Learner:
     """Return the networks and optimizers of `state`. Nothing is shared with it, because updates consume them."""
     shapes = {"actor": level.actor_shapes, "critics": level.critic_shapes}
     made = {name: network(array, shapes[name.rpartition("_")[2]]) for name, array in state.learner.items()}

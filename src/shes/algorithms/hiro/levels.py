@@ -27,8 +27,8 @@ _STATISTICS = ("observation_total", "observation_total_squares")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hyperparameters:
-    """Hyperparameters of the update of one level. The fields are hashable, because an update is compiled for each."""
+class UpdateSettings:
+    """Settings of the update of one level. The fields are hashable, because an update is compiled for each."""
 
     half_range: tuple[float, ...]
     """Largest absolute value of each output of the actor [A]."""
@@ -49,7 +49,7 @@ class Level:
 
     name: str
     actor: MLP
-    hyperparameters: Hyperparameters
+    hyperparameters: UpdateSettings
     exploration_std: tuple[float, ...]
     """Standard deviation of the exploration noise on each output of the actor [A]."""
     replay: Replay
@@ -77,22 +77,22 @@ class Level:
             f"{part}{name}": shape for part in ("", "target_", "mean_", "square_") for name, shape in networks.items()
         }
 
-    def start(self, rng: np.random.Generator) -> LevelState:
+    def start(self, rng: np.random.Generator) -> LearnerState:
         """Return the state before the first transition."""
         actor = _initial(self.actor_shapes, rng)
         critics = np.stack([_initial(self.critic_shapes, rng) for _ in range(2)])
         networks = {"actor": actor, "critics": critics}
         zeros = {name: np.zeros(shape, np.float32) for name, shape in self.shapes.items()}
         targets = {f"target_{name}": array.copy() for name, array in networks.items()}
-        return LevelState(
+        return LearnerState(
             learner=zeros | networks | targets,
             num_updates=0,
             statistics=ObservationStatistics.empty(self.actor.sizes[0]),
             replay=self.replay,
         )
 
-    def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> LevelState:
-        """Return the state that `LevelState.to_arrays` converted; raise KeyError or ValueError if it is not one."""
+    def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> LearnerState:
+        """Return the state that `LearnerState.to_arrays` converted; raise KeyError or ValueError if it is not one."""
         self.check(arrays)
         learner = {name: arrays[name] for name in self.shapes}
         total, squares = (arrays[name] for name in _STATISTICS)
@@ -103,7 +103,7 @@ class Level:
             raise ValueError(f"a count of the {self.name} is negative")
         replay = self.replay.from_arrays(within("replay", arrays))
         statistics = ObservationStatistics(count=counts[1], total=total, total_squares=squares)
-        return LevelState(learner=learner, num_updates=counts[0], statistics=statistics, replay=replay)
+        return LearnerState(learner=learner, num_updates=counts[0], statistics=statistics, replay=replay)
 
     def check(self, headers: Mapping[str, ArrayHeader]) -> None:
         """Raise KeyError or ValueError unless arrays with these headers can be a state of this level."""
@@ -119,7 +119,7 @@ class Level:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LevelState:
+class LearnerState:
     """State of a level between generations."""
 
     learner: Mapping[str, F32Array]
@@ -135,7 +135,7 @@ class LevelState:
         """Parameters and normalisation of the actor."""
         return LevelParameters.of(self.learner["actor"], self.statistics)
 
-    def without_replay(self) -> LevelState:
+    def without_replay(self) -> LearnerState:
         """Return the state with an empty buffer."""
         return replace(self, replay=self.replay.emptied())
 

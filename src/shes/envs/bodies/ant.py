@@ -109,6 +109,11 @@ class Ant(Body):
         height = qpos[..., 2]
         return ~((height >= HEALTHY_Z_M[0]) & (height <= HEALTHY_Z_M[1]))
 
+    def cos_tilt(self, qpos: F64Array) -> F64Array:
+        """Return the vertical component [N] of the torso's own z axis."""
+        x, y = qpos[..., 4], qpos[..., 5]
+        return 1 - 2 * (x * x + y * y)
+
     def frame_angle(self, qpos: F64Array) -> F64Array:
         """Return the twist of the torso about the vertical [N] in radians.
 

@@ -76,6 +76,14 @@ class Body(ABC):
     def fallen(self, qpos: F64Array) -> BoolArray:
         """Return whether robots at `qpos` [N, num_qpos] have fallen over [N]."""
 
+    def cos_tilt(self, qpos: F64Array) -> F64Array:
+        """Return the cosine [N] of the angle between the vertical and the robot's own, at `qpos` [N, num_qpos].
+
+        Raises:
+            ConfigError: The robot cannot tilt.
+        """
+        raise ConfigError(f"the {self.name} cannot tilt, so it needs no max_tilt. Omit --max-tilt.")
+
     def frame_angle(self, qpos: F64Array) -> F64Array:
         """Return the rotation [N] about the vertical, in radians, of the frame of the egocentric view.
 

@@ -14,7 +14,7 @@ from shes.envs.markers import TARGET, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.task import Task, TaskDescription
-from shes.envs.tasks.task_options import FURTHEST_M, TaskOptions
+from shes.envs.tasks.task_options import FURTHEST_M, FallOptions
 from shes.envs.worlds import ARENA, add_grid, empty_world
 from shes.host_arrays import to_host
 from shes.settings import Ge, Le, Shared
@@ -28,7 +28,7 @@ _GOALS_AT_ONCE = 16
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlagrunOptions(TaskOptions):
+class FlagrunOptions(FallOptions):
     """Options of Flagrun.
 
     They share the names of the controller's settings, because random goals replace the controller.
@@ -124,7 +124,7 @@ class Flagrun(Task):
     @property
     def terminated(self) -> BoolArray:
         """Whether the robot has fallen [N]."""
-        return self.body.fallen(self.sim.qpos)
+        return self.is_down()
 
     @property
     def distance(self) -> F64Array:

@@ -17,7 +17,7 @@ from shes.envs.bodies.body import Body
 from shes.envs.markers import FOOD, POISON, Marker, Rgba, ball, line
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.envs.worlds import ARENA, add_grid, add_square_walls, empty_world
 from shes.errors import ConfigError
 from shes.host_arrays import to_host
@@ -51,7 +51,7 @@ FOOD_REWARD, POISON_REWARD = 1.0, -1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class GatherOptions(TaskOptions):
+class GatherOptions(FallOptions):
     """Options of Gather."""
 
     fall_penalty: bool = True
@@ -136,7 +136,7 @@ class Gather(Task):
     @property
     def terminated(self) -> BoolArray:
         """Whether the robot has fallen [N]; with hiro also whether everything is collected."""
-        fallen = self.body.fallen(self.sim.qpos)
+        fallen = self.is_down()
         return fallen | ~self.present.any(axis=(1, 2)) if self.options.spec == "hiro" else fallen
 
     @property
@@ -229,7 +229,7 @@ class Gather(Task):
         reward: F64Array = self.xp.zeros(self.num_episodes)
         collects_nothing = self.sim.diverged
         if self.options.spec == "hiro" and self.options.fall_penalty:
-            fallen = self.body.fallen(self.sim.qpos)
+            fallen = self.is_down()
             reward = np.where(fallen, HIRO_FALL_REWARD, reward)
             collects_nothing = collects_nothing | fallen
         caught = self.present & (self._squared_distance < CATCH_RANGE_M**2)

@@ -82,6 +82,10 @@ class Task(EpisodeBatch):
         self.time = self.xp.zeros(num_episodes, dtype=np.int64)
         self.reward, self.running_return = (self.xp.zeros(num_episodes) for _ in range(2))
         self._heading: F64Array | None = None  # computed when it is first read after a step
+        max_tilt = getattr(options, "max_tilt", None)
+        if max_tilt is not None:
+            body.cos_tilt(self.sim.qpos)  # raises ConfigError for a body that cannot tilt
+        self._min_cos_tilt = None if max_tilt is None or options.evaluation else np.cos(np.deg2rad(max_tilt))
         self.allocate()
 
     def allocate(self) -> None:
@@ -186,7 +190,13 @@ class Task(EpisodeBatch):
     @property
     def fallen(self) -> BoolArray:
         """Whether the robot's fall has ended the episode [N]."""
-        return self.terminated & self.body.fallen(self.sim.qpos)
+        return self.terminated & self.is_down()
+
+    def is_down(self) -> BoolArray:
+        """Return whether robots have fallen [N]: by the rule of the body, or in training by `max_tilt`."""
+        qpos, least = self.sim.qpos, self._min_cos_tilt
+        fallen = self.body.fallen(qpos)
+        return fallen if least is None else fallen | (self.body.cos_tilt(qpos) < least)
 
     @property
     def diverged(self) -> BoolArray:

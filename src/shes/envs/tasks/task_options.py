@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from shes.envs.worlds import INTEGRATORS
-from shes.settings import Choices, Example, Ge, Le, Lt, Settings, Unasked
+from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Unasked
 
 SPECS = {"shes": "euler", "hiro": "rk4"}
 """Specifications and their integrators."""
@@ -47,3 +47,13 @@ class TaskOptions(Settings):
         super().__post_init__()
         if self.integrator == "default":
             object.__setattr__(self, "integrator", SPECS[self.spec])
+
+
+@dataclass(frozen=True, kw_only=True)
+class FallOptions(TaskOptions):
+    """Options of a task that ends when the robot falls over."""
+
+    max_tilt: Annotated[float | None, Gt(0), Lt(180)] = None
+    """Degrees of tilt of the torso beyond which an episode of training ends as a fall; help for training only. As
+    specified, an ant on its back has not fallen as long as its torso is higher than 0.2 m. Evaluation is not affected.
+    """

@@ -1,0 +1,83 @@
+"""How episodes end: shipped agents and other runs, over 200 fresh episodes of 500 steps of the task as specified.
+
+`python benchmarks/endings.py --out results/learning/endings.csv`: every shipped agent (`shes list`), and the runs that
+are named as well, e.g. `runs/gather/walker/seed_*`. An episode of Flagrun or Gather ends with a fall; in Maze, Push and
+Fall a robot that has fallen stays where it is until time is up. About ten seconds of two cores for each agent.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from run import write_csv
+from walker_ideas import speed_ahead
+
+import shes
+from shes.runs.folder import RunFolder
+from shes.runs.shipped import shipped_names
+from shes.runs.tables import read_csv, read_wall_time
+from shes.training.build import open_run
+
+EPISODES = 200
+STEPS = 500
+LYING = 0.5
+"""Vertical component of the torso's own z axis below which a robot lies on its side or on its back."""
+
+
+def endings(run: str | Path) -> dict[str, Any]:
+    """Return the shares of the ways in which the episodes of the best checkpoint end, with score and successes."""
+    problem, agent = open_run(run).algorithm.problem, shes.load(run, num_envs=EPISODES)
+    task, robots = problem.env.make(EPISODES, problem.evaluation), np.arange(EPISODES)
+    task.reset(robots, robots.tolist())
+    steps, success = np.full(EPISODES, STEPS), np.zeros(EPISODES, bool)
+    score, lies = np.zeros(EPISODES), np.zeros(EPISODES, bool)
+    runs_on = np.ones(EPISODES, bool)
+    for step in range(1, STEPS + 1):
+        task.step(robots, agent.control(task.observe(), task.position, task.heading, task.goal))
+        success[runs_on], score[runs_on] = task.success[runs_on], task.score[runs_on]
+        x, y = task.sim.qpos[:, 4], task.sim.qpos[:, 5]
+        lies[runs_on] = (1 - 2 * (x * x + y * y) < LYING)[runs_on]
+        steps[runs_on & task.terminated] = step
+        runs_on &= ~task.terminated
+    task.close()
+    return {
+        "score_mean": round(float(score.mean()), 3),
+        "success_rate": round(float(success.mean()), 3),
+        "upright_to_the_end": round(float((runs_on & ~lies).mean()), 3),
+        "ended_by_a_fall": round(float((~runs_on).mean()), 3),
+        "lying_at_the_end": round(float((runs_on & lies).mean()), 3),
+        "lying_without_success": round(float((runs_on & lies & ~success).mean()), 3),
+        "upright_without_success": round(float((runs_on & ~lies & ~success).mean()), 3),
+        "steps_mean": round(float(steps.mean()), 1),
+    }
+
+
+def about(run: str | Path, *, is_shipped: bool) -> dict[str, Any]:
+    """Return the row of a run: what it took, unless it is shipped, and how its episodes end."""
+    env = open_run(run).config.run.env
+    row: dict[str, Any] = {"agent": str(run), "env": env, "env_steps": "", "wall_time_s": ""}
+    if not is_shipped:
+        progress = RunFolder.open(run).progress
+        row |= {"env_steps": int(read_csv(progress)["env_steps"][-1]), "wall_time_s": round(read_wall_time(progress))}
+    row |= {"episodes": EPISODES, **endings(run)}
+    return row | {"speed_ahead_m_s": round(speed_ahead(run, "best"), 2) if env == "ant-flagrun" else ""}
+
+
+def main() -> None:
+    """Measure the shipped agents and the runs named; print and write their rows."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", nargs="*", type=Path, help="further runs")
+    parser.add_argument("--out", type=Path, required=True, help="CSV file to write")
+    asked = parser.parse_args()
+    rows = []
+    for run in (*shipped_names(), *asked.runs):
+        rows.append(about(run, is_shipped=isinstance(run, str)))
+        print(rows[-1], flush=True)
+    write_csv(asked.out, rows)
+
+
+if __name__ == "__main__":
+    main()
