@@ -183,8 +183,8 @@ def test_a_worker_without_its_noise_table_says_so(tmp_path):
 
 @pytest.mark.parametrize(
     ("parameters", "episodes", "lanes"),
-    # Small networks: 256 rows. 10 MiB of parameters: only two fit the cache, yet 32 rows must share a step.
-    [(1000, 1, 256), (1000, 5, 51), (131_072, 1, 48), (10 * 2**18, 5, 7), (10**9, 100, 1)],
+    # Small networks: 640 rows. 10 MiB of parameters: only two fit the cache, yet 32 rows must share a step.
+    [(1000, 1, 640), (1000, 5, 128), (131_072, 1, 48), (10 * 2**18, 5, 7), (10**9, 100, 1)],
 )
 def test_lanes_share_the_cache_but_are_never_too_few(parameters, episodes, lanes):
     assert lanes_that_fit(parameters, episodes) == lanes

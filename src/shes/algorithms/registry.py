@@ -75,7 +75,7 @@ def find_algorithm(name: str, *, sets_goals: bool = False) -> type[Algorithm[Any
     return found.without_controller or found if sets_goals else found
 
 
-def learners() -> tuple[type[Algorithm[Any]], ...]:
+def algorithm_classes() -> tuple[type[Algorithm[Any]], ...]:
     """Return every algorithm, including the substitutes in environments that set goals."""
     return tuple(each for cls in ALGORITHMS.values() for each in (cls, cls.without_controller) if each is not None)
 
@@ -84,7 +84,7 @@ class _PresetNames(Collection[str]):
     """The names at the time of asking, because an algorithm may be registered later."""
 
     def _names(self) -> dict[str, None]:
-        return dict.fromkeys(name for each in (PRESETS, *(cls.presets for cls in learners())) for name in each)
+        return dict.fromkeys(name for each in (PRESETS, *(cls.presets for cls in algorithm_classes())) for name in each)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names())

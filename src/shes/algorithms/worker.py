@@ -31,7 +31,7 @@ from shes.sim.warp_memory import bytes_per_sim
 _SIMULATOR_LOG = logging.getLogger("shes.mujoco")
 _MAX_LOG_LINES = 20  # of the simulator, kept with the results of one task
 _CACHE_BYTES = 24 * 2**20  # more weights than this would leave the shared cache between two steps
-_MIN_ROWS, _MAX_ROWS = 32, 256  # episodes in lockstep: enough to share Python's overhead, few enough for the caches
+_MIN_ROWS, _MAX_ROWS = 32, 640  # episodes in lockstep: enough to share Python's overhead, few enough for the caches
 _SHARE_OF_MEMORY = 0.75  # of a GPU's memory; tasks and policies need some as well
 
 

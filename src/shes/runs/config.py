@@ -14,9 +14,9 @@ from shes.runs.rooms import (
     EvaluationSettings,
     RunSettings,
     WorkerSettings,
+    algorithm_of,
     check_names,
     check_record,
-    learner,
     settings_in,
 )
 from shes.settings import Execution, Setting, Settings
@@ -116,7 +116,7 @@ class TrainConfig:
     @property
     def algorithm(self) -> type[Algorithm[Any]]:
         """The class of the run's algorithm."""
-        return learner(self.run)
+        return algorithm_of(self.run)
 
     @property
     def level_names(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from functools import cache
 from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
-from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, find_algorithm, learners
+from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
 from shes.backends.registry import BACKENDS
 from shes.cores import num_cores
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
@@ -109,7 +109,7 @@ _OF_EVERY_RUN: dict[str, type[Settings]] = {
 }
 
 
-def learner(run: RunSettings) -> type[Algorithm[Any]]:
+def algorithm_of(run: RunSettings) -> type[Algorithm[Any]]:
     """Return the algorithm of a run; raise ConfigError if it sets goals where the environment does."""
     sets_goals = find_environment(run.env).sets_goals
     found = find_algorithm(run.algorithm, sets_goals=sets_goals)
@@ -130,7 +130,7 @@ def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
         {
             "run": RunSettings,
             "workers": WorkerSettings,
-            **learner(run).rooms,
+            **algorithm_of(run).rooms,
             "environment": env.options,
             **({"body": body} if setting_fields(body) else {}),
             "episodes": EpisodeSettings,
@@ -169,7 +169,7 @@ def _asked(cls: type[Settings]) -> dict[str, Setting]:
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
     tasks = {cls: None for each in ENVIRONMENTS.values() for cls in (each.options, each.body.Options)}
-    methods = [cls for each in learners() for cls in with_options(each.rooms).values()]
+    methods = [cls for each in algorithm_classes() for cls in with_options(each.rooms).values()]
     return settings_in([*with_options(_OF_EVERY_RUN).values(), *tasks, *methods])
 
 

@@ -21,7 +21,7 @@ from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
-from shes.runs.rooms import learner
+from shes.runs.rooms import algorithm_of
 from shes.settings import setting_fields
 from shes.sim.warp_device import is_out_of_memory
 
@@ -62,7 +62,7 @@ def build_algorithm(config: TrainConfig) -> Algorithm[Any]:
         nconmax=workers.nconmax,
         njmax=workers.njmax,
     )
-    construct = cast("Callable[[Problem], Algorithm[Any]]", learner(config.run))  # as `register_algorithm` checks
+    construct = cast("Callable[[Problem], Algorithm[Any]]", algorithm_of(config.run))  # as `register_algorithm` checks
     return construct(problem)
 
 

@@ -13,7 +13,7 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
-from shes.runs.rooms import RunSettings, check_names, learner, rooms_of, settings_in
+from shes.runs.rooms import RunSettings, algorithm_of, check_names, rooms_of, settings_in
 from shes.runs.shipped import run_text
 from shes.settings import Needs, setting_fields
 from shes.training.transfer import brought_settings, transferred_levels
@@ -43,7 +43,7 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     known = settings_in(check_names(values).values())
     asked = {name: known[name].checked(value) for name, value in asked.items()}
     values |= asked
-    for level in learner(RunSettings.of(values)).transfers:
+    for level in algorithm_of(RunSettings.of(values)).transfers:
         if values.get(level) is not None:
             checkpoint = values.get(f"{level}_checkpoint", "best")
             values.update(brought_settings(level, values[level], checkpoint, values, asked))
@@ -66,7 +66,7 @@ def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str,
         )
     limit = find_environment(env).max_episode_steps
     limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}
-    common, own = (presets.get(preset, Preset()).of(env) for presets in (PRESETS, learner(run).presets))
+    common, own = (presets.get(preset, Preset()).of(env) for presets in (PRESETS, algorithm_of(run).presets))
     values = {**common, **own, **limits, "algorithm": run.algorithm}
     return {name: value for name, value in values.items() if name in settings}
 

@@ -10,19 +10,19 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.algorithms.contract import Algorithm
-from shes.algorithms.registry import ALGORITHMS, learners
+from shes.algorithms.registry import ALGORITHMS, algorithm_classes
 from shes.algorithms.transfer import LevelTransfer
 from shes.errors import CheckpointError, ConfigError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
-from shes.runs.rooms import RunSettings, learner
+from shes.runs.rooms import RunSettings, algorithm_of
 from shes.settings import flag
 from shes.training.build import OpenedRun, build_task, open_run
 
 
 def transferred_levels() -> tuple[str, ...]:
     """Return the levels that runs of any algorithm may take from another run, which the setting of that name gives."""
-    return tuple(dict.fromkeys(level for each in learners() for level in each.transfers))
+    return tuple(dict.fromkeys(level for each in algorithm_classes() for level in each.transfers))
 
 
 def _read(level: str, own: LevelTransfer, path: str, checkpoint: str) -> tuple[OpenedRun, dict[str, Any]]:
@@ -67,7 +67,7 @@ def brought_settings(
         CheckpointError: The checkpoint is missing or damaged.
         ConfigError: The run has no such level, or a setting was asked for with another value than the level's.
     """
-    algorithm = learner(RunSettings.of(values))
+    algorithm = algorithm_of(RunSettings.of(values))
     own = algorithm.transfers[level]
     source = _read(level, own, path, checkpoint)[0].config
     brought = own.settings(source, algorithm.level_names)
