@@ -138,6 +138,14 @@ def test_a_shipped_agent_has_its_best_checkpoint_alone(agents):
         runs.train_tiny(Path("run"), primitive="point-walker", primitive_checkpoint="last")
 
 
+@pytest.mark.parametrize(("asked", "generation"), [("best", None), ("last", 4), ("2", 2)])
+def test_another_checkpoint_than_the_best_can_be_shipped(tiny_run, tmp_path, asked, generation):
+    told = ship(tiny_run, "other", **TOLD, checkpoint=asked, episodes=1, num_workers=1, into=tmp_path)
+    shipped, own = (runs.state(path, name) for path, name in ((tmp_path / "other", "best"), (tiny_run, asked)))
+    assert told.generation == shipped.generation == own.generation == (generation or own.generation)
+    assert [level.theta.tobytes() for level in shipped.levels] == [level.theta.tobytes() for level in own.levels]
+
+
 @pytest.mark.parametrize("by", ["name", "path"])
 def test_nothing_is_written_into_a_shipped_agent(agents, by):
     run = "point-walker" if by == "name" else agents / "point-walker"

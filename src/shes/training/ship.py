@@ -44,13 +44,14 @@ def ship(
     *,
     description: str,
     commands: Sequence[str],
+    checkpoint: str = "best",
     episodes: int = 200,
     seed: int | None = None,
     num_workers: int = 0,
     into: Path | str | None = None,
     earlier: Sequence[Path | str] = (),
 ) -> ShippedAgent:
-    """Make the shipped agent `name` from the best checkpoint of `run`, and return its description.
+    """Make the shipped agent `name` from a checkpoint of `run`, and return its description.
 
     Args:
         run: The run folder.
@@ -58,6 +59,7 @@ def ship(
         description: What it does, on one line.
         commands: The commands that trained it. The record takes the names of run folders from the last one (`--out`,
             `--primitive`).
+        checkpoint: `best`, `last` or the number of a generation.
         episodes: Number of fresh episodes of its evaluation.
         seed: Seed of the episodes; derived from that of the run if none.
         num_workers: Worker processes; 0 is one for every core.
@@ -74,18 +76,18 @@ def ship(
     if (place / name).exists():
         raise RunFolderError(f"{place / name} exists already. Delete it first, or choose another name.")
     source = RunFolder.open(run)
-    checkpoint = source.load("best")
-    if checkpoint.best.generation < 0:
+    chosen = source.load(checkpoint)
+    if checkpoint == "best" and chosen.best.generation < 0:
         raise RunFolderError(f"{source.path} has no evaluation yet, and so no best checkpoint. Train it further first.")
     with storage_errors(place):
         place.mkdir(exist_ok=True)
         temporary = TemporaryDirectory(prefix=f".{name}.", dir=place)
     with temporary:
         folder = RunFolder.create(Path(temporary.name) / name)
-        _copy(source, checkpoint, folder, commands[-1])
+        _copy(source, checkpoint, chosen, folder, commands[-1])
         found = evaluate(folder.path, episodes=episodes, seed=seed, num_workers=num_workers)
         runs = [source, *(RunFolder.open(each) for each in earlier)]
-        agent = _describe(runs, checkpoint, found, seed, description, commands)
+        agent = _describe(runs, chosen, found, seed, description, commands)
         text = json.dumps(agent.to_dict(), indent=2, ensure_ascii=False) + "\n"
         write_atomically(folder.path / AGENT_FILE, lambda file: file.write(text.encode()))
         with storage_errors(place / name):
@@ -133,13 +135,16 @@ def _describe(
     )
 
 
-def _copy(source: RunFolder, checkpoint: Checkpoint, target: RunFolder, command: str) -> None:
-    """Copy the files of an agent from `source`, without local paths, with run folders named as in `command`."""
+def _copy(source: RunFolder, name: str, checkpoint: Checkpoint, target: RunFolder, command: str) -> None:
+    """Copy the files of an agent, checkpoint `name` of `source`, to `target`.
+
+    There are no local paths in them, and run folders are named as in `command`.
+    """
     record = _with_names_of(command, _without_paths(source.read_record()))
     config = TrainConfig.from_dict(record["config"])
     record["config"] = config.to_dict()
     target.write_record(record)
-    opened = open_run(source.path, "best")
+    opened = open_run(source.path, name)
     arrays = opened.algorithm.to_arrays(opened.algorithm.without_training(opened.state))
     shipped_checkpoint = replace(checkpoint, arrays=arrays, numbers=config.numbers())
     save_checkpoint(target.checkpoint_path("best"), shipped_checkpoint, is_compressed=True)
@@ -225,6 +230,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--command", **text, action="append", dest="commands", help="a command that trained it; repeatable"
     )
+    parser.add_argument("--checkpoint", default="best", help="best, last or the number of a generation (default: best)")
     parser.add_argument("--episodes", **number, default=200, help="fresh episodes of its evaluation (default: 200)")
     parser.add_argument("--seed", **number, help="seed of the episodes; derived from that of the run if none")
     parser.add_argument("--workers", **number, default=0, dest="num_workers", help="0 is one for every core")
