@@ -43,10 +43,7 @@ LAG_S = 0.05
 BASE = next(cell.settings for cell in learning("laptop", 1).cells if cell.variant == "base")
 SHORT = {"intervals": 1}
 IDEAS: dict[str, dict[str, Any]] = {
-    "base": {},
-    "one interval": SHORT,
     "one interval, learning rate 0.04": SHORT | {"learning_rate": 0.04},
-    "one interval, clock 1.2 Hz": SHORT | {"clock_frequency": 1.2},
     "one interval, metres, clock 1.2 Hz": SHORT | {"primitive_reward": "metres", "clock_frequency": 1.2},
     "smoothed controls": {},
     "one interval, terminal values": SHORT,
