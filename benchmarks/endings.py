@@ -24,7 +24,7 @@ from shes.training.build import open_run
 EPISODES = 200
 STEPS = 500
 LYING = 0.5
-"""Vertical component of the torso's own z axis below which a robot lies on its side or on its back."""
+"""Cosine of the tilt below which a robot lies on its side or on its back: it is tilted by more than 60°."""
 
 
 def endings(run: str | Path) -> dict[str, Any]:
@@ -38,8 +38,7 @@ def endings(run: str | Path) -> dict[str, Any]:
     for step in range(1, STEPS + 1):
         task.step(robots, agent.control(task.observe(), task.position, task.heading, task.goal))
         success[runs_on], score[runs_on] = task.success[runs_on], task.score[runs_on]
-        x, y = task.sim.qpos[:, 4], task.sim.qpos[:, 5]
-        lies[runs_on] = (1 - 2 * (x * x + y * y) < LYING)[runs_on]
+        lies[runs_on] = (task.body.cos_tilt(task.sim.qpos) < LYING)[runs_on]
         steps[runs_on & task.terminated] = step
         runs_on &= ~task.terminated
     task.close()

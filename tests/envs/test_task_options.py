@@ -143,11 +143,15 @@ def test_a_robot_that_tilts_too_far_has_fallen_in_training_alone(name):
         assert task.terminated.tolist() == task.fallen.tolist() == expected
         task.sim.qpos[:, 2] = 0.1  # as specified: the torso lies on the floor
         assert task.terminated.all()
+    env = gymnasium.make({"ant-flagrun": "shes/AntFlagrun-v0", "ant-gather": "shes/AntGather-v0"}[name], max_tilt=60.0)
+    assert env.unwrapped._adapter.task._min_cos_tilt == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("evaluation", [False, True])
 def test_a_point_has_no_tilt_to_limit(evaluation):
-    with pytest.raises(ConfigError, match=r"the point cannot tilt, so it needs no max_tilt\. Omit --max-tilt\."):
+    with pytest.raises(
+        ConfigError, match=r"the point has no tilt to limit\. Define `cos_tilt` .*, or omit --max-tilt\."
+    ):
         make_task("point-flagrun", 1, FlagrunOptions(max_tilt=45.0, evaluation=evaluation))
 
 

@@ -142,6 +142,7 @@ def test_a_shipped_agent_has_its_best_checkpoint_alone(agents):
 def test_another_checkpoint_than_the_best_can_be_shipped(tiny_run, tmp_path, asked, generation):
     told = ship(tiny_run, "other", **TOLD, checkpoint=asked, episodes=1, num_workers=1, into=tmp_path)
     shipped, own = (runs.state(path, name) for path, name in ((tmp_path / "other", "best"), (tiny_run, asked)))
+    assert load_checkpoint(tmp_path / "other/checkpoints/best.npz").best.generation in (-1, told.generation)
     assert told.generation == shipped.generation == own.generation == (generation or own.generation)
     assert [level.theta.tobytes() for level in shipped.levels] == [level.theta.tobytes() for level in own.levels]
 

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 
 class Divisible(Protocol):
-    """A task of several units of work, which may be done by different workers."""
+    """A task of several units of work, which may be done by different workers: any that has `num_units`."""
 
     @property
     def num_units(self) -> int:

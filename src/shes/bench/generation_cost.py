@@ -22,7 +22,7 @@ from shes.bench.sleepers import Sleep, Sleeper, SleepersBackend
 from shes.es.level import TrainState
 from shes.hierarchy.episodes import EpisodeTask, Generation
 
-_ROWS = (1, 2, 3, 5, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
+_ROWS = (1, 2, 3, 5, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 640)
 """Numbers of episodes in lockstep whose steps are timed, if a worker runs so many."""
 _PROBES, _PROBE_WORKERS = 1000, 10  # messages and workers by which the parent's work is measured
 

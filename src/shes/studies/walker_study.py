@@ -35,9 +35,9 @@ ENV = "ant-flagrun"
 GROUPS: dict[str, str] = {
     "pieces": "the base with one piece left out or changed",
     "form": "the paper's form, alone and with one piece added",
-    "alternatives": "other networks, fitness shapings, reward and schedule",
+    "alternatives": "other networks, fitness shapings, rewards and schedule",
     "sweep": "population, sigma, learning rate and intervals, at half and twice the base",
-    "grid": "two of population, sigma and learning rate, both at half or twice the base",
+    "grid": "two of population, sigma and learning rate, each at half or twice the base",
 }
 BASE = "base"
 SWEPT = ("population_size", "sigma", "learning_rate", "intervals")
@@ -170,7 +170,7 @@ def variants(scale: str = "laptop") -> dict[str, dict[str, Variant]]:
 
 
 def _grid(base: Mapping[str, Any]) -> dict[str, Variant]:
-    """Return the corners: two settings at half or twice the base, for a bad value of one may suit one of the other."""
+    """Return the corners: two settings, each at half or twice the base."""
     return {
         f"{sweep_name(one, by)}-{sweep_name(other, at)}": Variant(
             f"{_words(one)} × {by:g}, {_words(other)} × {at:g}", multiplied(base, one, by) | multiplied(base, other, at)

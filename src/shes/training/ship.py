@@ -1,4 +1,4 @@
-"""`python -m shes.training.ship RUN NAME ...`: make a shipped agent from the best checkpoint of a run.
+"""`python -m shes.training.ship RUN NAME ...`: make a shipped agent from a checkpoint of a run.
 
 It is made and evaluated in a temporary folder, and then moved to its place: it is never incomplete.
 """
@@ -22,7 +22,7 @@ import numpy as np
 
 from shes.errors import ConfigError, RunFolderError, ShesError
 from shes.runs import shipped
-from shes.runs.checkpoint import Checkpoint, save_checkpoint
+from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import AGENT_FILE, FreshEvaluation, ShippedAgent
@@ -68,6 +68,7 @@ def ship(
 
     Raises:
         RunFolderError: `run` is not a run folder or has no evaluation yet, or the agent exists.
+        CheckpointError: The checkpoint is missing or damaged.
         ConfigError: The name, the description, the commands or a number is invalid.
         StorageError: A file cannot be written.
     """
@@ -77,7 +78,7 @@ def ship(
         raise RunFolderError(f"{place / name} exists already. Delete it first, or choose another name.")
     source = RunFolder.open(run)
     chosen = source.load(checkpoint)
-    if checkpoint == "best" and chosen.best.generation < 0:
+    if chosen.best.generation < 0:
         raise RunFolderError(f"{source.path} has no evaluation yet, and so no best checkpoint. Train it further first.")
     with storage_errors(place):
         place.mkdir(exist_ok=True)
@@ -146,7 +147,8 @@ def _copy(source: RunFolder, name: str, checkpoint: Checkpoint, target: RunFolde
     target.write_record(record)
     opened = open_run(source.path, name)
     arrays = opened.algorithm.to_arrays(opened.algorithm.without_training(opened.state))
-    shipped_checkpoint = replace(checkpoint, arrays=arrays, numbers=config.numbers())
+    best = checkpoint.best if checkpoint.best.generation == checkpoint.generation else Best()
+    shipped_checkpoint = replace(checkpoint, arrays=arrays, best=best, numbers=config.numbers())
     save_checkpoint(target.checkpoint_path("best"), shipped_checkpoint, is_compressed=True)
     for table, copy in ((source.progress, target.progress), (source.evaluation, target.evaluation)):
         _copy_table(table, copy, checkpoint.generation)

@@ -80,9 +80,9 @@ class Body(ABC):
         """Return the cosine [N] of the angle between the vertical and the robot's own, at `qpos` [N, num_qpos].
 
         Raises:
-            ConfigError: The robot cannot tilt.
+            ConfigError: The robot cannot tilt, or its class does not say how far it has.
         """
-        raise ConfigError(f"the {self.name} cannot tilt, so it needs no max_tilt. Omit --max-tilt.")
+        raise ConfigError(f"the {self.name} has no tilt to limit. Define `cos_tilt` in its class, or omit --max-tilt.")
 
     def frame_angle(self, qpos: F64Array) -> F64Array:
         """Return the rotation [N] about the vertical, in radians, of the frame of the egocentric view.

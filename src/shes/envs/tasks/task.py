@@ -18,7 +18,7 @@ from shes.envs.bodies.body import Body
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.body_reader import BodyReader
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.envs.worlds import TIMESTEP_S
 from shes.errors import UnknownNameError
 from shes.host_arrays import to_host
@@ -82,10 +82,10 @@ class Task(EpisodeBatch):
         self.time = self.xp.zeros(num_episodes, dtype=np.int64)
         self.reward, self.running_return = (self.xp.zeros(num_episodes) for _ in range(2))
         self._heading: F64Array | None = None  # computed when it is first read after a step
-        max_tilt = getattr(options, "max_tilt", None)
+        max_tilt = options.max_tilt if isinstance(options, FallOptions) else None
         if max_tilt is not None:
             body.cos_tilt(self.sim.qpos)  # raises ConfigError for a body that cannot tilt
-        self._min_cos_tilt = None if max_tilt is None or options.evaluation else np.cos(np.deg2rad(max_tilt))
+        self._min_cos_tilt = None if max_tilt is None or options.evaluation else float(np.cos(np.deg2rad(max_tilt)))
         self.allocate()
 
     def allocate(self) -> None:
@@ -193,7 +193,7 @@ class Task(EpisodeBatch):
         return self.terminated & self.is_down()
 
     def is_down(self) -> BoolArray:
-        """Return whether robots have fallen [N]: by the rule of the body, or in training by `max_tilt`."""
+        """Return whether robots lie [N], by the rule of the body or by `max_tilt`, even if that ends no episode."""
         qpos, least = self.sim.qpos, self._min_cos_tilt
         fallen = self.body.fallen(qpos)
         return fallen if least is None else fallen | (self.body.cos_tilt(qpos) < least)

@@ -54,6 +54,7 @@ class FallOptions(TaskOptions):
     """Options of a task that ends when the robot falls over."""
 
     max_tilt: Annotated[float | None, Gt(0), Lt(180)] = None
-    """Degrees of tilt of the torso beyond which an episode of training ends as a fall; help for training only. As
-    specified, an ant on its back has not fallen as long as its torso is higher than 0.2 m. Evaluation is not affected.
+    """Degrees of tilt of the torso beyond which an episode of training ends as a fall; help for training only. By the
+    published rule an ant on its back has not fallen, because its torso is higher than 0.2 m. Evaluation does not use
+    it; an environment of Gymnasium always does.
     """
