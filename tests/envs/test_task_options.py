@@ -147,6 +147,14 @@ def test_a_robot_that_tilts_too_far_has_fallen_in_training_alone(name):
     assert env.unwrapped._adapter.task._min_cos_tilt == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(("evaluation", "reward"), [(False, -10), (True, 0)])
+def test_a_tilt_costs_as_much_as_a_fall_of_hiro_in_training_alone(evaluation, reward):
+    task = make_task("ant-gather", 1, GatherOptions(spec="hiro", max_tilt=45.0, evaluation=evaluation))
+    task.reset(np.arange(1), [1])
+    task.sim.qpos[:, 3:7] = [0, 1, 0, 0]  # on its back
+    assert task.update_features().tolist() == [reward]
+
+
 @pytest.mark.parametrize("evaluation", [False, True])
 def test_a_point_has_no_tilt_to_limit(evaluation):
     with pytest.raises(

@@ -59,7 +59,7 @@ CHOICES = {
     "position": ("point-maze", {"controller_view": "position", "controller_output": "direction"}),
     "egocentric, alone": (
         "ant-flagrun",
-        {"primitive_estimate": "episode", "primitive_view": "egocentric", "symmetry": "rotation"},
+        {"primitive_estimate": "episode", "primitive_view": "egocentric", "symmetry": "rotation", "max_tilt": 20.0},
     ),
     "few statistics": ("point-gather", {"statistics_fraction": 0.5}),
 }
