@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.registry import ALGORITHMS, TAKEN_ROOMS, find_algorithm, learners
+from shes.algorithms.registry import ALGORITHMS, TAKEN_ROOMS, algorithm_classes, find_algorithm
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
@@ -83,7 +83,7 @@ def no_times(columns):
 
 def test_every_learner_is_tried_here():
     tried = {find_algorithm(algorithm, sets_goals="flagrun" in env) for algorithm, env, _ in LEARNERS.values()}
-    assert tried == set(learners())
+    assert tried == set(algorithm_classes())
 
 
 def test_it_starts_by_the_seed_alone(learner):

@@ -12,7 +12,7 @@ import pytest
 import shes
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.presets import PRESETS, Preset
-from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, find_algorithm, learners
+from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS, Mirroring
 from shes.es.schedules import SCHEDULES, ScheduleKind
@@ -32,7 +32,7 @@ IMPORTS = {"bench/evolution.py"}
 """Modules that may import from an algorithm: what benchmarks measure of Algorithm 1."""
 NAMES = {"bench/speedup.py"}
 """Modules that may compare the name of an algorithm: the figure of the paper, which has two of them."""
-ROOMS = "|".join(sorted({room for each in learners() for room in each.rooms}))
+ROOMS = "|".join(sorted({room for each in algorithm_classes() for room in each.rooms}))
 
 
 def test_only_the_benchmarks_import_from_an_algorithm():
@@ -159,7 +159,7 @@ def test_its_first_sentence_is_in_the_help(own):
 def test_it_says_who_learns_where_the_environment_sets_the_goals(own):
     assert [find_algorithm("own", sets_goals=sets_goals) for sets_goals in (False, True)] == [Own, Alone]
     assert TrainConfig.of(env="point-flagrun", algorithm="own").level_names == ("primitive",)
-    assert {Own, Alone} <= set(learners())
+    assert {Own, Alone} <= set(algorithm_classes())
     with pytest.raises(ConfigError, match=r"hiro has nothing to learn\. Set --algorithm to shes, .*own"):
         TrainConfig.of(env="point-flagrun", algorithm="hiro")
 

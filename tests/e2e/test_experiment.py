@@ -89,7 +89,7 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
             ["ablation", "--only", "sweeps"],
             r"unknown group or environment 'sweeps'\. Did you mean 'sweep'\? Known: sweep, choices, hor",
         ),
-        (["learning", "--only"], "--only needs at least one of pieces, form, alternatives, sweep, ant-flagrun"),
+        (["learning", "--only"], "--only needs at least one of pieces, form, alternatives, sweep, grid, ant-flagrun"),
         (
             ["ablation", "--only"],
             "--only needs at least one of choices, sweep, transfer, horizon, point-flagrun, point-gather, point-maze",
