@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from play import play
 from run import write_csv
 from walker_ideas import speed_ahead
 
-import shes
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import shipped_names
 from shes.runs.tables import read_csv, read_wall_time
@@ -29,19 +29,14 @@ LYING = 0.5
 
 def endings(run: str | Path) -> dict[str, Any]:
     """Return the shares of the ways in which the episodes of the best checkpoint end, with score and successes."""
-    problem, agent = open_run(run).algorithm.problem, shes.load(run, num_envs=EPISODES)
-    task, robots = problem.env.make(EPISODES, problem.evaluation), np.arange(EPISODES)
-    task.reset(robots, robots.tolist())
     steps, success = np.full(EPISODES, STEPS), np.zeros(EPISODES, bool)
     score, lies = np.zeros(EPISODES), np.zeros(EPISODES, bool)
     runs_on = np.ones(EPISODES, bool)
-    for step in range(1, STEPS + 1):
-        task.step(robots, agent.control(task.observe(), task.position, task.heading, task.goal))
+    for step, task in enumerate(play(run, "best", EPISODES, STEPS), start=1):
         success[runs_on], score[runs_on] = task.success[runs_on], task.score[runs_on]
         lies[runs_on] = (task.body.cos_tilt(task.sim.qpos) < LYING)[runs_on]
         steps[runs_on & task.terminated] = step
         runs_on &= ~task.terminated
-    task.close()
     return {
         "score_mean": round(float(score.mean()), 3),
         "success_rate": round(float(success.mean()), 3),

@@ -18,10 +18,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from play import play
 from run import write_csv
 
 import shes
-from shes.training.build import open_run
 
 GENERATIONS = 20
 
@@ -120,14 +120,7 @@ def metres_behind(position: np.ndarray, corners: tuple[tuple[float, float], ...]
 
 def final_positions(run: Path, episodes: int = 100) -> np.ndarray:
     """Return where the last policies of `run` are after an episode of evaluation [N, 2], in metres."""
-    problem, agent = open_run(run, "last").algorithm.problem, shes.load(run, checkpoint="last", num_envs=episodes)
-    task, robots = problem.env.make(episodes, problem.evaluation), np.arange(episodes)
-    task.reset(robots, robots.tolist())
-    for _ in range(500):
-        task.step(robots, agent.control(task.observe(), task.position, task.heading))
-    position = task.position.copy()
-    task.close()
-    return position
+    return [task.position.copy() for task in play(run, "last", episodes)][-1]
 
 
 def measure(env: str, way: str, seed: int, generations: int = GENERATIONS) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
+from play import play
 from run import write_csv
 
 import shes
@@ -35,7 +36,6 @@ from shes.envs.tasks.flagrun import Flagrun
 from shes.es import level
 from shes.es.noise import NoiseTable
 from shes.studies.walker_study import learning
-from shes.training.build import open_run
 
 ENV_STEPS = 660_000
 SEEDS = range(1, 6)
@@ -156,21 +156,15 @@ def terminal_values() -> Iterator[None]:
 
 def speed_ahead(run: Path | str, checkpoint: str, num_robots: int = 64, steps: int = 150, skipped: int = 30) -> float:
     """Return the mean speed in m/s towards goals 8 m ahead, after `skipped` steps, of robots that have not fallen."""
-    problem = open_run(run, checkpoint).algorithm.problem
-    agent = shes.load(run, checkpoint=checkpoint, num_envs=num_robots)
-    task = problem.env.make(num_robots, problem.evaluation)
-    robots = np.arange(num_robots)
-    task.reset(robots, robots.tolist())
     angle = np.random.default_rng(0).uniform(-np.pi, np.pi, num_robots)
     ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     walks, speeds = np.ones(num_robots, bool), []
-    for step in range(steps):
-        before = task.position.copy()
-        task.step(robots, agent.control(task.observe(), before, task.heading, before + 8 * ahead))
+    before = np.zeros((num_robots, 2))
+    for step, task in enumerate(play(run, checkpoint, num_robots, steps, lambda task: task.position + 8 * ahead)):
         walks &= ~task.terminated & (np.abs(task.position).max(axis=1) < 11)  # the field ends at 12 m
         if step >= skipped:
             speeds.append(10 * ((task.position - before) * ahead).sum(axis=1)[walks])
-    task.close()
+        before = task.position.copy()
     return float(np.concatenate(speeds).mean())
 
 

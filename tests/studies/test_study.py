@@ -545,8 +545,9 @@ def test_a_piece_left_out_changes_that_piece_alone():
     assert changed["form-egocentric"] == changed["form"] - {"primitive_view"}
     assert changed["form-dihedral"] == changed["form"] - {"primitive_view", "symmetry"}
     assert changed["form-interval"] == changed["form"] - changed["episodes"]
-    for piece in ("output_weights", "clock_frequency", "goal_encoding", "fall_price"):
-        assert changed["form"] - {piece} in changed.values()
+    added = {"zero": "output_weights", "clock": "clock_frequency", "goal": "goal_encoding", "fall-price": "fall_price"}
+    for name, setting in added.items():
+        assert changed[f"form-{name}"] == changed["form"] - {setting}
     assert changed["sigma-x0.5-learning-rate-x2"] == {"sigma", "learning_rate"}
     assert configs["population-size-x2-sigma-x0.5"]["population_size"] == 2 * base["population_size"]
     assert configs["population-size-x2-sigma-x0.5"]["sigma"] == base["sigma"] / 2

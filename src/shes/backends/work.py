@@ -27,7 +27,7 @@ class Divisible(Protocol):
 
 def num_units(task: Any) -> int:
     """Return the number of units of `task`: 1 if it is not divisible."""
-    return getattr(task, "num_units", 1)  # isinstance with a protocol takes twenty times as long
+    return getattr(task, "num_units", 1)  # isinstance with a protocol takes 10 microseconds
 
 
 class TaskSource(Iterator[tuple[int, Any]]):
