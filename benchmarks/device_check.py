@@ -21,7 +21,7 @@ from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from shes.types import F64Array
 
 ALPHA = 0.001

@@ -21,7 +21,7 @@ from run import write_csv
 import shes
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv, read_wall_time
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from shes.training.train import finish_run
 
 EPISODES = 200

@@ -36,7 +36,7 @@ from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
 from shes.training.build import build_algorithm, build_backend
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 INTEGRATORS = ("euler", "rk4")
 

@@ -22,7 +22,7 @@ from shes.cli.command_table import COMMANDS
 from shes.envs.registry import ENVIRONMENTS
 from shes.runs.config import TrainConfig
 from shes.settings import Unasked, setting_fields
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 _SRC = Path(__file__).parents[1] / "src"
 _TERMINAL = {"NO_COLOR": "1", "TERM": "dumb"}
@@ -54,26 +54,26 @@ def _help(*words: str) -> str:
 
 
 def settings() -> str:
-    """Return a table of the flags of `train` for each room: meaning, and value in every preset."""
+    """Return a table of the flags of `train` for each section: meaning, and value in every preset."""
     configs = {preset: make_config("ant-gather", preset) for preset in PRESETS}
     by_gradients = {preset: make_config("ant-gather", preset, {"algorithm": "hiro"}) for preset in PRESET_NAMES}
-    of_every_run = {"environment", *(configs["laptop"].rooms.keys() & by_gradients["laptop"].rooms.keys())}
-    parts = [*_rooms(configs, {"environment"}), *_rooms(by_gradients, of_every_run)]
+    of_every_run = {"environment", *(configs["laptop"].sections.keys() & by_gradients["laptop"].sections.keys())}
+    parts = [*_sections(configs, {"environment"}), *_sections(by_gradients, of_every_run)]
     return "\n\n".join([*parts, "### Environment", _task_options()])
 
 
-def _rooms(configs: Mapping[str, TrainConfig], without: Collection[str]) -> Iterator[str]:
-    """Yield a section for each room of `configs`, which are given by preset, but for those in `without`."""
+def _sections(configs: Mapping[str, TrainConfig], without: Collection[str]) -> Iterator[str]:
+    """Yield the table of each section of `configs`, which are given by preset, but for those in `without`."""
     first = next(iter(configs.values()))
-    for name, room in first.rooms.items():
+    for name, section in first.sections.items():
         if name in without:
             continue
         rows = [
             (f"`{each.flag}`", each.text, *(_shown(config.values[each.name]) for config in configs.values()))
-            for each in setting_fields(type(room)).values()
+            for each in setting_fields(type(section)).values()
             if each.name not in ("env", "preset")
         ]
-        title = (type(room).__doc__ or "").partition(".")[0]
+        title = (type(section).__doc__ or "").partition(".")[0]
         yield f"### {title}"
         yield table(["flag", "meaning", *(f"`{preset}`" for preset in configs)], rows)
 

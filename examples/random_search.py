@@ -38,7 +38,7 @@ class State(NamedTuple):
 class RandomSearch(Algorithm[State]):
     """Linear policies without goals, whose perturbations are slices of the shared noise table."""
 
-    rooms: ClassVar = {"search": SearchSettings}
+    sections: ClassVar = {"search": SearchSettings}
 
     def __init__(self, problem):
         super().__init__(problem, problem.flat_design(hidden=()))

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.hiro.rooms import HIRO_ROOMS
+from shes.algorithms.hiro.sections import HIRO_SECTIONS
 from shes.cli import main
 from shes.cli.command_table import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
-from shes.runs.rooms import known_settings, settings_in
+from shes.runs.sections import known_settings, settings_in
 from shes.settings import flag, setting_fields
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.page_layout import find_browser, layout_faults
 
 pytestmark = pytest.mark.timeout(400)  # the first test that needs the site waits for its build
@@ -34,7 +34,7 @@ DOCS = ROOT / "docs"
 SRC = ROOT / "src" / "shes"
 PAGES = sorted(DOCS.rglob("*.md"))
 NOT_IN_THE_REFERENCE = ("cli",)
-"""Rooms and modules that the reference omits."""
+"""Subpackages and modules that the reference omits."""
 
 
 class Page(HTMLParser):
@@ -197,7 +197,7 @@ def test_every_deviation_of_the_code_is_listed(pages):
 
 
 @pytest.mark.extras
-def test_the_reference_has_every_module_of_every_room(pages):
+def test_the_reference_has_every_module_of_every_subpackage(pages):
     found = {name for page in pages.values() for name in page.ids}
     for path in SRC.rglob("*.py"):
         parts = path.relative_to(SRC.parent).with_suffix("").parts
@@ -206,10 +206,10 @@ def test_the_reference_has_every_module_of_every_room(pages):
 
 
 @pytest.mark.extras
-def test_the_reference_has_every_room_of_settings_with_the_docstrings_of_its_fields(pages):
+def test_the_reference_has_every_section_of_settings_with_the_docstrings_of_its_fields(pages):
     ids = {name for page in pages.values() for name in page.ids}
-    rooms = [type(room) for room in make_config("ant-push").rooms.values()]
-    assert {f"{cls.__module__}.{cls.__qualname__}" for cls in rooms} <= ids
+    sections = [type(section) for section in make_config("ant-push").sections.values()]
+    assert {f"{cls.__module__}.{cls.__qualname__}" for cls in sections} <= ids
     text = pages["reference/algorithms.html"].path.read_text(encoding="utf-8")
     assert "Standard deviation of the perturbations (Table I: 0.02)." in text
 
@@ -325,7 +325,7 @@ def test_every_setting_has_its_place_in_change_one_thing():
     }
     of_package = {each.flag for each in known_settings().values() if each.owner.__module__.startswith("shes.")}
     assert set.union(*places.values()) == of_package - {"--env"}
-    assert places["Gradients: `hiro`, `td3`"] == {each.flag for each in settings_in(HIRO_ROOMS.values()).values()}
+    assert places["Gradients: `hiro`, `td3`"] == {each.flag for each in settings_in(HIRO_SECTIONS.values()).values()}
     of_tasks = {each.flag for found in ENVIRONMENTS.values() for each in settings_in([found.options]).values()}
     assert places["The environment"] == of_tasks
 

@@ -1,4 +1,4 @@
-"""Options of registered classes: each is a setting of the room in which its class can be chosen."""
+"""Options of registered classes: each is a setting of the section in which its class can be chosen."""
 
 import inspect
 from dataclasses import dataclass, make_dataclass
@@ -13,7 +13,7 @@ from shes.es.optimizers import OPTIMIZERS, SGD
 from shes.options import TAKEN, make, subclass_of, with_options
 from shes.registry import Registry
 from shes.runs.config import TrainConfig
-from shes.runs.rooms import known_settings
+from shes.runs.sections import known_settings
 from shes.settings import Choices, Ge, Gt, Lt, Needs, Settings, Shared, Unasked, setting_fields
 
 
@@ -50,8 +50,8 @@ SHAPES = Registry("shape", {"point": Point, "ball": Ball, "box": Box}, fix="Set 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Room(Settings):
-    """Room."""
+class Section(Settings):
+    """Section."""
 
     shape: Annotated[str, Choices(SHAPES, is_described=True)] = "point"
     """Shape of the thing."""
@@ -59,31 +59,31 @@ class Room(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Other(Settings):
-    """Other room."""
+    """Other section."""
 
     other_shape: Annotated[str, Choices(SHAPES)] = "point"
 
 
-def test_options_stand_in_the_first_room_that_can_choose_their_class():
-    rooms = with_options({"room": Room, "other": Other})
-    assert list(setting_fields(rooms["room"])) == ["shape", "radius", "size"]
-    assert rooms["other"] is Other
-    assert issubclass(rooms["room"], Room)
-    assert rooms["room"]().to_dict() == {"shape": "point", "radius": 1.0, "size": 3}
+def test_options_stand_in_the_first_section_that_can_choose_their_class():
+    sections = with_options({"section": Section, "other": Other})
+    assert list(setting_fields(sections["section"])) == ["shape", "radius", "size"]
+    assert sections["other"] is Other
+    assert issubclass(sections["section"], Section)
+    assert sections["section"]().to_dict() == {"shape": "point", "radius": 1.0, "size": 3}
 
 
-def test_the_same_rooms_have_the_same_classes():
-    assert with_options({"room": Room}) == with_options({"room": Room})
+def test_the_same_sections_have_the_same_classes():
+    assert with_options({"section": Section}) == with_options({"section": Section})
 
 
 def test_an_option_needs_one_of_the_choices_that_have_it():
-    options = setting_fields(with_options({"room": Room, "other": Other})["room"])
+    options = setting_fields(with_options({"section": Section, "other": Other})["section"])
     assert options["radius"].needs == (Needs("shape", ("ball", "box")), Needs("other_shape", ("ball", "box")))
     assert options["size"].needs == (Needs("shape", ("box",)), Needs("other_shape", ("box",)))
 
 
 def test_the_help_is_the_docstring_of_the_class():
-    options = setting_fields(with_options({"room": Room})["room"])
+    options = setting_fields(with_options({"section": Section})["section"])
     assert options["radius"].text == "Radius in metres."
     assert options["size"].text == "Edge length in metres."
     assert options["shape"].text == "Shape of the thing. point: A point; ball: A ball, all around; box: A box."
@@ -91,7 +91,7 @@ def test_the_help_is_the_docstring_of_the_class():
 
 def test_an_option_is_checked_as_every_setting():
     with pytest.raises(ConfigError, match=r"size must be .*less than 9, got 9\. Set --size"):
-        with_options({"room": Room})["room"](size=9)
+        with_options({"section": Section})["section"](size=9)
 
 
 def test_a_class_is_made_with_its_own_options():
@@ -110,7 +110,7 @@ def test_a_class_that_is_registered_later_brings_its_options(monkeypatch):
         height: Annotated[float, Gt(0)] = 1.0
 
     monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "cone": Cone})
-    assert "height" in setting_fields(with_options({"room": Room})["room"])
+    assert "height" in setting_fields(with_options({"section": Section})["section"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +132,7 @@ def test_two_classes_with_different_options_of_one_name_are_refused(monkeypatch,
     monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "other": other})
     message = r"'radius' is an option of shape 'ball' and a different one of shape 'other'\. Give both the same type, "
     with pytest.raises(ConfigError, match=message):
-        with_options({"room": Room})
+        with_options({"section": Section})
 
 
 def test_classes_of_two_registries_cannot_share_an_option():
@@ -140,7 +140,7 @@ def test_classes_of_two_registries_cannot_share_an_option():
     fields = [("how", Annotated[str, Choices(sizes)], "round")]
     message = r"'radius' is an option of shape 'ball' and a different one of size 'round'\. Choose another name"
     with pytest.raises(ConfigError, match=message):
-        with_options({"room": Room, "sizes": make_dataclass("Sizes", fields, bases=(Settings,), frozen=True)})
+        with_options({"section": Section, "sizes": make_dataclass("Sizes", fields, bases=(Settings,), frozen=True)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,12 +159,14 @@ class Twin(Shape, Settings):
 
 def test_an_option_has_a_name_of_its_own_unless_it_is_shared(monkeypatch):
     monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "twin": Twin})
-    assert "other_shape" not in setting_fields(with_options({"room": Room, "other": Other})["room"])
+    assert "other_shape" not in setting_fields(with_options({"section": Section, "other": Other})["section"])
     assert make(SHAPES, "twin", {"other_shape": "ball"}) == Twin(other_shape="ball")
     monkeypatch.setattr(SHAPES, "_entries", {**SHAPES, "egg": Egg})
-    message = r"'other_shape' is an option of shape 'egg', but already a setting of group 'other'\. Choose another name"
+    message = (
+        r"'other_shape' is an option of shape 'egg', but already a setting of section 'other'\. Choose another name"
+    )
     with pytest.raises(ConfigError, match=message):
-        with_options({"room": Room, "other": Other})
+        with_options({"section": Section, "other": Other})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +223,7 @@ def test_an_optimizer_with_another_momentum_is_refused_by_its_name(monkeypatch):
         TrainConfig.of(env="point-gather", optimizer="slow")
 
 
-def test_a_run_keeps_the_options_of_its_optimizer_in_the_room_of_the_optimizer():
+def test_a_run_keeps_the_options_of_its_optimizer_in_the_section_of_the_optimizer():
     config = TrainConfig.of(env="point-gather", optimizer="sgd", momentum=0.5)
     assert config.to_dict()["evolution"]["momentum"] == 0.5
     assert TrainConfig.from_dict(config.to_dict()) == config

@@ -33,7 +33,7 @@ def test_the_hooks_of_pre_commit_are_targets_of_make():
 def test_contributing_names_what_exists():
     assert {target for words in re.findall(r"`make ([a-z -]+)`", CONTRIBUTING) for target in words.split()} <= TARGETS
     for path in re.findall(r"`((?:tests|examples|docs)/[\w/.-]*)`", CONTRIBUTING):
-        assert "NAME" in path or "ROOM" in path or (ROOT / path).exists(), path
+        assert "NAME" in path or "PACKAGE" in path or (ROOT / path).exists(), path
     for path in re.findall(r"`((?:algorithms|backends|cli|envs|hierarchy|training)/[\w/.-]*)`", CONTRIBUTING):
         assert "NAME" in path or (ROOT / "src" / "shes" / path).exists(), path
     registries = {**vars(goals), **vars(outputs), **vars(rewards), **vars(export), **vars(command_table)}

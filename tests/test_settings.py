@@ -11,7 +11,7 @@ from shes.checked import checked
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
 from shes.field_texts import field_texts
-from shes.runs.rooms import known_settings
+from shes.runs.sections import known_settings
 from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Shown, out_of_range, setting_fields
 
 NAMES = {"near": 1}

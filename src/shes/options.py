@@ -9,7 +9,7 @@ class SGD(Optimizer, Settings):
     "Momentum."
 ```
 
-Registering the class is enough: its options become settings of the group in which the class can be chosen. An option
+Registering the class is enough: its options become settings of the section in which the class can be chosen. An option
 has a name of its own; classes of one registry may share an option if its type, default and range are the same.
 """
 
@@ -85,41 +85,41 @@ def check_options(cls: Any) -> None:
             )
 
 
-def with_options(rooms: Mapping[str, type[Settings]]) -> dict[str, type[Settings]]:
-    """Return `rooms` with the options of the classes that can be chosen in them.
+def with_options(sections: Mapping[str, type[Settings]]) -> dict[str, type[Settings]]:
+    """Return `sections` with the options of the classes that can be chosen in them.
 
-    An option belongs to the settings group of the first setting that selects its class. It needs one of the choices
+    An option belongs to the settings section of the first setting that selects its class. It needs one of the choices
     that have it.
 
     Raises:
         ConfigError: An option has the name of another setting.
     """
-    room_of = {name: room for room, cls in rooms.items() for name in setting_fields(cls)}
+    section_of = {name: section for section, cls in sections.items() for name in setting_fields(cls)}
     homes: dict[str, _Home] = {}
     needs: dict[str, dict[str, tuple[str, ...]]] = {}
-    for room, setting, registry in _choosing(rooms):
+    for section, setting, registry in _choosing(sections):
         for choice, entry in registry.items():
             for name, option in options_of(entry).items():
-                if name in room_of and not option.has(Shared):
+                if name in section_of and not option.has(Shared):
                     raise ConfigError(
-                        f"{name!r} is an option of {registry.kind} {choice!r}, but already a setting of group "
-                        f"{room_of[name]!r}. Choose another name for the option."
+                        f"{name!r} is an option of {registry.kind} {choice!r}, but already a setting of section "
+                        f"{section_of[name]!r}. Choose another name for the option."
                     )
-                if name not in room_of and not option.has(Unasked):
-                    home = homes.setdefault(name, _Home(room, registry, choice, option))
+                if name not in section_of and not option.has(Unasked):
+                    home = homes.setdefault(name, _Home(section, registry, choice, option))
                     home.check_same(registry, choice, option)
                     choices = needs.setdefault(name, {})
                     choices[setting.name] = (*choices.get(setting.name, ()), choice)
-    added: dict[str, list[tuple[Setting, tuple[Needs, ...]]]] = {room: [] for room in rooms}
+    added: dict[str, list[tuple[Setting, tuple[Needs, ...]]]] = {section: [] for section in sections}
     for name, home in homes.items():
-        added[home.room].append((home.option, tuple(Needs(*each) for each in needs[name].items())))
-    return {room: _extended(cls, tuple(added[room])) for room, cls in rooms.items()}
+        added[home.section].append((home.option, tuple(Needs(*each) for each in needs[name].items())))
+    return {section: _extended(cls, tuple(added[section])) for section, cls in sections.items()}
 
 
 class _Home(NamedTuple):
-    """Where an option belongs: the group, and the first choice that has the option."""
+    """Where an option belongs: the section, and the first choice that has the option."""
 
-    room: str
+    section: str
     registry: Registry[Any]
     choice: str
     option: Setting
@@ -135,20 +135,20 @@ class _Home(NamedTuple):
         )
 
 
-def _choosing(rooms: Mapping[str, type[Settings]]) -> Iterator[tuple[str, Setting, Registry[Any]]]:
-    """Yield each setting that chooses a registered class, with its group and the registry."""
-    for room, cls in rooms.items():
+def _choosing(sections: Mapping[str, type[Settings]]) -> Iterator[tuple[str, Setting, Registry[Any]]]:
+    """Yield each setting that chooses a registered class, with its section and the registry."""
+    for section, cls in sections.items():
         for setting in setting_fields(cls).values():
             for note in setting.notes:
                 if isinstance(note, Choices) and isinstance(note.names, Registry):
-                    yield room, setting, note.names
+                    yield section, setting, note.names
 
 
 @cache
-def _extended(room: type[Settings], options: tuple[tuple[Setting, tuple[Needs, ...]], ...]) -> type[Settings]:
-    """Return `room` with `options` as further fields, each with the choices that it needs."""
+def _extended(section: type[Settings], options: tuple[tuple[Setting, tuple[Needs, ...]], ...]) -> type[Settings]:
+    """Return `section` with `options` as further fields, each with the choices that it needs."""
     if not options:
-        return room
+        return section
     made = [
         (
             option.name,
@@ -158,5 +158,5 @@ def _extended(room: type[Settings], options: tuple[tuple[Setting, tuple[Needs, .
         for option, needs in options
     ]
     owners = [option.owner for option, _ in options]
-    namespace = {"__doc__": room.__doc__, "__module__": room.__module__, "_option_classes": owners}
-    return make_dataclass(room.__name__, made, bases=(room,), namespace=namespace, frozen=True, kw_only=True)
+    namespace = {"__doc__": section.__doc__, "__module__": section.__module__, "_option_classes": owners}
+    return make_dataclass(section.__name__, made, bases=(section,), namespace=namespace, frozen=True, kw_only=True)

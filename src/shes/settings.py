@@ -15,113 +15,37 @@ from __future__ import annotations
 
 import inspect
 import math
-import operator
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from textwrap import wrap
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from shes.annotations import (
+    Bound,
+    Choices,
+    Example,
+    Execution,
+    Ge,
+    Gt,
+    Le,
+    Lt,
+    Needs,
+    Shared,
+    Shown,
+    Unasked,
+    range_in_words,
+)
 from shes.errors import ConfigError, UnknownNameError
 from shes.field_texts import field_texts
 from shes.registry import Registry, full_name
 
 __all__ = ["Choices", "Example", "Execution", "Ge", "Gt", "Le", "Lt", "Needs", "Setting", "Settings", "Shared"]
 __all__ += ["Shown", "Unasked", "described", "flag", "out_of_range", "registered", "setting_fields"]
-
-
-@dataclass(frozen=True)
-class _Bound:
-    """A bound of the value, or of each item of a tuple."""
-
-    bound: float
-    compare: ClassVar[Callable[[float, float], bool]]
-    """Compares the value with the bound."""
-
-
-class Gt(_Bound):
-    """The value is greater than `bound`."""
-
-    compare = operator.gt
-
-
-class Ge(_Bound):
-    """The value is at least `bound`."""
-
-    compare = operator.ge
-
-
-class Lt(_Bound):
-    """The value is less than `bound`."""
-
-    compare = operator.lt
-
-
-class Le(_Bound):
-    """The value is at most `bound`."""
-
-    compare = operator.le
-
-
-@dataclass(frozen=True, eq=False)
-class Choices:
-    """The value is one of these names. They are looked up at every check, because a registry may grow."""
-
-    names: Collection[str]
-    fix: str = ""
-    """How to add a name, for the error message."""
-    is_described: bool = False
-    """Whether the help describes each class of the registry by the first sentence of its docstring."""
-
-
-@dataclass(frozen=True)
-class Example:
-    """An example of the value, as written after the flag."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class Execution:
-    """The setting decides how, where or for how long a run computes, and does not change its numbers.
-
-    Devices round differently; the record of a run says where its device changed.
-    """
-
-
-@dataclass(frozen=True)
-class Shared:
-    """The setting may have the name of a setting of an earlier group. It is then one setting, with one value."""
-
-
-@dataclass(frozen=True)
-class Shown:
-    """How the command line shows the setting."""
-
-    flag: str = ""
-    """Its flag, if that is not its name."""
-    everyday: bool = False
-    """Whether the short help of `shes train` shows it."""
-
-
-@dataclass(frozen=True)
-class Unasked:
-    """The program sets this field; it has no flag and is not recorded."""
-
-
-@dataclass(frozen=True)
-class Needs:
-    """The setting has no effect unless setting `other` has one of `values`, or is not None if there are no `values`.
-
-    Several of these annotations on one field are alternatives.
-    """
-
-    other: str
-    values: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,7 +103,7 @@ class Setting:
     @property
     def definition(self) -> tuple[Any, ...]:
         """Its type, default and range."""
-        bounds = frozenset(note for note in self.notes if isinstance(note, _Bound))
+        bounds = frozenset(note for note in self.notes if isinstance(note, Bound))
         return self.kind, self.item, self.length, self.is_optional, self.default, bounds, self.choices
 
     @property
@@ -249,7 +173,7 @@ class Setting:
             return isinstance(value, self.item) and (self.item is not str or bool(value))
         if isinstance(value, bool) or not isinstance(value, int if self.item is int else int | float):
             return False
-        bounds = (note for note in self.notes if isinstance(note, _Bound))
+        bounds = (note for note in self.notes if isinstance(note, Bound))
         if not all(note.compare(value, note.bound) for note in bounds):
             return False
         if isinstance(value, int) and abs(value) >= 2**63:  # NumPy has no such integers
@@ -262,10 +186,10 @@ class Setting:
         example = next((f", e.g. {self.flag} {note.text}" for note in self.notes if isinstance(note, Example)), "")
         if self.kind is tuple:
             count = "" if self.length is None else f"{self.length} "
-            return f"{count}{_range_in_words(self.item, self.notes, is_many=True)}{example}"
+            return f"{count}{range_in_words(self.item, self.notes, is_many=True)}{example}"
         words = {bool: "true or false", str: "a name"}
         if self.item in (int, float):
-            return _range_in_words(self.item, self.notes) + example
+            return range_in_words(self.item, self.notes) + example
         return words.get(self.item, f"a {getattr(self.item, '__name__', self.item)}") + example
 
 
@@ -404,30 +328,3 @@ def _as_json(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_as_json(item) for item in value]
     return value.to_dict() if hasattr(value, "to_dict") else value
-
-
-def _range_in_words(kind: Any, notes: tuple[Any, ...], *, is_many: bool = False) -> str:
-    """Return the allowed numbers in words: `a whole number of at least 1`, `more than 0 and less than 1`."""
-    noun = {(int, False): "a whole number", (int, True): "whole numbers", (float, True): "numbers"}.get(
-        (kind, is_many), "a number"
-    )
-    low = next((note for note in notes if isinstance(note, Gt | Ge)), None)
-    high = next((note for note in notes if isinstance(note, Lt | Le)), None)
-    if low is None or (high is None and is_many):
-        words = noun if low is None else f"positive {noun}"
-    elif high is not None:
-        words = _between(noun if kind is int or is_many else "", low, high)
-    elif kind is float and low.bound == 0:
-        words = "a positive number" if isinstance(low, Gt) else "zero or a positive number"
-    else:
-        words = f"{noun} {'greater than' if isinstance(low, Gt) else 'of at least'} {low.bound:g}"
-    return words
-
-
-def _between(noun: str, low: Gt | Ge, high: Lt | Le) -> str:
-    """Return the numbers between two bounds in words."""
-    if isinstance(low, Ge) and isinstance(high, Le):
-        return f"{noun} between {low.bound:g} and {high.bound:g}".strip()
-    last = f"2**{math.log2(high.bound):g}" if high.bound >= 2**53 else f"{high.bound:g}"
-    first = "more than" if isinstance(low, Gt) else "of at least" if noun else "at least"
-    return f"{noun} {first} {low.bound:g} and {'less than' if isinstance(high, Lt) else 'at most'} {last}".strip()

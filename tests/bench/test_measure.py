@@ -8,7 +8,7 @@ import pytest
 from shes.bench.measure import bench_rollout, bench_update
 from shes.errors import ConfigError
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 3}
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10}

@@ -14,7 +14,7 @@ from shes.bench.simulation import Costs, Network, simulate
 from shes.bench.speedup import bench_speedup, read_rows, speedup_of
 from shes.bench.speedup_figure import draw_speedup
 from shes.errors import ConfigError
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.hierarchy.made_up import make_task
 
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "noise_table_size": 1_000_000}

@@ -16,10 +16,10 @@ from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
-from shes.runs.rooms import execution_settings
+from shes.runs.sections import execution_settings
 from shes.studies import run_comparison
 from shes.training import export
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from shes.viewing import plot, render
 
 
@@ -158,11 +158,11 @@ def test_the_help_of_train_shows_what_the_preset_sets(shes):
         (["point-maze", "--algorithm", "es"], "point-maze", {"algorithm": "es"}),
     ],
 )
-def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_room(shes, words, env, settings):
+def test_all_of_the_help_shows_every_setting_of_the_run_in_the_group_of_its_section(shes, words, env, settings):
     text = shes("train", *words, "--help-all")
     config = make_config(env, "smoke", settings)
-    for room in config.rooms:
-        assert f" {room} options " in text
+    for section in config.sections:
+        assert f" {section} options " in text
     for name in config.values.keys() - {"env"}:
         assert re.search(rf"{config.setting(name).flag}\b", text), name
     assert ("--primitive-reward" in text) is ("es" not in words)
@@ -172,7 +172,7 @@ def test_no_group_of_the_help_repeats_its_name(shes):
     text = shes("train", "--help-all")
     titles = re.findall(r"^ (\w+) options +\n -+ \n +(.*?) *\n", text, re.MULTILINE)
     assert ("evolution", "Population and update.") in titles
-    assert [room for room, title in titles if title.rstrip(".").lower() == room] == []
+    assert [section for section, title in titles if title.rstrip(".").lower() == section] == []
 
 
 def test_the_short_help_leaves_out_what_all_of_the_help_says(shes):

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.registry import ALGORITHMS, TAKEN_ROOMS, algorithm_classes, find_algorithm
+from shes.algorithms.registry import ALGORITHMS, TAKEN_SECTIONS, algorithm_classes, find_algorithm
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.tables import read_csv
 from shes.settings import Settings
 from shes.training.build import build_algorithm, build_backend
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import runs
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "random_search.py"
@@ -169,22 +169,26 @@ class Vague(Settings):
     tries: int
 
 
-def test_a_room_or_an_option_of_an_algorithm_has_a_name_of_its_own(monkeypatch):
+def test_a_section_or_an_option_of_an_algorithm_has_a_name_of_its_own(monkeypatch):
     monkeypatch.setattr(ALGORITHMS, "_entries", dict(ALGORITHMS))
     example = runpy.run_path(str(EXAMPLE), run_name="random_search")["RandomSearch"]
-    for room in ("run", "body", "values"):
-        taken = type("Own", (example,), {"rooms": {room: Search}})
-        with pytest.raises(ConfigError, match=rf"Own has a room '{room}', a name that is taken\. Choose another name"):
+    for section in ("run", "body", "values"):
+        taken = type("Own", (example,), {"sections": {section: Search}})
+        with pytest.raises(
+            ConfigError, match=rf"Own has a section '{section}', a name that is taken\. Choose another name"
+        ):
             shes.register_algorithm("own", taken)
     with pytest.raises(ConfigError, match=r"option 'tries' of .*Vague has no default"):
-        shes.register_algorithm("own", type("Own", (example,), {"rooms": {"search": Vague}}))
-    shes.register_algorithm("own", type("Own", (example,), {"rooms": {"evolution": Search}}))
+        shes.register_algorithm("own", type("Own", (example,), {"sections": {"search": Vague}}))
+    shes.register_algorithm("own", type("Own", (example,), {"sections": {"evolution": Search}}))
 
 
-def test_the_taken_rooms_are_those_of_every_run_and_the_attributes_of_its_settings():
+def test_the_taken_sections_are_those_of_every_run_and_the_attributes_of_its_settings():
     attributes = {name for name in dir(TrainConfig) if not name.startswith("_")}
-    rooms = make_config("point-gather", "smoke", {"algorithm": "td3"}).rooms.keys() - ALGORITHMS["td3"].rooms.keys()
-    assert attributes | rooms | {"rooms", "body"} == TAKEN_ROOMS
+    sections = (
+        make_config("point-gather", "smoke", {"algorithm": "td3"}).sections.keys() - ALGORITHMS["td3"].sections.keys()
+    )
+    assert attributes | sections | {"sections", "body"} == TAKEN_SECTIONS
 
 
 def test_an_unknown_algorithm_is_told_how_to_be_known():

@@ -16,23 +16,24 @@ from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS, Mirroring
 from shes.es.schedules import SCHEDULES, ScheduleKind
-from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
+from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ViewChoice
+from shes.hierarchy.views import ColumnsView
 from shes.runs.config import TrainConfig
-from shes.runs.rooms import known_settings
+from shes.runs.sections import known_settings
 from shes.settings import Ge, Settings
 from shes.studies.study import generation_steps
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from shes.training.transfer import transferred_levels
 
 SRC = Path(shes.__file__).parent
 ABOVE = ("bench", "cli", "gymnasium", "runs", "studies", "training", "viewing")
-SOURCES = {str(path.relative_to(SRC)): path.read_text() for room in ABOVE for path in SRC.glob(f"{room}/**/*.py")}
+SOURCES = {str(path.relative_to(SRC)): path.read_text() for package in ABOVE for path in SRC.glob(f"{package}/**/*.py")}
 IMPORTS = {"bench/evolution.py"}
 """Modules that may import from an algorithm: what benchmarks measure of Algorithm 1."""
 NAMES = {"bench/speedup.py"}
 """Modules that may compare the name of an algorithm: the figure of the paper, which has two of them."""
-ROOMS = "|".join(sorted({room for each in algorithm_classes() for room in each.rooms}))
+SECTIONS = "|".join(sorted({section for each in algorithm_classes() for section in each.sections}))
 
 
 def test_only_the_benchmarks_import_from_an_algorithm():
@@ -40,11 +41,13 @@ def test_only_the_benchmarks_import_from_an_algorithm():
     assert {name for name, text in SOURCES.items() if own.search(text)} == IMPORTS
 
 
-def test_no_module_above_names_a_room_of_an_algorithm():
-    room = re.compile(rf"""\b(config|settings|source|rooms)(\.|\[["'])({ROOMS})\b|["']({ROOMS})["'] (not )?in \b""")
-    found = {name: room.search(text)[0] for name, text in SOURCES.items() if room.search(text)}
+def test_no_module_above_names_a_section_of_an_algorithm():
+    section = re.compile(
+        rf"""\b(config|settings|source|sections)(\.|\[["'])({SECTIONS})\b|["']({SECTIONS})["'] (not )?in \b"""
+    )
+    found = {name: section.search(text)[0] for name, text in SOURCES.items() if section.search(text)}
     assert found == {}
-    assert not re.search(rf"^    ({ROOMS}): ", SOURCES["runs/config.py"], re.MULTILINE)
+    assert not re.search(rf"^    ({SECTIONS}): ", SOURCES["runs/config.py"], re.MULTILINE)
 
 
 def _compared(tree):
@@ -63,7 +66,7 @@ def test_no_module_above_compares_the_name_of_an_algorithm():
 def test_no_name_of_an_algorithm_is_in_a_preset_or_a_text_of_a_setting_above_it():
     words = {word for preset in PRESETS.values() for word in (*preset.values, *preset.per_environment)}
     assert not words & {"algorithm", "sigma", "population_size", "actor_learning_rate"}
-    assert not re.search(r"\b(hiro|td3)\b", SOURCES["runs/rooms.py"])
+    assert not re.search(r"\b(hiro|td3)\b", SOURCES["runs/sections.py"])
 
 
 # An algorithm from outside.
@@ -85,7 +88,7 @@ class Alone(Algorithm):
     """Stands in."""
 
     level_names: ClassVar = ("primitive",)
-    rooms: ClassVar = {"evolution": OwnSettings}
+    sections: ClassVar = {"evolution": OwnSettings}
 
     def __init__(self, problem):
         super().__init__(problem, problem.flat_design(hidden=()))
@@ -165,8 +168,8 @@ def test_it_says_who_learns_where_the_environment_sets_the_goals(own):
 
 
 def test_a_class_that_stands_in_is_checked_as_well(own):
-    alone = type("Taken", (Alone,), {"rooms": {"run": OwnSettings}})
-    with pytest.raises(ConfigError, match="Taken has a room 'run', a name that is taken"):
+    alone = type("Taken", (Alone,), {"sections": {"run": OwnSettings}})
+    with pytest.raises(ConfigError, match="Taken has a section 'run', a name that is taken"):
         shes.register_algorithm("other", type("Other", (Own,), {"without_controller": alone}))
 
 

@@ -15,7 +15,7 @@ from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, WorkerError
 from shes.settings import Execution, Settings, setting_fields
 from shes.training.build import build_algorithm, build_backend
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.backends.clusters import ray_cluster
 from tests.backends.workers import ERRORS, Letters, Worker
 from tests.e2e import runs

@@ -17,7 +17,7 @@ from shes import storage
 from shes.cli import main
 from shes.errors import ConfigError, ShesError, UnknownNameError
 from shes.runs.checkpoint import load_checkpoint
-from shes.runs.rooms import known_settings
+from shes.runs.sections import known_settings
 from tests.e2e import runs
 
 MENDABLE, FAILED = 2, 1
@@ -310,7 +310,7 @@ CONFIGS = {
     ),
     "unknown_key": (
         lambda text: text.replace('"sigma"', '"sigmma"'),
-        r"config\.json: unknown setting 'sigmma' in group 'evolution'\. Did you mean 'sigma'\?",
+        r"config\.json: unknown setting 'sigmma' in section 'evolution'\. Did you mean 'sigma'\?",
     ),
     "wrong_type": (
         lambda text: re.sub(r'"sigma": [\d.]+', '"sigma": "big"', text),

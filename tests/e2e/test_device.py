@@ -12,7 +12,7 @@ from shes.bench.measure import bench_rollout
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.sim.warp_device import load_warp
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import runs
 
 pytestmark = [

@@ -17,7 +17,7 @@ from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.training.divergence import Divergence
 from shes.training.evaluate import evaluate
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import runs
 
 STEPS = 20

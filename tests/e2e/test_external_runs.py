@@ -19,7 +19,7 @@ from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.errors import ConfigError, ShesError
 from shes.es.streams import Purpose
 from shes.training.evaluate import evaluation_seeds
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from shes.viewing.render import render
 from shes.viewing.watch import watch
 from tests.e2e import runs

@@ -7,7 +7,7 @@ import pytest
 
 import shes
 from shes.runs.folder import RunFolder
-from shes.runs.rooms import known_settings
+from shes.runs.sections import known_settings
 from tests.contracts.variants import VARIANTS
 from tests.e2e import runs
 

@@ -17,7 +17,7 @@ from shes.es.noise import NoiseTable
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.strict_arrays import strict_xp
 from tests.strict_simulator import DeviceSimulator
 

@@ -11,7 +11,7 @@ import pytest
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
 from shes.training.build import build_algorithm, build_task
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 INTERVAL = 4
 EPISODES = 2

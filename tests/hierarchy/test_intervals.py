@@ -18,7 +18,7 @@ from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapsho
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.results import PopulationResults
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.hierarchy import designs
 from tests.hierarchy.formula import SETTINGS, changing, constant, formula_state, start_state
 from tests.hierarchy.plain_loop import play

@@ -13,7 +13,7 @@ from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
 from shes.hierarchy.views import ColumnsView, EgocentricView, NearestView
 from shes.training.build import build_algorithm, build_task
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.contracts.variants import VARIANTS
 
 BODIES = {body.name: body for body in (environment.body for environment in ENVIRONMENTS.values())}

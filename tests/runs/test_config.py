@@ -1,4 +1,4 @@
-"""Settings of a run: rooms of its algorithm and its task, one value for each name, JSON that gives them back."""
+"""Settings of a run: sections of its algorithm and its task, one value for each name, JSON that gives them back."""
 
 import copy
 import json
@@ -12,7 +12,7 @@ import pytest
 
 import shes
 from shes.algorithms.evolution.levels import learns
-from shes.algorithms.evolution.rooms import SCHEDULED
+from shes.algorithms.evolution.sections import SCHEDULED
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids
 from shes.envs.registry import ENVIRONMENTS, Environment
@@ -22,10 +22,10 @@ from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, VectorOutput
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
 from shes.runs.config import TrainConfig
-from shes.runs.rooms import WorkerSettings, execution_settings, known_settings
+from shes.runs.sections import WorkerSettings, execution_settings, known_settings
 from shes.settings import Gt, Settings, Shared, flag
 from shes.training.build import build_algorithm, build_task
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import own_classes, runs
 
 EXECUTION = {
@@ -39,7 +39,7 @@ def make(**settings):
     return TrainConfig.of(env="point-gather", **settings)
 
 
-def test_a_setting_is_in_a_room_and_is_told_by_its_own_name():
+def test_a_setting_is_in_a_section_and_is_told_by_its_own_name():
     config = make(sigma=0.5, fall_penalty=False, spec="hiro", num_workers=3)
     assert (config.evolution.sigma, config.environment.fall_penalty, config.workers.num_workers) == (0.5, False, 3)
     assert config.values["sigma"] == 0.5
@@ -48,20 +48,20 @@ def test_a_setting_is_in_a_room_and_is_told_by_its_own_name():
 
 
 @pytest.mark.parametrize(
-    ("env", "algorithm", "rooms"),
+    ("env", "algorithm", "sections"),
     [
         ("point-gather", "shes", "run workers evolution schedules novelty networks hierarchy estimate transfer"),
         ("point-flagrun", "shes", "run workers evolution schedules networks hierarchy estimate transfer"),
         ("point-gather", "es", "run workers evolution schedules novelty networks"),
     ],
 )
-def test_rooms_are_those_of_the_algorithm(env, algorithm, rooms):
+def test_sections_are_those_of_the_algorithm(env, algorithm, sections):
     config = TrainConfig.of(env=env, algorithm=algorithm)
-    assert list(config.rooms) == [*rooms.split(), "environment", "episodes", "evaluation"]
-    for room in ("novelty", "hierarchy"):
-        if room not in config:
-            with pytest.raises(AttributeError, match=f"no group of settings '{room}' here; it has run, "):
-                getattr(config, room)
+    assert list(config.sections) == [*sections.split(), "environment", "episodes", "evaluation"]
+    for section in ("novelty", "hierarchy"):
+        if section not in config:
+            with pytest.raises(AttributeError, match=f"no section of settings '{section}' here; it has run, "):
+                getattr(config, section)
 
 
 def test_settings_that_never_change_numbers_are_marked():
@@ -144,33 +144,38 @@ def test_an_unknown_setting_gets_the_nearest_names_alone(name, message):
 
 
 def record(env="point-gather", **changes):
-    """Return the record of a run with other values: `room={name: value}`; a name or a room that is `...` is absent."""
-    rooms = {**TrainConfig.of(env=env).to_dict(), **{room: ... for room, each in changes.items() if each is ...}}
-    for room, each in changes.items():
+    """Return the record of a run with other values: `section={name: value}`; one that is `...` is absent."""
+    sections = {
+        **TrainConfig.of(env=env).to_dict(),
+        **{section: ... for section, each in changes.items() if each is ...},
+    }
+    for section, each in changes.items():
         if isinstance(each, dict):
-            rooms[room] = {name: value for name, value in {**rooms.get(room, {}), **each}.items() if value is not ...}
+            sections[section] = {
+                name: value for name, value in {**sections.get(section, {}), **each}.items() if value is not ...
+            }
         elif each is not ...:
-            rooms[room] = each
-    return {room: values for room, values in rooms.items() if values is not ...}
+            sections[section] = each
+    return {section: values for section, values in sections.items() if values is not ...}
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"evolution": {"sigmma": 1}}, r"unknown setting 'sigmma' in group 'evolution'\. Did you mean 'sigma'\?"),
-        ({"workers": {"sigma": 0.1}}, r"unknown setting 'sigma' in group 'workers'"),
-        ({"attic": {}}, r"a run of point-gather has no group of settings 'attic'"),
+        ({"evolution": {"sigmma": 1}}, r"unknown setting 'sigmma' in section 'evolution'\. Did you mean 'sigma'\?"),
+        ({"workers": {"sigma": 0.1}}, r"unknown setting 'sigma' in section 'workers'"),
+        ({"attic": {}}, r"a run of point-gather has no section of settings 'attic'"),
         ({"evolution": 1}, r"'evolution' must be an object of settings, got 1"),
         ({"run": {"env": ...}}, r"the configuration names no environment"),
     ],
 )
-def test_an_unknown_key_or_room_is_an_error(changes, message):
+def test_an_unknown_key_or_section_is_an_error(changes, message):
     with pytest.raises(ConfigError, match=message):
         TrainConfig.from_dict(record(**changes))
 
 
 @pytest.mark.parametrize("changes", [{"novelty": ...}, {"workers": {"chunk_size": ..., "device": ...}}])
-def test_a_setting_or_room_that_is_newer_than_the_record_has_its_default(changes):
+def test_a_setting_or_section_that_is_newer_than_the_record_has_its_default(changes):
     assert TrainConfig.from_dict(record(**changes)) == TrainConfig.from_dict(record())
 
 
@@ -184,7 +189,7 @@ def test_a_class_that_is_not_registered_is_named_before_its_options():
 
 
 def test_a_shared_setting_has_one_value_in_a_record():
-    message = r"goal_distance is 4\.0 in group 'hierarchy', but 9\.0 in group 'environment'\. It is one setting"
+    message = r"goal_distance is 4\.0 in section 'hierarchy', but 9\.0 in section 'environment'\. It is one setting"
     with pytest.raises(ConfigError, match=message):
         TrainConfig.from_dict(record("point-flagrun", environment={"goal_distance": 9.0}))
 
@@ -273,7 +278,10 @@ class SlowOptions(TaskOptions):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (PushOptions, r"'sigma' is a setting of group 'evolution' .* of group 'environment' .*PushOptions.*other name"),
+        (
+            PushOptions,
+            r"'sigma' is a setting of section 'evolution' .* of section 'environment' .*PushOptions.*other name",
+        ),
         (
             SlowOptions,
             r"'controller_interval' is .*'hierarchy' \(default 25\).*default 10, .*Give both the same default",

@@ -15,13 +15,13 @@ from shes.bench.measure import bench_update
 from shes.errors import ConfigError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device, device_changes, device_facts
-from shes.runs.rooms import WorkerSettings, execution_settings
+from shes.runs.sections import WorkerSettings, execution_settings
 from shes.settings import setting_fields
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp_device import DEVICES
 from shes.training.build import build_algorithm, build_backend
 from shes.training.evaluate import evaluate
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import runs
 
 NO_CARD = ConfigError("device cuda needs an NVIDIA card. Use --device cpu.")

@@ -12,7 +12,7 @@ import shes
 from shes.errors import CheckpointError, ConfigError, RunFolderError
 from shes.runs.checkpoint import save_checkpoint
 from shes.runs.folder import RunFolder, new_folder
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import runs
 
 CONFIG = make_config("point-gather", "smoke")

@@ -23,7 +23,7 @@ from shes.runs.tables import read_csv
 from shes.settings import setting_fields
 from shes.training.build import build_task
 from shes.training.evaluate import evaluate
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from shes.training.ship import main, ship
 from shes.viewing.plot import plot
 from shes.viewing.render import render

@@ -12,7 +12,7 @@ from shes.studies.comparison import compare
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
 from shes.studies.study import choose
-from shes.studies.study_tables import Summary
+from shes.studies.study_tables import CellResults
 
 # The fast tests have three minutes; the first test that needs the figures waits for all of them.
 pytestmark = [pytest.mark.extras, pytest.mark.timeout(400)]
@@ -45,7 +45,7 @@ def summaries_of(cells):
             for step in range(6)
         )
         whole = {"env_steps": 1_500_000, "seconds": 5400.0, **dict.fromkeys(COMPARED, score)}
-        found[cell.name] = Summary(row={**cell.identity, **whole}, curve=curve)
+        found[cell.name] = CellResults(row={**cell.identity, **whole}, curve=curve)
     return found
 
 

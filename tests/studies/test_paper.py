@@ -9,7 +9,7 @@ import pytest
 from shes.algorithms.evolution.presets import SHES_PRESETS
 from shes.cli import main
 from shes.studies import experiment as experiments
-from shes.studies import speedup
+from shes.studies import speedup_cells
 from shes.studies.comparison import compare
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
@@ -17,7 +17,7 @@ from shes.studies.paper_scales import SCALES
 from shes.studies.provenance_columns import joined, provenance_columns
 from shes.studies.running import check_study, read_summaries, run_cell, run_study
 from shes.studies.study import ALONE, cell_config
-from shes.studies.study_tables import Cell, Summary, write_tables
+from shes.studies.study_tables import Cell, CellResults, write_tables
 from shes.studies.table1 import TABLE_1, settings_beside
 from tests.e2e import runs
 
@@ -124,7 +124,7 @@ def measured(monkeypatch):
         speedups = {("measured", 2): 1.9, ("projected", 48): 40.0, ("projected", 240): 150.0, ("projected", 600): 300.0}
         return [{"kind": k, "cores": n, "speedup": s, "start_s": math.nan} for (k, n), s in speedups.items()]
 
-    monkeypatch.setattr(speedup, "measure_speedup", measure)
+    monkeypatch.setattr(speedup_cells, "measure_speedup", measure)
     return calls
 
 
@@ -169,7 +169,7 @@ def test_a_comparison_has_success_rates_time_and_origin():
     for cell in study.cells:
         row = {"best_score": cell.seed, "best_success": cell.seed / 4, "seconds": 1800 * cell.seed}
         row |= provenance_columns([{**PART, "git_commit": str(cell.seed)}])
-        summaries[cell.name] = Summary(row={**cell.identity, **row}, curve=())
+        summaries[cell.name] = CellResults(row={**cell.identity, **row}, curve=())
     first = compare(study, summaries)[0]
     assert (first.env, first.seeds) == ("point-gather", 2)
     assert (first.success_mean, first.hours) == (0.375, 0.75)
@@ -226,7 +226,7 @@ def test_a_figure_is_built_from_the_tables_alone(tmp_path, name):
     study = STUDIES[name]("smoke", seeds=2)
     columns = {measure.column for each in (study.design.metrics, study.design.curves) for measure in each.values()}
     summaries = {
-        cell.name: Summary(
+        cell.name: CellResults(
             row={**cell.identity, **dict.fromkeys(columns, cell.seed / 3), "env_steps": 99, "seconds": 7.5},
             curve=tuple(
                 {

@@ -34,11 +34,11 @@ from shes.studies.significance import (
     superiority,
 )
 from shes.studies.study import Study, cell_config, cell_steps, choose, generation_steps
-from shes.studies.study_tables import Cell, Summary, read_tables, write_tables
+from shes.studies.study_tables import Cell, CellResults, read_tables, write_tables
 from shes.training import session
 from shes.training import train as training
 from shes.training.evaluate import evaluate
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import runs
 
 TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}
@@ -649,7 +649,7 @@ def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_
         return 0.1 * (found.seed % 5) - (2 if is_worse else 0)
 
     summaries = {
-        found.name: Summary(row={**found.identity, study.design.metrics[found.env].column: score(found)}, curve=())
+        found.name: CellResults(row={**found.identity, study.design.metrics[found.env].column: score(found)}, curve=())
         for found in study.cells
         if found.env in ablations.ENVS
     }
@@ -671,7 +671,7 @@ def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_
 def test_what_is_not_finished_is_not_compared():
     study = ablation("smoke")
     some = next(found for found in study.cells if found.variant == "sigma-x2")
-    summaries = {some.name: Summary(row={**some.identity, study.design.metrics[some.env].column: 1.0}, curve=())}
+    summaries = {some.name: CellResults(row={**some.identity, study.design.metrics[some.env].column: 1.0}, curve=())}
     (found,) = compare(study, summaries)  # there is no base yet
     assert (found.variant, found.against, found.p) == ("sigma-x2", None, None)
     assert compare(study, {}) == []

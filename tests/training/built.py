@@ -7,7 +7,7 @@ from shes.algorithms.evolution.populations import Hyperparameters
 from shes.algorithms.worker import WorkerPlan
 from shes.hierarchy.agent import AgentDesign
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 INTERVALS = {
     "primitive_estimate": "interval",

@@ -25,7 +25,7 @@ from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator
 from shes.training.build import build_algorithm, build_backend
 from shes.training.evaluate import Evaluation, evaluate_state
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 __all__ = ["Record", "RolledOut", "Update", "record_generations", "recording"]
 
@@ -144,7 +144,7 @@ def recording() -> Iterator[Record]:
         return noises
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("shes.runs.rooms.num_cores", lambda: 1)
+        patch.setattr("shes.runs.sections.num_cores", lambda: 1)
         patch.setattr("shes.backends.backend.num_cores", lambda: 1)
         patch.setattr(worker, "Rollout", RecordedRollout)
         patch.setattr(worker, "WarpSimulator", DeviceSimulator)

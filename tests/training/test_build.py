@@ -14,7 +14,7 @@ from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.errors import ShapeError
 from shes.hierarchy.primitive import PrimitiveDesign
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e.own_classes import Corner
 from tests.training.built import INTERVALS, Built
 

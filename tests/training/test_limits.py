@@ -15,7 +15,7 @@ from shes.hierarchy.results import PopulationResults
 from shes.training import limits
 from shes.training.build import build_algorithm
 from shes.training.limits import Workload, check_limits, max_workers
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import runs
 
 MEMORY = 2 * 10**9

@@ -13,7 +13,7 @@ from shes.errors import CheckpointError, ConfigError, RunFolderError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from shes.training.transfer import check_robot
 from tests.e2e import runs
 
@@ -135,8 +135,8 @@ def test_the_controller_begins_as_it_would_without(plain, tmp_path):
 
 def test_a_primitive_brings_what_it_was_trained_with(point, tmp_path):
     path = runs.train_tiny(tmp_path / "run", primitive=str(point), generations=1)
-    rooms = json.loads((path / "config.json").read_text())["config"]
-    record = {name: value for room in rooms.values() for name, value in room.items()}
+    sections = json.loads((path / "config.json").read_text())["config"]
+    record = {name: value for section in sections.values() for name, value in section.items()}
     assert {name: record[name] for name in BROUGHT} == BROUGHT
     assert (record["primitive_hidden"], record["primitive_view"]) == ([3, 2], "proprioception")
     assert (record["primitive"], record["primitive_checkpoint"], record["freeze_primitive"]) == (

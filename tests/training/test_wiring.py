@@ -12,20 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shes.algorithms.hiro.rooms import HIRO_ROOMS
+from shes.algorithms.hiro.sections import HIRO_SECTIONS
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
 from shes.errors import ConfigError, DivergenceError
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.intervals import branch_work
 from shes.runs.folder import RunFolder
-from shes.runs.rooms import known_settings
+from shes.runs.sections import known_settings
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
 from shes.training.build import build_algorithm, build_backend
 from shes.training.divergence import Divergence
 from shes.training.evaluate import evaluate
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import runs
 from tests.training.built import INTERVALS
 from tests.training.recorder import record_generations, recording
@@ -497,7 +497,7 @@ def test_the_address_of_a_ray_cluster_arrives(monkeypatch):
 
 
 def test_every_setting_has_a_row():
-    of_hiro = {name for room in HIRO_ROOMS.values() for name in setting_fields(room)}  # tests/algorithms/hiro
+    of_hiro = {name for section in HIRO_SECTIONS.values() for name in setting_fields(section)}  # tests/algorithms/hiro
     rows = {setting_of(row) for row in ROWS} | SHOWN.keys() | {"ray_address"}
     assert rows | of_hiro == known_settings().keys()
 

@@ -14,9 +14,9 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from shes.algorithms.level_transfer import LevelTransfer
 from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
-from shes.algorithms.transfer import LevelTransfer
 from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
 from shes.es.level import LevelParameters
@@ -78,8 +78,8 @@ class Algorithm(ABC, Generic[StateT]):
     without_controller: ClassVar[type[Algorithm[Any]] | None] = None
     """The class that learns instead in environments that set the goals, such as Flagrun; None for this one."""
 
-    rooms: ClassVar[Mapping[str, type[Settings]]] = {}
-    """Its settings: dataclasses by the name of their group. Each setting becomes a flag of `shes train` with help, an
+    sections: ClassVar[Mapping[str, type[Settings]]] = {}
+    """Its settings: dataclasses by the name of their section. Each setting becomes a flag of `shes train` with help, an
     argument of `shes.train` and an entry of `config.json`. `problem.settings.GROUP.NAME` is its value."""
 
     presets: ClassVar[Mapping[str, Preset]] = {}

@@ -13,25 +13,25 @@ from shes.errors import ConfigError
 from shes.options import check_options
 from shes.registry import Registry, check_class, full_name
 
-TAKEN_ROOMS = frozenset({
+TAKEN_SECTIONS = frozenset({
     "run", "workers", "environment", "body", "episodes", "evaluation",
-    "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "rooms", "setting",
+    "algorithm", "evaluation_steps", "from_dict", "having", "level_names", "numbers", "of", "sections", "setting",
     "to_dict", "values",
 })  # fmt: skip
-"""Names that a group of an algorithm's settings cannot have: groups of every run, and attributes of `TrainConfig`."""
+"""Names that a section of an algorithm cannot have: sections of every run, and attributes of `TrainConfig`."""
 
 
 def _check_algorithm(kind: str, cls: Any) -> None:
-    """Check an algorithm, the one that stands in for it, and their groups of settings.
+    """Check an algorithm, the one that stands in for it, and their sections of settings.
 
     Raises:
-        ConfigError: The class is incomplete, or a group or an option has a name that is taken.
+        ConfigError: The class is incomplete, or a section or an option has a name that is taken.
     """
     check_class(kind, cls, Algorithm, num_arguments=1)
-    for room, settings in cls.rooms.items():
-        if room in TAKEN_ROOMS:
+    for section, settings in cls.sections.items():
+        if section in TAKEN_SECTIONS:
             raise ConfigError(
-                f"{kind} {full_name(cls)} has a room {room!r}, a name that is taken. Choose another name."
+                f"{kind} {full_name(cls)} has a section {section!r}, a name that is taken. Choose another name."
             )
         check_options(settings)
     if cls.without_controller not in (None, cls):  # a subclass that stands in inherits itself
@@ -63,8 +63,8 @@ def register_algorithm(name: str, algorithm: type[Algorithm[Any]]) -> None:
         algorithm: A complete subclass of `Algorithm`, made from one argument, the `Problem`.
 
     Raises:
-        ConfigError: The class is not a complete subclass, or the name, or that of a group or an option, is malformed or
-            already taken.
+        ConfigError: The class is not a complete subclass, or the name, or that of a section or an option, is malformed
+            or already taken.
     """
     ALGORITHMS.register(name, algorithm)
 

@@ -10,7 +10,7 @@ from shes.bench.speedup import speedup_of
 from shes.checked import checked
 from shes.listing import Listing, facts_listing
 from shes.settings import Ge, Gt
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 
 @checked

@@ -24,10 +24,10 @@ from shes.bench.speedup_figure import draw_speedup
 from shes.errors import ConfigError
 from shes.es.level import TrainState
 from shes.runs.config import TrainConfig
-from shes.runs.rooms import RunSettings, rooms_of, settings_in
+from shes.runs.sections import RunSettings, sections_of, settings_in
 from shes.storage import write_atomically
 from shes.training.build import build_backend
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 CORES = (1, 2, 24, 48, 96, 120, 240, 360, 480, 600, 1000)
 """Numbers of cores of a projection; the paper's are 48, 240 and 600."""
@@ -95,7 +95,7 @@ def measure_speedup(
 
 def settings_of(env: str, algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return those of `settings` that `algorithm` has on `env`."""
-    own = settings_in(rooms_of(RunSettings.of({"env": env, "algorithm": algorithm})).values())
+    own = settings_in(sections_of(RunSettings.of({"env": env, "algorithm": algorithm})).values())
     return {name: value for name, value in settings.items() if name in own}
 
 

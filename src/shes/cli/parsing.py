@@ -27,9 +27,9 @@ from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError, UnknownNameError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
-from shes.runs.rooms import known_settings, settings_in
+from shes.runs.sections import known_settings, settings_in
 from shes.settings import Setting, flag
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from shes.training.train import resumable_settings
 from shes.training.transfer import transferred_levels
 
@@ -165,10 +165,10 @@ def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
 def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequence[str] | None) -> Any:
     """Return the type of the settings that are flags of a command with parameters `named` on a run like `config`.
 
-    With the words `asking` for help, it has a group for each room, or the everyday one. Otherwise it includes every
+    With the words `asking` for help, it has a group for each section, or the everyday one. Otherwise it includes every
     known setting; the configuration rejects those that do not apply.
     """
-    here = settings_in(map(type, config.rooms.values())) if "env" in named else resumable_settings()
+    here = settings_in(map(type, config.sections.values())) if "env" in named else resumable_settings()
     everywhere = known_settings() if asking is None else {}
     offered = {name: each for name, each in {**everywhere, **here}.items() if name not in {*named, "env"}}
     values = {name: each.default for name, each in offered.items()} | config.values
@@ -184,9 +184,9 @@ def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequen
         everyday = {name: each for name, each in offered.items() if each.is_everyday}
         groups["everyday"] = _group(title, everyday, values, is_brief=True)
     else:
-        for name, room in config.rooms.items():
-            title = (type(room).__doc__ or "").partition("\n")[0]
-            own = {each: offered.pop(each) for each in settings_in([type(room)]) if each in offered}  # may be shared
+        for name, section in config.sections.items():
+            title = (type(section).__doc__ or "").partition("\n")[0]
+            own = {each: offered.pop(each) for each in settings_in([type(section)]) if each in offered}  # may be shared
             groups[name] = _group("" if title.rstrip(".").lower() == name else title, own, values)
     return TypedDict("Settings", groups)  # type: ignore[misc] - the keys are known at run time only
 

@@ -9,7 +9,7 @@ from shes.algorithms.contract import Algorithm
 from shes.envs.registry import find_environment
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError
-from shes.runs.rooms import (
+from shes.runs.sections import (
     EpisodeSettings,
     EvaluationSettings,
     RunSettings,
@@ -23,7 +23,7 @@ from shes.settings import Execution, Setting, Settings
 
 
 class TrainConfig:
-    """The settings of a training run, immutable, in groups: `config.run.seed`. See `shes.runs.rooms`."""
+    """The settings of a training run, immutable, in sections: `config.run.seed`. See `shes.runs.sections`."""
 
     run: RunSettings
     workers: WorkerSettings
@@ -33,17 +33,17 @@ class TrainConfig:
     evaluation: EvaluationSettings
 
     def __init__(self, values: Mapping[str, Any]) -> None:
-        """Build the groups from settings by name.
+        """Build the sections from settings by name.
 
         Raises:
             ConfigError: A setting is unknown, a value is out of range, or two values do not go together.
             UnknownNameError: A value is a name that is in no registry.
         """
         classes = check_names(values)
-        self._set({room: cls.of(values) for room, cls in classes.items()})
+        self._set({section: cls.of(values) for section, cls in classes.items()})
 
-    def _set(self, rooms: dict[str, Settings]) -> None:
-        self.__dict__["rooms"] = rooms
+    def _set(self, sections: dict[str, Settings]) -> None:
+        self.__dict__["sections"] = sections
         self._check()
 
     @classmethod
@@ -56,59 +56,61 @@ class TrainConfig:
         return TrainConfig({**self.values, **values})
 
     def __getattr__(self, name: str) -> Any:
-        rooms = self.__dict__.get("rooms", {})
-        if name not in rooms:
-            raise AttributeError(f"a run has no group of settings {name!r} here; it has {', '.join(rooms)}")
-        return rooms[name]
+        sections = self.__dict__.get("sections", {})
+        if name not in sections:
+            raise AttributeError(f"a run has no section of settings {name!r} here; it has {', '.join(sections)}")
+        return sections[name]
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"settings cannot be changed: {name}. Use having().")
 
-    def __contains__(self, room: str) -> bool:
-        return room in self.rooms
+    def __contains__(self, section: str) -> bool:
+        return section in self.sections
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, TrainConfig) and self.rooms == other.rooms
+        return isinstance(other, TrainConfig) and self.sections == other.sections
 
-    __hash__ = None  # type: ignore[assignment] - a group may not be hashable
+    __hash__ = None  # type: ignore[assignment] - a section may not be hashable
 
     def __repr__(self) -> str:
-        return f"TrainConfig({', '.join(map(repr, self.rooms.values()))})"
+        return f"TrainConfig({', '.join(map(repr, self.sections.values()))})"
 
     @property
     def values(self) -> dict[str, Any]:
         """The values of all settings by name."""
-        return {name: getattr(room, name) for room in self.rooms.values() for name in settings_in([type(room)])}
+        return {
+            name: getattr(section, name) for section in self.sections.values() for name in settings_in([type(section)])
+        }
 
     def setting(self, name: str) -> Setting:
         """Return the description of setting `name`."""
-        return settings_in(map(type, self.rooms.values()))[name]
+        return settings_in(map(type, self.sections.values()))[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as JSON types, by group."""
-        return {name: room.to_dict() for name, room in self.rooms.items()}
+        """Return the settings as JSON types, by section."""
+        return {name: section.to_dict() for name, section in self.sections.items()}
 
     @classmethod
-    def from_dict(cls, rooms: Mapping[str, Mapping[str, Any]]) -> TrainConfig:
+    def from_dict(cls, sections: Mapping[str, Mapping[str, Any]]) -> TrainConfig:
         """Return the configuration from the result of `to_dict`.
 
         Raises:
             ConfigError: A key is unknown, a value is not allowed, or a shared setting has two values.
             UnknownNameError: A value is a name that is in no registry.
         """
-        classes = check_record(rooms)
+        classes = check_record(sections)
         config = cls.__new__(cls)
-        config._set({room: made(**rooms.get(room, {})) for room, made in classes.items()})
+        config._set({section: made(**sections.get(section, {})) for section, made in classes.items()})
         return config
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by the record, because a group with options of registered classes is a class made at run time."""
+        """Pickle by the record, because a section with options of registered classes is a class made at run time."""
         return TrainConfig.from_dict, (self.to_dict(),)
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
-        settings = settings_in(map(type, self.rooms.values()))
-        values = {name: value for room in self.to_dict().values() for name, value in room.items()}
+        settings = settings_in(map(type, self.sections.values()))
+        values = {name: value for section in self.to_dict().values() for name, value in section.items()}
         return {name: value for name, value in values.items() if not settings[name].has(Execution)}
 
     # Derived properties.
@@ -141,14 +143,14 @@ class TrainConfig:
         self.algorithm.check(self)
 
     def _check_shared(self) -> None:
-        """Check that a setting of two groups has one value."""
+        """Check that a setting of two sections has one value."""
         first: dict[str, tuple[str, Any]] = {}
-        for room, settings in self.rooms.items():
+        for section, settings in self.sections.items():
             for name in settings_in([type(settings)]):
                 value = getattr(settings, name)
-                home, other = first.setdefault(name, (room, value))
+                home, other = first.setdefault(name, (section, value))
                 if value != other:
                     raise ConfigError(
-                        f"{name} is {other!r} in group {home!r}, but {value!r} in group {room!r}. It is one setting: "
-                        "give both the same value."
+                        f"{name} is {other!r} in section {home!r}, but {value!r} in section {section!r}. "
+                        "It is one setting: give both the same value."
                     )

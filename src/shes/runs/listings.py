@@ -69,6 +69,6 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
         shown = {each: facts[each] for each in ("agent", "env", "algorithm", "levels", "env_steps", "hours", "cores")}
         shown["score"] = f"{agent.evaluation.score} over {agent.evaluation.episodes} fresh episodes"
         parts = [f"It {agent.description.rstrip('.')}. Trained by:", *agent.commands]
-    settings = {each: value for room in config.to_dict().values() for each, value in room.items()} if full else {}
+    settings = {each: value for section in config.to_dict().values() for each, value in section.items()} if full else {}
     listing = facts_listing({**shown, **settings})
     return Listing({**facts, "config": record["config"]}, [*listing.parts, *parts])

@@ -28,7 +28,7 @@ from shes.studies.design import (
 )
 from shes.studies.study import Study
 from shes.studies.study_tables import Cell
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 ENVS = ("point-gather", "point-maze")
 GROUPS: dict[str, str] = {

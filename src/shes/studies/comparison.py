@@ -13,7 +13,7 @@ from shes.studies.design import StudyDesign
 from shes.studies.provenance_columns import PROVENANCE, joined
 from shes.studies.significance import holm, interquartile_mean, mann_whitney, permutation_test, superiority
 from shes.studies.study import Study
-from shes.studies.study_tables import Summary
+from shes.studies.study_tables import CellResults
 from shes.types import F64Array
 from shes.viewing.curves import interval
 
@@ -71,7 +71,7 @@ class Comparison:
         return self.group, design.label(self.variant) + other, str(self.seeds), score, p
 
 
-def compare(study: Study, summaries: Mapping[str, Summary]) -> list[Comparison]:
+def compare(study: Study, summaries: Mapping[str, CellResults]) -> list[Comparison]:
     """Return the comparisons of all variants with a finished run: with the base of their task, and in pairs."""
     design, rows = study.design, dict[tuple[str, str, str], list[Row]]()
     for cell in study.cells:

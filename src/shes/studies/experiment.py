@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from shes.checked import checked
 from shes.console import LineConsole
 from shes.listing import Listing, Table
-from shes.runs.rooms import WorkerSettings
+from shes.runs.sections import WorkerSettings
 from shes.settings import Gt
 from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign

@@ -17,7 +17,7 @@ from shes.storage import write_atomically
 from shes.studies.comparison import Comparison
 from shes.studies.design import Curve, CurvePanel, Curves, Forest, Speedup, Sweep, sweep_name
 from shes.studies.study import Study
-from shes.studies.study_tables import Cell, Summary
+from shes.studies.study_tables import Cell, CellResults
 from shes.types import F64Array
 from shes.viewing.curves import interpolate, interval
 
@@ -33,10 +33,10 @@ _Place = tuple[str, str, str]
 class _Results:
     """The results of a study by place, ordered by seed."""
 
-    def __init__(self, study: Study, summaries: Mapping[str, Summary], comparisons: Sequence[Comparison]) -> None:
+    def __init__(self, study: Study, summaries: Mapping[str, CellResults], comparisons: Sequence[Comparison]) -> None:
         self.design = study.design
         self._study, self._by_name = study, summaries
-        self.summaries: dict[_Place, list[Summary]] = {}
+        self.summaries: dict[_Place, list[CellResults]] = {}
         self.cells: dict[_Place, Cell] = {}
         for cell in study.cells:
             place = (cell.env, cell.group, cell.variant)
@@ -50,7 +50,7 @@ class _Results:
         column = self.design.metrics[place[0]].column
         return np.array([summary.row[column] for summary in self.summaries.get(place, ())], dtype=np.float64)
 
-    def of_primitive(self, run: Summary, column: str) -> float:
+    def of_primitive(self, run: CellResults, column: str) -> float:
         """Return a number of the run whose primitive `run` has; 0 if that run is unknown."""
         name = next(cell.primitive for cell in self._study.cells if cell.identity.items() <= run.row.items())
         found = self._by_name.get(name or "")
@@ -74,7 +74,7 @@ class _Results:
 
 
 def draw_figures(
-    study: Study, summaries: Mapping[str, Summary], comparisons: Sequence[Comparison], out: Path
+    study: Study, summaries: Mapping[str, CellResults], comparisons: Sequence[Comparison], out: Path
 ) -> list[Path]:
     """Draw the figures of a study that have finished cells into `out`; return their paths."""
     results = _Results(study, summaries, comparisons)

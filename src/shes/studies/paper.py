@@ -29,7 +29,7 @@ from shes.studies.design import (
     StudyDesign,
 )
 from shes.studies.paper_scales import OF_PRIMITIVE, PIECES, PUBLISHED, REFERENCES, SCALES, TASKS, Scale
-from shes.studies.speedup import MOST, run_speedup
+from shes.studies.speedup_cells import MOST, run_speedup
 from shes.studies.study import Study
 from shes.studies.study_tables import Cell
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from shes.studies.design import Reference
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 TASKS = ("gather", "maze", "push")
 PUBLISHED, PIECES = "published", "pieces"

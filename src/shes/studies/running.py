@@ -28,7 +28,7 @@ from shes.storage import storage_errors, write_atomically
 from shes.studies.provenance_columns import provenance_columns
 from shes.studies.significance import check_scipy
 from shes.studies.study import ALONE, CHECKPOINTS, Study, cell_config, cell_workers
-from shes.studies.study_tables import Cell, Summary, read_tables
+from shes.studies.study_tables import Cell, CellResults, read_tables
 from shes.training.build import open_run
 from shes.training.evaluate import evaluate
 from shes.training.train import differing, resume_run, start_run
@@ -42,7 +42,7 @@ class Outcome:
     """The summary of a finished cell, the error of one that failed, or neither: the time for it was over."""
 
     cell: Cell
-    summary: Summary | None = None
+    summary: CellResults | None = None
     error: str = ""
     events: tuple[str, ...] = ()
 
@@ -52,7 +52,7 @@ class Outcome:
 
 def run_cell(
     cell: Cell, out: Path, episodes: int, *, until: float = math.inf, workers: Mapping[str, Any] = ALONE
-) -> Summary | None:
+) -> CellResults | None:
     """Train a cell to its end from its last checkpoint, if it has one; evaluate it and return its summary.
 
     Args:
@@ -103,7 +103,7 @@ def _minutes(folder: RunFolder) -> float:
     return read_wall_time(folder.progress) / 60
 
 
-def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
+def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> CellResults:
     """Evaluate a finished run and return its summary."""
     last = folder.load("last")
     row: Row = {
@@ -138,7 +138,7 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> Summary:
             shown[name] = sum(progress[column][k] for k in since) / len(since)
         curve.append({**cell.identity, **shown, "seconds": table["wall_time_s"][i]})
         first = generation
-    return Summary(row=row, curve=tuple(curve))
+    return CellResults(row=row, curve=tuple(curve))
 
 
 def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
@@ -177,7 +177,7 @@ class StudyWorker:
             yield number, _outcome(cell, self._run)
 
 
-def _outcome(cell: Cell, run: Callable[[Cell], Summary | None]) -> Outcome:
+def _outcome(cell: Cell, run: Callable[[Cell], CellResults | None]) -> Outcome:
     """Return the outcome of `run` for a cell."""
     try:
         return Outcome(cell=cell, summary=run(cell))
@@ -256,7 +256,7 @@ def _run_side_by_side(backend: Backend, cells: Sequence[Cell]) -> Iterator[Outco
         events.clear()
 
 
-def _run_in_turn(run: Callable[[Cell], Summary | None], cells: Sequence[Cell]) -> Iterator[Outcome]:
+def _run_in_turn(run: Callable[[Cell], CellResults | None], cells: Sequence[Cell]) -> Iterator[Outcome]:
     """Yield the outcomes of `cells`, run one after another."""
     yield from (_outcome(cell, run) for cell in cells)
 
@@ -282,19 +282,19 @@ def check_study(study: Study, out: Path) -> None:
 # Summaries.
 
 
-def read_summary(path: Path) -> Summary | None:
+def read_summary(path: Path) -> CellResults | None:
     """Return the summary of the cell in the folder at `path`; None if it is not finished."""
     file = path / _SUMMARY
     try:
         found = json.loads(file.read_bytes())
-        return Summary(row=found["row"], curve=tuple(found["curve"]))
+        return CellResults(row=found["row"], curve=tuple(found["curve"]))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunFolderError(f"{file} cannot be read: {error!r}. Remove it to have it made again.") from error
 
 
-def write_summary(path: Path, summary: Summary) -> Summary:
+def write_summary(path: Path, summary: CellResults) -> CellResults:
     """Write the summary of the finished cell in the folder at `path`, which may not exist yet, and return it."""
     text = json.dumps({"row": summary.row, "curve": summary.curve})
     with storage_errors(path):
@@ -303,7 +303,7 @@ def write_summary(path: Path, summary: Summary) -> Summary:
     return summary
 
 
-def read_summaries(study: Study, out: Path) -> dict[str, Summary]:
+def read_summaries(study: Study, out: Path) -> dict[str, CellResults]:
     """Return the summaries of the finished cells by name, from their folders or the tables, in order of execution."""
     cells = study.ordered()
     # A folder takes precedence over a row: a cell with an unfinished folder is unfinished.

@@ -12,8 +12,8 @@ from typing import Any
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.studies.design import StudyDesign
-from shes.studies.study_tables import Cell, Summary
-from shes.training.presets import make_config
+from shes.studies.study_tables import Cell, CellResults
+from shes.training.make_config import make_config
 
 CHECKPOINTS = ("best", "last")
 """Checkpoints that are evaluated on fresh episodes at the end of a cell."""
@@ -30,7 +30,7 @@ class Study:
     design: StudyDesign = field(default_factory=StudyDesign)
     has_large_runs: bool = False
     """Whether every run has all workers for itself; otherwise each has one, and several run at a time."""
-    run_cell: Callable[..., Summary | None] | None = None
+    run_cell: Callable[..., CellResults | None] | None = None
     """Function that runs a cell of a study with large runs, in place of `shes.studies.running.run_cell`; it takes no
     `episodes`."""
 

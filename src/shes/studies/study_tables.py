@@ -54,7 +54,7 @@ class Cell:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Summary:
+class CellResults:
     """The results of a cell."""
 
     row: Row
@@ -63,7 +63,7 @@ class Summary:
     """Its rows of `curves.csv`."""
 
 
-def write_tables(cells: Sequence[Cell], summaries: Mapping[str, Summary], out: Path) -> None:
+def write_tables(cells: Sequence[Cell], summaries: Mapping[str, CellResults], out: Path) -> None:
     """Write `runs.csv`, a row per finished cell, and `curves.csv`, a row per evaluation, in the order of `cells`.
 
     Existing rows of other cells are kept, after these.
@@ -77,14 +77,14 @@ def write_tables(cells: Sequence[Cell], summaries: Mapping[str, Summary], out: P
         write_csv(out / name, [*rows, *others])
 
 
-def read_tables(cells: Sequence[Cell], out: Path) -> dict[str, Summary]:
+def read_tables(cells: Sequence[Cell], out: Path) -> dict[str, CellResults]:
     """Return the summaries of `cells` in the tables at `out`, by name; rows with other settings are ignored."""
     curves: dict[tuple[Any, ...], list[Row]] = {}
     for row in _read(out / "curves.csv"):
         curves.setdefault(_place(row), []).append(_without_settings(row))
     rows = {_place(row): _without_settings(row) for row in _read(out / "runs.csv")}
     return {
-        cell.name: Summary(row=rows[_key(cell)], curve=tuple(curves[_key(cell)]))
+        cell.name: CellResults(row=rows[_key(cell)], curve=tuple(curves[_key(cell)]))
         for cell in cells
         if _key(cell) in rows and _key(cell) in curves
     }

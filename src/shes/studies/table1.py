@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from shes.runs.config import TrainConfig
 from shes.runs.tables import Row
 from shes.studies.paper_scales import SCALES
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 
 class Parameter(NamedTuple):

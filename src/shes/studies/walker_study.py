@@ -29,7 +29,7 @@ from shes.studies.design import (
 )
 from shes.studies.study import Study, generation_steps
 from shes.studies.study_tables import Cell
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 ENV = "ant-flagrun"
 GROUPS: dict[str, str] = {

@@ -21,7 +21,7 @@ from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.runs.checkpoint import restore
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
-from shes.runs.rooms import algorithm_of
+from shes.runs.sections import algorithm_of
 from shes.settings import setting_fields
 from shes.sim.warp_device import is_out_of_memory
 

@@ -175,8 +175,8 @@ def _with_names_of(command: str, record: dict[str, Any]) -> dict[str, Any]:
     for level in transferred_levels():
         if f"--{level}" in names and record.get(level) is not None:
             record[level]["run"] = names[f"--{level}"]
-            room = next(room for room in record["config"].values() if level in room)
-            room[level] = names[f"--{level}"]
+            section = next(section for section in record["config"].values() if level in section)
+            section[level] = names[f"--{level}"]
     for part in (record, *record.get("resumed", ())):
         part["command"] = _rename_runs(part.get("command", ()), names)
     return record

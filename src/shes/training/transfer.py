@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.algorithms.contract import Algorithm
+from shes.algorithms.level_transfer import LevelTransfer
 from shes.algorithms.registry import ALGORITHMS, algorithm_classes
-from shes.algorithms.transfer import LevelTransfer
 from shes.errors import CheckpointError, ConfigError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
-from shes.runs.rooms import RunSettings, algorithm_of
+from shes.runs.sections import RunSettings, algorithm_of
 from shes.settings import flag
 from shes.training.build import OpenedRun, build_task, open_run
 

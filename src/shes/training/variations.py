@@ -11,11 +11,11 @@ from typing import Any
 from shes.errors import ConfigError
 from shes.es.noise import NoiseTable
 from shes.runs.config import TrainConfig
-from shes.runs.rooms import check_names, known_settings
+from shes.runs.sections import check_names, known_settings
 from shes.settings import Setting, out_of_range
 from shes.training.build import build_algorithm
 from shes.training.limits import Workload, check_limits
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 _MOST_RUNS = 1_000
 _ELSEWHERE = {"seed": "Give several seeds by --seed 1 2 3.", "env": "Runs of a folder have one environment."}

@@ -7,7 +7,7 @@ import pytest
 
 from shes.algorithms.hiro.collector import Actor
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 INTERVAL, HORIZON = 4, 10
 SETTINGS = {"hidden": (5,), "controller_interval": INTERVAL, "horizon": HORIZON, "generation_steps": 50}

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("jax")
 
 from shes.algorithms.hiro.correction import errors, relabelled
-from shes.algorithms.hiro.learning import network
+from shes.algorithms.hiro.level_learner import network
 from shes.policies.mlp import RectifiedMLP
 
 pytestmark = pytest.mark.hiro

@@ -16,7 +16,7 @@ from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.training.build import build_algorithm, open_run
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from tests.e2e import runs
 from tests.training.test_export import OnnxAgent, episode, run_exported
 
@@ -118,7 +118,7 @@ def test_the_goal_of_an_agent_is_held_at_a_place(untrained):
 @pytest.mark.parametrize("name", ["hiro", "td3"])
 def test_without_jax_the_error_names_the_extra_and_no_folder_is_made(tmp_path, monkeypatch, name):
     monkeypatch.setitem(sys.modules, "jax", None)
-    monkeypatch.delitem(sys.modules, "shes.algorithms.hiro.learning", raising=False)
+    monkeypatch.delitem(sys.modules, "shes.algorithms.hiro.level_learner", raising=False)
     message = rf"--algorithm {name} needs JAX and Optax .* pip install 'shes\[hiro\]'"
     with pytest.raises(MissingExtraError, match=message):
         train(tmp_path / "run", name)

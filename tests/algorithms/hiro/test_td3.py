@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("jax")
 
-from shes.algorithms.hiro.learning import LevelLearner, flat, network, to_arrays, to_learner
+from shes.algorithms.hiro.level_learner import LevelLearner, flat, network, to_arrays, to_learner
 from shes.algorithms.hiro.levels import Level, UpdateSettings
 from shes.algorithms.hiro.replay import Replay
 from shes.algorithms.hiro.td3 import Transitions, act, compiled_update

@@ -2,10 +2,10 @@
 
 import pytest
 
-from shes.algorithms.hiro.rooms import HIRO_ROOMS
+from shes.algorithms.hiro.sections import HIRO_SECTIONS
 from shes.settings import setting_fields
 from shes.training.build import build_algorithm
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 
 def hyper(name):
@@ -74,4 +74,4 @@ def test_a_setting_arrives_where_it_is_used(name):
 
 
 def test_every_setting_has_a_row():
-    assert {name for room in HIRO_ROOMS.values() for name in setting_fields(room)} == ROWS.keys()
+    assert {name for section in HIRO_SECTIONS.values() for name in setting_fields(section)} == ROWS.keys()

@@ -6,8 +6,8 @@ from scipy import stats
 
 from shes.training.evaluate import evaluate
 from shes.viewing.report.configuration import changed_settings, differing_settings
+from shes.viewing.report.fresh_episodes import HEADINGS, estimate, evaluate_runs, result_rows, wilson
 from shes.viewing.report.reading import read_runs
-from shes.viewing.report.results import HEADINGS, estimate, evaluate_runs, result_rows, wilson
 from tests.e2e import runs
 
 

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.algorithms.evolution.levels import by_episodes, is_alone, is_branched, learns
-from shes.algorithms.evolution.rooms import SCHEDULED
+from shes.algorithms.evolution.sections import SCHEDULED
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import SCHEDULES
-from shes.hierarchy.views import PRIMITIVE_VIEWS
+from shes.hierarchy.view_choices import PRIMITIVE_VIEWS
 from shes.settings import flag, out_of_range, setting_fields
 
 _WHOLE_GROUPS = 48

@@ -18,7 +18,8 @@ from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.outputs import make_controller_output
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
-from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, Proprioception, View, ViewChoice
+from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Proprioception, ViewChoice
+from shes.hierarchy.views import ColumnsView, View
 from shes.policies.mlp import MLP
 from shes.settings import flag
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from shes.algorithms.evolution.levels import is_branched, learns
 from shes.algorithms.evolution.populations import Hyperparameters
-from shes.algorithms.evolution.rooms import SCHEDULED
+from shes.algorithms.evolution.sections import SCHEDULED
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.novelty import NOVELTY_RULES, WeightRule
 from shes.es.optimizers import OPTIMIZERS

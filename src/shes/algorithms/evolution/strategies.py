@@ -22,12 +22,12 @@ from shes.algorithms.evolution.designs import (
 from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make_state
 from shes.algorithms.evolution.levels import population, steps_per_generation
 from shes.algorithms.evolution.presets import SES_PRESETS, SHES_PRESETS
-from shes.algorithms.evolution.rooms import PRIMITIVE_ROOMS, SES_ROOMS, SHES_ROOMS
+from shes.algorithms.evolution.sections import PRIMITIVE_SECTIONS, SES_SECTIONS, SHES_SECTIONS
 from shes.algorithms.evolution.state_arrays import check_arrays, check_headers, from_arrays, to_arrays
 from shes.algorithms.evolution.transfer import PRIMITIVE_TRANSFER, SHES_TRANSFERS
+from shes.algorithms.level_transfer import LevelTransfer
 from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
-from shes.algorithms.transfer import LevelTransfer
 from shes.algorithms.worker import WorkerPlan
 from shes.backends.backend import Backend
 from shes.errors import CheckpointError
@@ -143,7 +143,7 @@ class PrimitiveES(EvolutionAlgorithm):
     """Evolves a primitive alone, in environments that set the goals. Source: SHES paper, section II-D."""
 
     level_names: ClassVar[tuple[str, ...]] = ("primitive",)
-    rooms: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_ROOMS
+    sections: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_SECTIONS
     presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
     transfers: ClassVar[Mapping[str, LevelTransfer]] = PRIMITIVE_TRANSFER
     make_design = staticmethod(primitive_design)
@@ -154,7 +154,7 @@ class SHES(EvolutionAlgorithm):
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     without_controller: ClassVar[type[Algorithm[Any]] | None] = PrimitiveES
-    rooms: ClassVar[Mapping[str, type[Settings]]] = SHES_ROOMS
+    sections: ClassVar[Mapping[str, type[Settings]]] = SHES_SECTIONS
     presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
     transfers: ClassVar[Mapping[str, LevelTransfer]] = SHES_TRANSFERS
     make_design = staticmethod(hierarchical_design)
@@ -164,6 +164,6 @@ class SES(EvolutionAlgorithm):
     """Evolves one policy without goals, S-ES. Source: Salimans et al. 2017."""
 
     level_names: ClassVar[tuple[str, ...]] = ("policy",)
-    rooms: ClassVar[Mapping[str, type[Settings]]] = SES_ROOMS
+    sections: ClassVar[Mapping[str, type[Settings]]] = SES_SECTIONS
     presets: ClassVar[Mapping[str, Preset]] = SES_PRESETS
     make_design = staticmethod(flat_design)

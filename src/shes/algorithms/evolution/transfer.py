@@ -11,10 +11,10 @@ from typing import Any, ClassVar
 
 from shes.algorithms.evolution.designs import controller_inputs, primitive_inputs, primitive_layers
 from shes.algorithms.evolution.levels import is_alone
+from shes.algorithms.level_transfer import LevelTransfer
 from shes.algorithms.problem import Problem
-from shes.algorithms.transfer import LevelTransfer
 from shes.es.level import TrainState
-from shes.hierarchy.views import PRIMITIVE_VIEWS
+from shes.hierarchy.view_choices import PRIMITIVE_VIEWS
 
 
 class _Transfer(LevelTransfer):

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from shes.algorithms.hiro.goals import GoalSpace
+from shes.algorithms.hiro.goal_space import GoalSpace
 from shes.es.statistics import normalise
 from shes.hierarchy.agent import AgentBatch, AgentDesign
 from shes.hierarchy.views import ColumnsView

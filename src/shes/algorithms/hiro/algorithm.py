@@ -25,7 +25,7 @@ from shes.algorithms.hiro.columns import columns
 from shes.algorithms.hiro.designs import check_memory, flat_design, flat_levels, hiro_design, hiro_levels
 from shes.algorithms.hiro.levels import LearnerState, Level, within
 from shes.algorithms.hiro.presets import HIRO_PRESETS
-from shes.algorithms.hiro.rooms import HIRO_ROOMS, TD3_ROOMS
+from shes.algorithms.hiro.sections import HIRO_SECTIONS, TD3_SECTIONS
 from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem
 from shes.algorithms.worker import WorkerPlan
@@ -53,7 +53,7 @@ class TD3State:
 class TD3(Algorithm[TD3State]):
     """Trains one policy without goals by gradients. Source: Fujimoto et al. 2018."""
 
-    rooms: ClassVar[Mapping[str, type[Settings]]] = TD3_ROOMS
+    sections: ClassVar[Mapping[str, type[Settings]]] = TD3_SECTIONS
     presets: ClassVar[Mapping[str, Preset]] = HIRO_PRESETS
     shares_memory: ClassVar[bool] = True  # that of the replay buffers
     make_design: ClassVar[Callable[[Problem], AgentDesign]] = staticmethod(flat_design)
@@ -209,7 +209,7 @@ class HIRO(TD3):
     """
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    rooms: ClassVar[Mapping[str, type[Settings]]] = HIRO_ROOMS
+    sections: ClassVar[Mapping[str, type[Settings]]] = HIRO_SECTIONS
     make_design = staticmethod(hiro_design)
     make_levels = staticmethod(hiro_levels)
     design: HiroDesign
@@ -240,7 +240,7 @@ _COUNTS = ("seed", "generation", "env_steps")
 def import_learning(algorithm: str) -> Any:
     """Return the module that learns with JAX; raise MissingExtraError if JAX or Optax is not installed."""
     try:
-        return importlib.import_module("shes.algorithms.hiro.learning")
+        return importlib.import_module("shes.algorithms.hiro.level_learner")
     except ImportError as error:
         raise MissingExtraError(
             f"--algorithm {algorithm} needs JAX and Optax ({error}). Install them: pip install 'shes[hiro]'."

@@ -15,7 +15,7 @@ from time import perf_counter
 import numpy as np
 
 from shes.algorithms.hiro.agent import HiroDesign
-from shes.algorithms.hiro.goals import goal_transition, primitive_reward
+from shes.algorithms.hiro.goal_space import goal_transition, primitive_reward
 from shes.algorithms.hiro.levels import Level
 from shes.algorithms.hiro.replay import Rows
 from shes.envs.episode_batch import EpisodeBatch

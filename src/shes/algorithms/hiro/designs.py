@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from shes.algorithms.hiro.agent import HiroDesign
-from shes.algorithms.hiro.goals import GoalSpace, primitive_columns
+from shes.algorithms.hiro.goal_space import GoalSpace, primitive_columns
 from shes.algorithms.hiro.levels import Level, UpdateSettings
 from shes.algorithms.hiro.replay import Replay
 from shes.algorithms.problem import Problem

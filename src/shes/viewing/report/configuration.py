@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from shes.runs.config import TrainConfig
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 from shes.viewing.report.reading import ReportedGroup
 
 _IDENTITY = ("env", "algorithm", "preset", "seed")
@@ -45,7 +45,7 @@ def changed_settings(config: TrainConfig) -> dict[str, tuple[str, str]]:
 
 def _values(config: TrainConfig) -> dict[str, str]:
     """Return all settings of a run by name, as text."""
-    return {name: _text(value) for room in config.to_dict().values() for name, value in room.items()}
+    return {name: _text(value) for section in config.to_dict().values() for name, value in section.items()}
 
 
 def _text(value: Any) -> str:

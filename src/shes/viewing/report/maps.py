@@ -16,7 +16,7 @@ from shes.training.build import build_task, open_run
 from shes.training.evaluate import fresh_seeds
 from shes.training.loaded_agent import Agent
 from shes.types import F64Array, IntArray
-from shes.viewing.report.curves import Figure, numbers
+from shes.viewing.report.curve_charts import Figure, numbers
 
 MOST_EPISODES = 20
 """More paths would hide each other."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import shes.viewing.report
 from shes.errors import MissingExtraError
-from shes.viewing.report.curves import X_AXES, Figure
+from shes.viewing.report.curve_charts import X_AXES, Figure
 
 
 def check_plotly() -> None:

@@ -14,10 +14,10 @@ from shes.errors import ConfigError
 from shes.runs.shipped import shipped_name
 from shes.settings import Ge, Shown
 from shes.storage import write_atomically
-from shes.viewing.report.curves import X_AXES, line_look
+from shes.viewing.report.curve_charts import X_AXES, line_look
 from shes.viewing.report.page import check_plotly, page, toolbar
+from shes.viewing.report.page_sections import Sections
 from shes.viewing.report.reading import ReportedGroup, ReportedRun, read_runs
-from shes.viewing.report.sections import Sections
 
 _NAME = "report.html"
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from shes.hierarchy.episodes import PARTS
-from shes.viewing.report.curves import Figure
+from shes.viewing.report.curve_charts import Figure
 from shes.viewing.report.reading import ReportedGroup, Table
 
 _IN_WORKERS = tuple(f"{part}_s" for part in PARTS)

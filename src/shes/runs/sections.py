@@ -1,7 +1,7 @@
-"""The settings of a run, in groups ("rooms" in the code): one frozen dataclass each.
+"""The settings of a run, in sections: one frozen dataclass each.
 
-Every run has the groups below, `environment` (the options of its task) and `body` if the robot has options. The others
-are those of its algorithm: a run of es has no `hierarchy`.
+Every run has the sections below, `environment` (the options of its task) and `body` if the robot has options. The
+others are those of its algorithm: a run of es has no `hierarchy`.
 """
 
 from __future__ import annotations
@@ -122,37 +122,37 @@ def algorithm_of(run: RunSettings) -> type[Algorithm[Any]]:
     return found
 
 
-def rooms_of(run: RunSettings) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run by group, in the order of the help; raise ConfigError if names clash."""
+def sections_of(run: RunSettings) -> dict[str, type[Settings]]:
+    """Return the settings classes of a run by section, in the order of the help; raise ConfigError if names clash."""
     env = find_environment(run.env)
     body = env.body.Options if isinstance(env, Environment) else Settings
-    rooms = with_options(
+    sections = with_options(
         {
             "run": RunSettings,
             "workers": WorkerSettings,
-            **algorithm_of(run).rooms,
+            **algorithm_of(run).sections,
             "environment": env.options,
             **({"body": body} if setting_fields(body) else {}),
             "episodes": EpisodeSettings,
             "evaluation": EvaluationSettings,
         }
     )
-    _check_distinct(rooms)
-    return rooms
+    _check_distinct(sections)
+    return sections
 
 
-def _check_distinct(rooms: Mapping[str, type[Settings]]) -> None:
-    """Raise ConfigError if settings of different groups have one name, unless it is a shared setting."""
+def _check_distinct(sections: Mapping[str, type[Settings]]) -> None:
+    """Raise ConfigError if settings of different sections have one name, unless it is a shared setting."""
     first: dict[str, tuple[str, Setting]] = {}
-    for room, cls in rooms.items():
+    for section, cls in sections.items():
         for name, setting in settings_in([cls]).items():
-            home, other = first.setdefault(name, (room, setting))
-            if home == room or (setting.has(Shared) and setting.default == other.default):
+            home, other = first.setdefault(name, (section, setting))
+            if home == section or (setting.has(Shared) and setting.default == other.default):
                 continue
             fix = "Give both the same default" if setting.has(Shared) else "Choose another name for one of them"
             raise ConfigError(
-                f"{name!r} is a setting of group {home!r} (default {other.default!r}) and another one of group "
-                f"{room!r} (default {setting.default!r}, {setting.owner.__qualname__}). {fix}."
+                f"{name!r} is a setting of section {home!r} (default {other.default!r}) and another one of section "
+                f"{section!r} (default {setting.default!r}, {setting.owner.__qualname__}). {fix}."
             )
 
 
@@ -169,7 +169,7 @@ def _asked(cls: type[Settings]) -> dict[str, Setting]:
 def known_settings() -> dict[str, Setting]:
     """Return every setting of every algorithm, environment and body by name."""
     tasks = {cls: None for each in ENVIRONMENTS.values() for cls in (each.options, each.body.Options)}
-    methods = [cls for each in algorithm_classes() for cls in with_options(each.rooms).values()]
+    methods = [cls for each in algorithm_classes() for cls in with_options(each.sections).values()]
     return settings_in([*with_options(_OF_EVERY_RUN).values(), *tasks, *methods])
 
 
@@ -180,10 +180,10 @@ def execution_settings() -> dict[str, Setting]:
 
 
 def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run by group; raise ConfigError unless all names in `values` are settings."""
+    """Return the settings classes of a run by section; raise ConfigError unless all names in `values` are settings."""
     if "env" not in values:
         raise ConfigError(_NO_ENVIRONMENT)
-    classes = rooms_of(RunSettings.of(values))
+    classes = sections_of(RunSettings.of(values))
     here = settings_in(classes.values())
     _check_choices(here, values)
     for name in values:
@@ -192,31 +192,31 @@ def check_names(values: Mapping[str, Any]) -> dict[str, type[Settings]]:
     return classes
 
 
-def check_record(rooms: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
-    """Return the settings classes of a run with this record, by group.
+def check_record(sections: Mapping[str, Mapping[str, Any]]) -> dict[str, type[Settings]]:
+    """Return the settings classes of a run with this record, by section.
 
     A missing setting takes its default. A setting that was deleted by hand is detected, because checkpoints store the
     settings too.
 
     Raises:
-        ConfigError: A group or a setting is unknown.
+        ConfigError: A section or a setting is unknown.
         UnknownNameError: A value is an unknown name.
     """
-    for room, values in rooms.items():
+    for section, values in sections.items():
         if not isinstance(values, Mapping):
-            raise ConfigError(f"{room!r} must be an object of settings, got {values!r}.")
-    run = rooms.get("run", {})
+            raise ConfigError(f"{section!r} must be an object of settings, got {values!r}.")
+    run = sections.get("run", {})
     if "env" not in run:
         raise ConfigError(_NO_ENVIRONMENT)
-    classes = rooms_of(RunSettings.of(run))
-    settings = {room: settings_in([cls]) for room, cls in classes.items()}
-    for room, values in rooms.items():
-        if room not in classes:
-            raise ConfigError(f"a run of {run['env']} has no group of settings {room!r}.")
-        _check_choices(settings[room], values)
+    classes = sections_of(RunSettings.of(run))
+    settings = {section: settings_in([cls]) for section, cls in classes.items()}
+    for section, values in sections.items():
+        if section not in classes:
+            raise ConfigError(f"a run of {run['env']} has no section of settings {section!r}.")
+        _check_choices(settings[section], values)
         for name in values:
-            if name not in settings[room]:
-                raise _unknown(name, settings[room], f" in group {room!r}")
+            if name not in settings[section]:
+                raise _unknown(name, settings[section], f" in section {section!r}")
     return classes
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import optax
 
 from shes.algorithms.hiro.correction import relabelled
-from shes.algorithms.hiro.goals import candidates
+from shes.algorithms.hiro.goal_space import candidates
 from shes.algorithms.hiro.levels import LearnerState, Level
 from shes.algorithms.hiro.replay import Rows
 from shes.algorithms.hiro.td3 import Learner, Losses, Network, Transitions, compiled_update

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shes.algorithms.hiro.goals import GoalSpace, candidates, goal_transition, primitive_columns, primitive_reward
+from shes.algorithms.hiro.goal_space import GoalSpace, candidates, goal_transition, primitive_columns, primitive_reward
 from shes.envs.registry import find_environment, make_task
 from shes.errors import ConfigError
 

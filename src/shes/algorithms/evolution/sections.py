@@ -1,4 +1,4 @@
-"""Settings of the evolution strategies: one class per group, and the groups of each algorithm.
+"""Settings of the evolution strategies: one class per section, and the sections of each algorithm.
 
 Options of an optimizer, a reward or another registered class are defined in that class: see `shes.options`.
 
@@ -24,7 +24,7 @@ from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
 from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
-from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
+from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown
@@ -215,7 +215,7 @@ class TransferSettings(PrimitiveTransferSettings):
 
 
 _EVERY: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "schedules": ScheduleSettings}
-SHES_ROOMS: Mapping[str, type[Settings]] = {
+SHES_SECTIONS: Mapping[str, type[Settings]] = {
     **_EVERY,
     "novelty": NoveltySettings,
     "networks": NetworkSettings,
@@ -224,7 +224,7 @@ SHES_ROOMS: Mapping[str, type[Settings]] = {
     "transfer": TransferSettings,
 }
 """Settings of a controller and its primitive."""
-PRIMITIVE_ROOMS: Mapping[str, type[Settings]] = {
+PRIMITIVE_SECTIONS: Mapping[str, type[Settings]] = {
     **_EVERY,
     "networks": NetworkSettings,
     "hierarchy": PrimitiveSettings,
@@ -232,5 +232,5 @@ PRIMITIVE_ROOMS: Mapping[str, type[Settings]] = {
     "transfer": PrimitiveTransferSettings,
 }
 """Settings of a primitive alone."""
-SES_ROOMS: Mapping[str, type[Settings]] = {**_EVERY, "novelty": NoveltySettings, "networks": NetworkSettings}
+SES_SECTIONS: Mapping[str, type[Settings]] = {**_EVERY, "novelty": NoveltySettings, "networks": NetworkSettings}
 """Settings of one policy without goals."""

@@ -18,7 +18,7 @@ from shes.runs.tables import Row
 from shes.studies.provenance_columns import provenance_columns
 from shes.studies.running import read_summary, write_summary
 from shes.studies.study import cell_config
-from shes.studies.study_tables import Cell, Summary
+from shes.studies.study_tables import Cell, CellResults
 
 PAPER_CORES = (48, 240, 600)
 """Numbers of cores in the paper."""
@@ -34,7 +34,7 @@ def run_speedup(
     until: float = math.inf,
     workers: Mapping[str, Any],
     sleepers: Sequence[int] = (),
-) -> Summary | None:
+) -> CellResults | None:
     """Measure the speed-up of a cell's settings and return the summary; None if the time is over. See `run_cell`.
 
     Args:
@@ -65,7 +65,7 @@ def run_speedup(
         **provenance_columns([provenance(config.workers.device)]),
     }
     curve = tuple({**cell.identity, **{name: _value(value) for name, value in each.items()}} for each in rows)
-    return write_summary(out / cell.name, Summary(row=row, curve=curve))
+    return write_summary(out / cell.name, CellResults(row=row, curve=curve))
 
 
 def _value(value: Any) -> Any:

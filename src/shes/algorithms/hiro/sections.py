@@ -76,7 +76,7 @@ class GoalSettings(Settings):
     """Goals among which the off-policy correction chooses, at every draw; 1 is no correction."""
 
 
-TD3_ROOMS: Mapping[str, type[Settings]] = {"learner": LearnerSettings}
+TD3_SECTIONS: Mapping[str, type[Settings]] = {"learner": LearnerSettings}
 """Settings of one policy without goals."""
-HIRO_ROOMS: Mapping[str, type[Settings]] = {**TD3_ROOMS, "goals": GoalSettings}
+HIRO_SECTIONS: Mapping[str, type[Settings]] = {**TD3_SECTIONS, "goals": GoalSettings}
 """Settings of a controller and its primitive."""

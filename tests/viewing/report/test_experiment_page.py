@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from shes.errors import RunFolderError
-from shes.viewing.report.experiment import experiment_section
+from shes.viewing.report.experiment_page import experiment_section
 from shes.viewing.report.report import report
 
 HEADER = (

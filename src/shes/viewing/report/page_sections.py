@@ -12,12 +12,12 @@ from shes.errors import ShesError
 from shes.runs.shipped import read_agent, shipped_name
 from shes.training.evaluate import Evaluation
 from shes.viewing.report.configuration import changed_settings, differing_settings
-from shes.viewing.report.curves import SECTIONS, X_AXES, Figure, constants, curve_figure, panels_of
-from shes.viewing.report.experiment import experiment_section
+from shes.viewing.report.curve_charts import SECTIONS, X_AXES, Figure, constants, curve_figure, panels_of
+from shes.viewing.report.experiment_page import experiment_section
+from shes.viewing.report.fresh_episodes import HEADINGS, evaluate_runs, result_rows
 from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes
 from shes.viewing.report.page import cards, details, map_card, paragraph, plots, section, table, video_card
 from shes.viewing.report.reading import ReportedRun, ReportedRuns
-from shes.viewing.report.results import HEADINGS, evaluate_runs, result_rows
 from shes.viewing.report.timing import time_figures
 from shes.viewing.report.videos import video_uri
 

@@ -13,7 +13,7 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
-from shes.runs.rooms import RunSettings, algorithm_of, check_names, rooms_of, settings_in
+from shes.runs.sections import RunSettings, algorithm_of, check_names, sections_of, settings_in
 from shes.runs.shipped import run_text
 from shes.settings import Needs, setting_fields
 from shes.training.transfer import brought_settings, transferred_levels
@@ -58,7 +58,7 @@ def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str,
     known = [name for name, cls in ALGORITHMS.items() if preset in PRESETS or preset in cls.presets]
     default = RunSettings.algorithm if RunSettings.algorithm in known else known[0]
     run = RunSettings.of({"env": env, "algorithm": asked.get("algorithm", default)})
-    settings = settings_in(rooms_of(run).values())
+    settings = settings_in(sections_of(run).values())
     if run.algorithm not in known:
         raise ConfigError(
             f"preset {preset!r} is for algorithm {' or '.join(known)}, got algorithm {run.algorithm!r}. "

@@ -6,7 +6,7 @@ from shes.algorithms.registry import PRESET_NAMES
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
 from shes.training.build import build_options
-from shes.training.presets import make_config
+from shes.training.make_config import make_config
 
 PAPER = {
     # SHES paper, Table I.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shes.runs.tables import read_csv
-from shes.viewing.report.curves import SECTIONS, X_AXES, Panel, constants, curve_figure, numbers, panels_of
+from shes.viewing.report.curve_charts import SECTIONS, X_AXES, Panel, constants, curve_figure, numbers, panels_of
 from shes.viewing.report.reading import read_runs
 from shes.viewing.report.timing import time_figures, wall_parts, worker_parts
 
