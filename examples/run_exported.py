@@ -76,7 +76,7 @@ class ExportedAgent:
     def decide(self, seen, heading):
         boss = self.spec["controller"]
         values, angle = view_of(seen, boss["view"], heading)
-        heading = angle if boss["view"]["kind"] == "nearest" else heading
+        heading = angle if boss["view"]["kind"] in ("nearest", "patrol") else heading
         out = self.network("controller", values).astype(np.float64)
         way = complex(*out[:2]) * unit(heading)
         out *= boss["goal_distance_m"]
@@ -112,11 +112,16 @@ def view_of(seen, view, heading):
     columns = seen if view["columns"] is None else seen[view["columns"]]
     if view["kind"] == "columns":
         return columns, heading
-    if view["kind"] == "nearest":
+    if view["kind"] in ("nearest", "patrol"):
         rings = seen[np.array(view["rings"])]
-        nearest, sectors = rings[0].argmax() if rings[0].max() > 0 else rings.shape[1] // 2, rings.shape[1]
-        turned = np.roll(rings, -nearest, axis=1).ravel()
-        return np.concatenate([turned, columns]), heading + ((nearest + 0.5) * 2 * np.pi / sectors - np.pi)
+        sectors, senses = rings.shape[1], rings[0].max() > 0
+        nearest = rings[0].argmax() if senses else sectors // 2
+        angle = heading + ((nearest + 0.5) * 2 * np.pi / sectors - np.pi)
+        if view["kind"] == "patrol" and not senses:
+            at = complex(*seen[view["position"]])
+            angle = np.angle(view["radius_m"] * np.sqrt(2) * unit(np.angle(at) + np.pi / 4) - at)
+            nearest = int((((angle - heading) / (2 * np.pi) + 0.5) % 1) * sectors)
+        return np.concatenate([np.roll(rings, -nearest, axis=1).ravel(), columns]), angle
     qpos, qvel = seen[view["qpos"]], seen[view["qvel"]]
     if view["body"] == "point":
         return np.concatenate([qpos[2:], qvel, columns]), 0.0

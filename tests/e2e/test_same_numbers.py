@@ -129,7 +129,7 @@ WITH = {
 """What a setting, or one of its choices, asks of others."""
 OF_THE_ANT = {"symmetry"}
 """Settings that say nothing of a point."""
-OF_GATHER = {"nearest"}
+OF_GATHER = {"nearest", "patrol"}
 """Choices that a maze has not."""
 
 

@@ -56,6 +56,7 @@ CHOICES = {
         },
     ),
     "nearest": ("point-gather", {"controller_view": "nearest", "controller_output": "heading_direction"}),
+    "patrol": ("point-gather", {"controller_view": "patrol", "controller_output": "heading_direction"}),
     "position": ("point-maze", {"controller_view": "position", "controller_output": "direction"}),
     "egocentric, alone": (
         "ant-flagrun",

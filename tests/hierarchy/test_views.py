@@ -11,7 +11,7 @@ from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, register_external
 from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
-from shes.hierarchy.views import ColumnsView, EgocentricView, NearestView
+from shes.hierarchy.views import PATROL_RADIUS_M, ColumnsView, EgocentricView, NearestView, PatrolView
 from shes.training.build import build_algorithm, build_task
 from shes.training.make_config import make_config
 from tests.contracts.variants import VARIANTS
@@ -169,9 +169,8 @@ def test_columns_are_copied_in_the_order_asked_for(view, picked):
     heading = np.array([0.1, 0.2, 0.3])
     assert view.size(5) == len(picked)
     assert view.names(NAMES) == tuple(NAMES[i] for i in picked)
-    assert view.angle(observation, heading) is heading
     assert not view.is_egocentric
-    view.write(observation, heading, out)
+    assert view.write(observation, heading, out) is heading
     assert out.tolist() == observation[:, picked].tolist()
 
 
@@ -194,10 +193,9 @@ def test_an_egocentric_view_is_the_robots_then_the_others(others, first, shuffle
         *(f"egocentric {each.name}" for each in Ant.egocentric),
         *(f"value {i}" for i in others),
     )
-    angle = view.angle(observation, np.full(ROWS, 99.0))  # not the heading
-    assert angle.tolist() == Ant().frame_angle(qpos).tolist()
     before, out = observation.copy(), np.zeros((ROWS, view.size(32)))
-    view.write(observation, angle, out)
+    angle = view.write(observation, np.full(ROWS, 99.0), out)  # not the heading
+    assert angle.tolist() == Ant().frame_angle(qpos).tolist()
     assert out[:, :25].tolist() == _view(Ant(), qpos, qvel).tolist()
     assert out[:, 25:].tolist() == observation[:, list(others)].tolist()
     assert np.array_equal(observation, before)
@@ -229,7 +227,7 @@ def test_a_controllers_egocentric_view_is_the_robots_then_all_else_in_order(vari
     assert design.controller.sizes[0] == view.size(task.observation_size) == len(own) + len(others)
     observed = _states(task, 3)
     out = np.zeros((3, len(own) + len(others)))
-    view.write(observed, view.angle(observed, task.heading), out)
+    view.write(observed, task.heading, out)
     sees = observed[:, task.proprioception]
     robot = task.robot
     assert out[:, : len(own)].tolist() == _view(robot, sees[:, : robot.num_qpos], sees[:, robot.num_qpos :]).tolist()
@@ -263,8 +261,7 @@ def test_the_nearest_view_turns_the_readings_of_all_rings_to_the_strongest_of_th
     view, heading = NearestView(RINGS, OTHERS), np.array([0.0, 2.0, -3.0, 1.0, 0.5])
     observed = np.array([[-1, *food, -2, *poison] for food, poison, *_ in NEAREST.values()], float)
     before, out = observed.copy(), np.zeros((5, view.size(10)))
-    angle = view.angle(observed, heading)
-    view.write(observed, angle, out)
+    angle = view.write(observed, heading, out)
     assert angle == pytest.approx(heading + np.pi / 4 * np.array([row[-1] for row in NEAREST.values()]))
     assert out.tolist() == [[*food, *poison, -1, -2] for *_, food, poison, _ in NEAREST.values()]
     assert np.array_equal(observed, before)
@@ -273,15 +270,16 @@ def test_the_nearest_view_turns_the_readings_of_all_rings_to_the_strongest_of_th
     assert names[-2:] == ("value 0", "value 5")
 
 
+@pytest.mark.parametrize("view_name", ["nearest", "patrol"])
 @pytest.mark.parametrize("spec", ["shes", "hiro"])
-def test_food_in_any_direction_is_ahead_for_a_controller_that_looks_to_the_nearest(spec):
+def test_food_in_any_direction_is_ahead_for_a_controller_that_looks_to_the_nearest(spec, view_name):
     """A goal straight ahead in the view's frame lies in the sector of the nearest food, where it is in the world."""
-    config = make_config("ant-gather", "smoke", {"spec": spec, "reset_noise": 0.1, "controller_view": "nearest"})
+    config = make_config("ant-gather", "smoke", {"spec": spec, "reset_noise": 0.1, "controller_view": view_name})
     design, task = build_algorithm(config).design, build_task(config, 64, is_evaluation=False)
     observed, view = _states(task, 64), design.controller_view
     assert view.size(task.observation_size) == design.controller.sizes[0] == 21  # ten of each kind, and the time
-    angle, out = view.angle(observed, task.heading), np.zeros((64, 21))
-    view.write(observed, angle, out)
+    out = np.zeros((64, 21))
+    angle = view.write(observed, task.heading, out)
     offset = np.where(task.present[:, 0, :, None], task.objects[:, 0] - task.position[:, None], np.inf)
     distance = np.hypot(*np.moveaxis(offset, -1, 0))
     sees = distance.min(axis=1) < (8 if spec == "shes" else 6)
@@ -291,6 +289,34 @@ def test_food_in_any_direction_is_ahead_for_a_controller_that_looks_to_the_neare
     assert (np.cos(off_centre)[sees] >= np.cos(np.pi / 10) - 1e-9).all()
     assert (out[sees, 0] == out[sees, :10].max(axis=1)).all()
     assert not out[~sees, :10].any()
+
+
+def test_without_food_in_range_the_frame_of_a_patrol_is_turned_along_its_walk():
+    """At (3, 0), inside the circle, the frame points to (4, 4); poison stays in its sector."""
+    view, heading = PatrolView(RINGS, [10, 11], OTHERS), np.array([0.0, np.pi / 2, 0.3])
+    food = [[0, 0, 0, 0], [0, 0, 0, 0], [0, 9, 0, 0]]
+    observed = np.array([[-1, *each, -2, 5, 6, 7, 8, 3, 0] for each in food], float)
+    before, out = observed.copy(), np.zeros((3, view.size(12)))
+    angle = view.write(observed, heading, out)
+    assert angle == pytest.approx([np.arctan2(4, 1), np.arctan2(4, 1), 0.3 - np.pi / 4])
+    assert out.tolist() == [
+        [0, 0, 0, 0, 7, 8, 5, 6, -1, -2],  # the walk lies ahead to the left of a robot that looks along x,
+        [0, 0, 0, 0, 6, 7, 8, 5, -1, -2],  # and ahead to the right of one that looks along y
+        [9, 0, 0, 0, 6, 7, 8, 5, -1, -2],
+    ]
+    assert np.array_equal(observed, before)
+
+
+def test_a_patrol_passes_everywhere_in_sight():
+    """From anywhere in the arena, a robot that follows the frame comes to walk on the circle."""
+    view, rng = PatrolView(RINGS, [10, 11], OTHERS), np.random.default_rng(9)
+    place, out = rng.uniform(-12, 12, (100, 2)), np.zeros((100, view.size(12)))
+    for _ in range(600):
+        observed = np.hstack([np.zeros((100, 10)), place])
+        angle = view.write(observed, rng.uniform(-9, 9, 100), out)
+        before, place = place, place + 0.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    assert np.hypot(*place.T) == pytest.approx(PATROL_RADIUS_M, abs=0.5)
+    assert (before[:, 0] * place[:, 1] - before[:, 1] * place[:, 0] > 0).all()  # counter-clockwise
 
 
 def test_a_task_without_sensors_around_the_robot_has_no_nearest_view():

@@ -36,6 +36,10 @@ KINDS = {
     "one-hot controller": ("ant-maze", {"controller_output": "one_hot", "primitive_view": "proprioception"}),
     "egocentric points": ("point-fall", {**EGOCENTRIC, "controller_view": "egocentric", "goal_encoding": "vector"}),
     "towards food": ("point-gather", {"controller_view": "nearest", "controller_output": "heading_direction"}),
+    "patrol": (
+        "point-gather",
+        {"controller_view": "patrol", "controller_output": "heading_direction"},
+    ),
     "position": ("point-push", {"controller_view": "position", "controller_output": "direction"}),
     "rotations": (
         "ant-push",

@@ -96,7 +96,11 @@ class GoalReachingAgent(AgentBatch[ReachingDesign]):
         control_noise: F32Array | None = None,
     ) -> F32Array:
         """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
-        is_due, angle = self.clock % self.design.controller_interval == 0, self._view.angle(observation, heading)
+        inputs = self._inputs
+        angle = self._view.write(
+            observation, heading, inputs[:, self._view_start :] if self._frames is None else self._seen
+        )
+        is_due = self.clock % self.design.controller_interval == 0
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self._rows(due)
@@ -104,14 +108,11 @@ class GoalReachingAgent(AgentBatch[ReachingDesign]):
             self._hold(rows, self.choose_goals(due, rows, given, decision_noise), position)
             if self._frames is not None:
                 self._frames.choose(rows, turned_back(self._way[rows], angle[rows]))
-        inputs = self._inputs
         self._observe_goal(position, angle, inputs[:, : self._clock_start])
         self._write_clock(inputs[:, self._clock_start : self._view_start])
         self.clock += 1
         if self._frames is None:
-            self._view.write(observation, angle, inputs[:, self._view_start :])
             return self._control(inputs, control_noise)
-        self._view.write(observation, angle, self._seen)
         self._frames.view(self._seen, inputs[:, self._view_start :])
         return self._frames.controls(self._control(inputs, control_noise))
 

@@ -63,8 +63,7 @@ class HierarchicalAgent(GoalReachingAgent[HierarchicalDesign]):
         design, seen = self.design, self._controller_inputs[rows]
         observation, heading = given.observation[rows], given.heading[rows]
         view = self._controller_view
-        angle = view.angle(observation, heading)
-        view.write(observation, angle, seen)
+        angle = view.write(observation, heading, seen)
         if self.is_recording:
             self.moments[CONTROLLER].add(rows, seen)
         scaled = normalise(seen, *self._normalisation[CONTROLLER], design.input_clip)

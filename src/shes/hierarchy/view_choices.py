@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.hierarchy.views import ColumnsView, EgocentricView, NearestView, View
+from shes.hierarchy.views import ColumnsView, EgocentricView, NearestView, PatrolView, View
 from shes.options import subclass_of
 from shes.registry import Registry
 
@@ -89,11 +89,21 @@ class Nearest(ViewChoice):
 
     def of(self, task: EpisodeBatch) -> View | None:
         """Return the view of the sensors and of all values but the robot's, if there are sensors."""
-        rings = task.sensor_rings
-        if not rings.size:
+        if not task.sensor_rings.size:
             return None
-        sensors = set(rings.ravel().tolist())
-        return NearestView(rings.tolist(), [index for index in _not_the_robots(task) if index not in sensors])
+        return NearestView(task.sensor_rings.tolist(), _beside_the_sensors(task))
+
+
+class Patrol(ViewChoice):
+    """As nearest; while no food is in range, in a frame turned along a walk around the origin (Gather)."""
+
+    lack = "and no sensors around it beside its position, as Gather has"
+
+    def of(self, task: EpisodeBatch) -> View | None:
+        """Return the view of the sensors and of all values but the robot's, if there are sensors and a position."""
+        if not task.sensor_rings.size or not len(task.position_columns):
+            return None
+        return PatrolView(task.sensor_rings.tolist(), task.position_columns.tolist(), _beside_the_sensors(task))
 
 
 class Position(ViewChoice):
@@ -111,6 +121,12 @@ class Position(ViewChoice):
         return ColumnsView([*task.position_columns.tolist(), *_not_the_robots(task)])
 
 
+def _beside_the_sensors(task: EpisodeBatch) -> list[int]:
+    """Return the indices of the observed values besides the robot's coordinates and the sensors, in ascending order."""
+    sensors = set(task.sensor_rings.ravel().tolist())
+    return [index for index in _not_the_robots(task) if index not in sensors]
+
+
 def _not_the_robots(task: EpisodeBatch) -> list[int]:
     """Return the indices of the observed values besides the robot's coordinates, in ascending order."""
     return sorted(set(range(task.observation_size)) - set(task.proprioception.tolist()))
@@ -125,7 +141,13 @@ PRIMITIVE_VIEWS: Registry[type[ViewChoice]] = Registry(
 """Views of the primitive by name: the choices of `--primitive-view`."""
 CONTROLLER_VIEWS: Registry[type[ViewChoice]] = Registry(
     "controller view",
-    {"observation": WholeObservation, "egocentric": EgocentricAndOthers, "nearest": Nearest, "position": Position},
+    {
+        "observation": WholeObservation,
+        "egocentric": EgocentricAndOthers,
+        "nearest": Nearest,
+        "patrol": Patrol,
+        "position": Position,
+    },
     fix="Set --controller-view.",
     check=subclass_of(ViewChoice),
 )

@@ -16,6 +16,9 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.types import F64Array, IntArray
 
+PATROL_RADIUS_M = 4.0
+"""Radius of the walk of `PatrolView`: with sensors that reach 8 m it passes every corner of Gather's food in sight."""
+
 
 class View(ABC):
     """Selects or computes the values that a level sees. It is sent to worker processes."""
@@ -29,13 +32,12 @@ class View(ABC):
     def size(self, observation_size: int) -> int:
         """Return the number of values seen of an observation of `observation_size` values."""
 
-    def angle(self, observation: F64Array, heading: F64Array) -> F64Array:
-        """Return the angle [N] of the view's frame in radians, for robots with this `heading` [N]."""
-        return heading
-
     @abstractmethod
-    def write(self, observation: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Write the view of `observation` [N, O], from frames at `angle` [N], into `out` [N, V]."""
+    def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
+        """Write the view of `observation` [N, O] into `out` [N, V], and return the angle of its frame [N] in radians.
+
+        `heading` [N] is that of the robots; a view without a frame of its own returns it.
+        """
 
     @abstractmethod
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
@@ -62,9 +64,10 @@ class ColumnsView(View):
         """Return the number of selected values."""
         return observation_size if self.indices is None else len(self.indices)
 
-    def write(self, observation: F64Array, angle: F64Array, out: F64Array) -> None:
+    def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
         """Copy the values; see `View.write`."""
         out[:] = observation[:, self._columns]
+        return heading
 
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the selected values."""
@@ -104,15 +107,14 @@ class EgocentricView(View):
         """Return the number of the robot's own values and of the others."""
         return self._own + len(self._places[1])
 
-    def angle(self, observation: F64Array, heading: F64Array) -> F64Array:
-        """Return the angle of the body's own frame [N] in radians."""
-        return self.body.frame_angle(observation[:, self._qpos])
-
-    def write(self, observation: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Compute the robot's own values and copy the others; see `View.write`."""
-        self.body.write_egocentric(observation[:, self._qpos], observation[:, self._qvel], angle, out[:, : self._own])
+    def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
+        """Compute the robot's own values and copy the others; return the angle of its own frame. See `View.write`."""
+        qpos = observation[:, self._qpos]
+        angle = self.body.frame_angle(qpos)
+        self.body.write_egocentric(qpos, observation[:, self._qvel], angle, out[:, : self._own])
         if self._places[1]:
             out[:, self._own :] = observation[:, self._others]
+        return angle
 
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the robot's own values, then of the others."""
@@ -162,22 +164,23 @@ class NearestView(View):
         """Return the number of sensors and of the other values."""
         return self._rings.size + len(self._places[1])
 
-    def angle(self, observation: F64Array, heading: F64Array) -> F64Array:
-        """Return the bearing of the middle of the nearest sector in the world [N] in radians."""
-        width = 2 * np.pi / len(self._sectors)
-        return heading + ((self._nearest(observation) + 0.5) * width - np.pi)
+    def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
+        """Rotate the readings and copy the other values; return the bearing of the nearest sector's middle."""
+        first = observation[:, self._rings[0]]
+        nearest = np.where(first.max(axis=1) > 0, first.argmax(axis=1), len(self._sectors) // 2)
+        self._write_from(nearest, observation, out)
+        return self._bearing(nearest, heading)
 
-    def _nearest(self, observation: F64Array) -> IntArray:
-        """Return the sector of the strongest reading of the first ring [N]."""
-        readings = observation[:, self._rings[0]]
-        return np.where(readings.max(axis=1) > 0, readings.argmax(axis=1), len(self._sectors) // 2)
-
-    def write(self, observation: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Rotate the readings and copy the other values; see `View.write`."""
-        sector = (self._nearest(observation)[:, None] + self._sectors) % len(self._sectors)  # [N, sector]
-        columns = self._rings[:, sector].swapaxes(0, 1).reshape(len(out), -1)  # [N, ring * sector]
+    def _write_from(self, sector: IntArray, observation: F64Array, out: F64Array) -> None:
+        """Write the readings, rotated so that `sector` [N] is the first, and the other values."""
+        turned = (sector[:, None] + self._sectors) % len(self._sectors)  # [N, sector]
+        columns = self._rings[:, turned].swapaxes(0, 1).reshape(len(out), -1)  # [N, ring * sector]
         out[:, : self._rings.size] = np.take_along_axis(observation, columns, axis=1)
         out[:, self._rings.size :] = observation[:, self._others]
+
+    def _bearing(self, sector: IntArray, heading: F64Array) -> F64Array:
+        """Return the bearing of the middle of `sector` [N] in the world [N] in radians."""
+        return heading + ((sector + 0.5) * (2 * np.pi / len(self._sectors)) - np.pi)
 
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the sensors, by sectors from the nearest, and of the other values."""
@@ -193,6 +196,54 @@ class NearestView(View):
     def on(self, xp: ModuleType) -> NearestView:
         """Return this view for arrays of `xp`."""
         return NearestView(*self._places, xp)
+
+
+class PatrolView(NearestView):
+    """As `NearestView`, but while nothing is in range the frame is aligned with a walk around the origin.
+
+    The walk is a circle of radius r = `PATROL_RADIUS_M`, counter-clockwise. The frame points to a place at a distance
+    of r sqrt(2) from the origin, an eighth of a turn ahead: along the tangent for a robot on the circle, back to it for
+    any other. A controller that goes straight ahead thereby searches the arena without memory.
+
+    Source: `docs/learning.md`, "Searching".
+    """
+
+    def __init__(
+        self,
+        rings: Sequence[Sequence[int]],
+        position: Sequence[int],
+        others: Sequence[int] = (),
+        xp: ModuleType = np,
+    ) -> None:
+        """See the sensors at `rings` [ring, sector] and the values at `others`; x and y are at `position`."""
+        super().__init__(rings, others, xp)
+        self._position = int(position[0]), int(position[1])
+
+    def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
+        """Rotate the readings and copy the other values; see `View.write`."""
+        x, y = (observation[:, column] for column in self._position)
+        first, count = observation[:, self._rings[0]], len(self._sectors)
+        senses, round_origin = first.max(axis=1) > 0, np.arctan2(y, x) + np.pi / 4
+        far = PATROL_RADIUS_M * np.sqrt(2)  # whoever always walks towards a point at this distance stays on the circle
+        way = np.arctan2(far * np.sin(round_origin) - y, far * np.cos(round_origin) - x)
+        turn = (way - heading) / (2 * np.pi) + 0.5
+        facing = np.minimum(((turn - np.floor(turn)) * count).astype(np.intp), count - 1)
+        sector = np.where(senses, first.argmax(axis=1), facing)
+        self._write_from(sector, observation, out)
+        return np.where(senses, self._bearing(sector, heading), way)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the indices of the sensors, of the position and of the other values, and the radius in metres."""
+        return super().to_dict() | {
+            "kind": "patrol",
+            "position": list(self._position),
+            "radius_m": PATROL_RADIUS_M,
+        }
+
+    def on(self, xp: ModuleType) -> PatrolView:
+        """Return this view for arrays of `xp`."""
+        rings, others = self._places
+        return PatrolView(rings, self._position, others, xp)
 
 
 def _columns(indices: tuple[int, ...], xp: ModuleType) -> slice | IntArray:

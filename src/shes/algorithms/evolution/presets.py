@@ -59,7 +59,7 @@ _ANT: dict[str, Any] = {
 _ANT_TO_FOOD = {
     **_ANT,
     "hidden": (),
-    "controller_view": "nearest",
+    "controller_view": "patrol",
     "controller_output": "heading_direction",
     "learning_rate_schedule": "exponential",
     "learning_rate_end": 0.01,
