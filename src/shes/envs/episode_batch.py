@@ -120,9 +120,9 @@ class EpisodeBatch(ABC):
         """Name of each observed value."""
 
     @property
-    @abstractmethod
     def position_columns(self) -> IntArray:
-        """Indices in the observation of the robot's absolute x and y; empty if they are unknown."""
+        """Indices in the observation of the robot's absolute x and y; none if they are unknown."""
+        return np.zeros(0, np.int64)
 
     @property
     @abstractmethod

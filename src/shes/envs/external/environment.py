@@ -106,18 +106,18 @@ class ExternalEnvironment:
         try:
             yield
         except Exception as error:
-            kind = "" if isinstance(error, ShesError) else f"{type(error).__name__}: "
+            kind = f"{type(error).__name__}: " * (not isinstance(error, ShesError))
             told = f"{self.name} cannot {action}: {kind}{' '.join(str(error).split())}"
             if not isinstance(error, ImportError | gymnasium.error.DependencyNotInstalled):
                 raise ConfigError(told) from error
             entry = getattr(gymnasium.registry.get(str(getattr(self.source, "id", self.source))), "entry_point", "")
             # gymnasium.envs.box2d.lunar_lander:LunarLander is installed by the extra gymnasium[box2d].
-            room = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")
-            extra = f"gymnasium[{room}]" if room else "shes[robotics]" if "gymnasium_robotics" in told else None
-            if room and isinstance(error, gymnasium.error.DependencyNotInstalled):  # its advice names other packages
+            part = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")
+            extra = f"gymnasium[{part}]" if part else "shes[robotics]" if "gymnasium_robotics" in told else None
+            if part and isinstance(error, gymnasium.error.DependencyNotInstalled):  # its advice names other packages
                 told = f"{self.name} cannot {action}: {str(error).partition(',')[0]}"
-            is_told = extra is None or "pip install" in told
-            raise MissingExtraError(told if is_told else f"{told} (pip install '{extra}')") from error
+            fix = f" (pip install '{extra}')" if extra and "pip install" not in told else ""
+            raise MissingExtraError(told + fix) from error
 
 
 def _import_robotics(env_id: str) -> None:
@@ -165,11 +165,6 @@ class ExternalTask(EpisodeBatch):
     def observation_names(self) -> tuple[str, ...]:
         """Name and index of each observed value."""
         return tuple(f"{self.environment.name}[{i}]" for i in range(self.observation_size))
-
-    @property
-    def position_columns(self) -> IntArray:
-        """No indices: which columns hold the position is unknown."""
-        return np.zeros(0, np.int64)
 
     def check_position(self) -> None:
         """Check that the robot can be located; see `EpisodeBatch.check_position`."""

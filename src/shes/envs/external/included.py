@@ -7,8 +7,6 @@ from shes.envs.root import yaw
 from shes.errors import ConfigError
 from shes.registry import Registry
 
-__all__ = ["EXTERNAL_ENVIRONMENTS", "INCLUDED"]
-
 INCLUDED = {
     "robotics-ant-maze": ExternalEnvironment(
         name="robotics-ant-maze",
