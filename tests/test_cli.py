@@ -152,6 +152,7 @@ def test_list_shows_the_runs_that_cannot_be_read_with_the_reason(shes, tiny_run,
     text = shes("list", tmp_path)
     assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unregistered", text)
     assert "theirs is unregistered: " in text
+    assert json.loads(shes("info", tmp_path / "theirs", "--json")) == theirs
     assert "--import MODULE" in text
 
 

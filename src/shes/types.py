@@ -1,10 +1,6 @@
 """Array types and checks shared by all packages. Docstrings give shapes as `[axis, axis]`.
 
-Axes: n members of the population, G mirrored groups, M members of a group, L levels, D parameters of a policy; P lanes,
-R rows (episodes) of a lane, N = P * R episodes in lockstep; E episodes of a member, K episodes of a task or an
-evaluation; O observed values, V values of a view, A controls, J successive goals, T elements of a robot's symmetry
-group, S numbers of a full physics state; H and W pixels. In `shes.algorithms.hiro`: B transitions of a batch, K
-updates, M transitions in a replay buffer, J candidates for a goal, G coordinates of a goal.
+The letters of the axes are explained in `docs/reference/index.md`.
 """
 
 from __future__ import annotations

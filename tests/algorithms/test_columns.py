@@ -19,7 +19,7 @@ from shes.es.novelty import NoveltyState
 from shes.es.optimizers import Adam
 from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.episodes import Generation
-from shes.hierarchy.population import Work
+from shes.hierarchy.population_tasks import Work
 from shes.hierarchy.results import PopulationResults
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv

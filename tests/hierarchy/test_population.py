@@ -10,7 +10,7 @@ from shes.es.optimizers import Adam
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.population import COMMON_RANDOM_NUMBERS, mean_policy_task, members_per_lane, population_tasks
+from shes.hierarchy.population_tasks import COMMON_RANDOM_NUMBERS, mean_policy_task, members_per_lane, population_tasks
 
 DIMS = (3, 5)
 TABLE_SIZE = 50_000

@@ -23,7 +23,7 @@ from shes.hierarchy.goals import AngleEncoding, MetreAngleEncoding
 from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.intervals import IntervalEstimate
 from shes.hierarchy.outputs import HeadingVectorOutput, VectorOutput
-from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
+from shes.hierarchy.population_tasks import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import MetresReward, ProgressReward
 from shes.hierarchy.views import ColumnsView, EgocentricView

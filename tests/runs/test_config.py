@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.evolution.levels import learns
+from shes.algorithms.evolution.learned_levels import learns
 from shes.algorithms.evolution.sections import SCHEDULED
 from shes.envs.bodies.point import Point
 from shes.envs.gymnasium_ids import register_ids

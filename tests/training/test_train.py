@@ -84,7 +84,7 @@ def test_a_run_ends_with_the_generation_that_reaches_its_environment_steps(tmp_p
     path = runs.train_tiny(tmp_path / "run", env_steps=161)
     state = runs.state(path, "last")
     assert (state.generation, state.env_steps) == (2, 320)
-    with pytest.raises(ConfigError, match=r"made 320 environment steps, and is to end after 161\. .*--env-steps 640"):
+    with pytest.raises(ConfigError, match=r"made 320 environment steps, but --env-steps is 161\. .*--env-steps 640"):
         resume(path)
     assert resume(path, env_steps=10_000).generation == 4
     assert runs.differences(whole, path) == []

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from shes.errors import ConfigError, RunFolderError, StorageError, UnknownNameError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.viewing.curves import interval
+from shes.viewing.curves import confidence_interval
 from shes.viewing.plot import plot
 from tests.e2e import runs
 
@@ -70,7 +70,7 @@ def test_repetitions_become_a_mean_with_an_interval(seeds, tmp_path, drawn):
     np.testing.assert_allclose(line.get_ydata(), values.mean(axis=0))
     assert legend(drawn[0]) == ["point-gather smoke (3 runs)", RUNS]
     (band,) = controller.collections
-    low, high = interval(values)
+    low, high = confidence_interval(values)
     heights = band.get_paths()[0].vertices[:, 1]
     assert (heights.min(), heights.max()) == (pytest.approx(low.min()), pytest.approx(high.max()))
 
@@ -225,20 +225,20 @@ def test_curves_are_drawn_over_what_is_asked_for(seeds, tmp_path, drawn, x, labe
 
 def test_an_interval_holds_the_mean_and_stays_between_the_runs():
     values = np.random.default_rng(0).normal(size=(10, 4))
-    low, high = interval(values)
+    low, high = confidence_interval(values)
     mean = values.mean(axis=0)
     assert ((values.min(axis=0) <= low) & (low < mean) & (mean < high) & (high <= values.max(axis=0))).all()
-    assert np.array_equal(interval(values), (low, high))  # the same every time
+    assert np.array_equal(confidence_interval(values), (low, high))  # the same every time
 
 
 def test_runs_that_agree_have_no_width():
-    low, high = interval(np.full((3, 2), 1.5))
+    low, high = confidence_interval(np.full((3, 2), 1.5))
     assert low.tolist() == high.tolist() == [1.5, 1.5]
 
 
 def test_an_interval_is_about_two_standard_errors_wide():
     values = np.random.default_rng(1).normal(size=(50, 1))
-    low, high = interval(values)
+    low, high = confidence_interval(values)
     assert (high - low)[0] == pytest.approx(2 * 1.96 * values.std() / np.sqrt(50), rel=0.15)
 
 

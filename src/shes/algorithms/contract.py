@@ -80,7 +80,7 @@ class Algorithm(ABC, Generic[StateT]):
 
     sections: ClassVar[Mapping[str, type[Settings]]] = {}
     """Its settings: dataclasses by the name of their section. Each setting becomes a flag of `shes train` with help, an
-    argument of `shes.train` and an entry of `config.json`. `problem.settings.GROUP.NAME` is its value."""
+    argument of `shes.train` and an entry of `config.json`. `problem.settings.SECTION.NAME` is its value."""
 
     presets: ClassVar[Mapping[str, Preset]] = {}
     """Its own values of presets, by name, which win over `shes.algorithms.presets.PRESETS`. A name that is not among
@@ -95,7 +95,7 @@ class Algorithm(ABC, Generic[StateT]):
 
     @staticmethod
     def check(settings: Any) -> None:
-        """Check combinations of values of its settings; `settings.GROUP.NAME` is a value.
+        """Check combinations of values of its settings; `settings.SECTION.NAME` is a value.
 
         Raises:
             ConfigError: Two values do not go together.

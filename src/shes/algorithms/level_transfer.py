@@ -26,7 +26,7 @@ class LevelTransfer(ABC):
         """Return the settings that a level of a run with settings `source` brings to a run of levels `level_names`."""
 
     @abstractmethod
-    def spec(self, problem: Problem) -> str:
+    def interface(self, problem: Problem) -> str:
         """Return the inputs and outputs of the level in words. Both runs must have the same."""
 
     @abstractmethod

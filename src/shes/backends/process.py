@@ -49,7 +49,7 @@ class SocketWorker(RemoteWorker):
 
     @property
     def ending(self) -> str:
-        """That the connection ended."""
+        """How the worker ended, in words."""
         return "the connection ended"
 
     def send(self, *message: Any) -> None:

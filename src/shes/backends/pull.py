@@ -29,7 +29,7 @@ _TICK_S = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class WarningSettings(Settings):
-    """When to tell of workers that give no answer."""
+    """When to warn of workers that do not answer."""
 
     worker_warning_s: Annotated[float, Gt(0), Execution()] | None = 60.0
     """Seconds without an answer after which a warning names the worker; none for no warning. The limit is longer for

@@ -22,7 +22,7 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.es.level import TrainState
 from shes.hierarchy.episodes import EpisodeResults
 from shes.hierarchy.intervals import branch_work
-from shes.hierarchy.population import Work
+from shes.hierarchy.population_tasks import Work
 from shes.sim.cpu import CpuSimulator
 from shes.types import F64Array, FloatArray, IntArray
 

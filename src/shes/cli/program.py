@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; return its exit code.
 
     0: success; 1: the run failed; 2: the command line, a file or a package has to be corrected; 130: Ctrl-C; 141: the
-    reader of the output has gone, as head does.
+    reader of the output has closed it, as `head` does.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["--complete"]:  # asked by a shell

@@ -72,8 +72,8 @@ class TaskAdapter:
     def step(self, ids: IntArray, actions: ArrayLike) -> None:
         """Advance episodes `ids` by one control step with `actions` [N, A], clipped to [-1, 1].
 
-        Raise ShapeError for another shape, PolicyError for what is no number, or for NaN and infinity in those
-        of `ids`.
+        Raise ShapeError for another shape, and PolicyError for values that are no numbers or, in the rows of `ids`,
+        NaN or infinite.
         """
         asked = _as_numbers(actions)
         expected = (self.task.num_episodes, self.task.action_size)

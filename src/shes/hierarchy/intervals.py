@@ -21,7 +21,7 @@ from shes.es.level import LevelParameters, RunningEpisodes, TrainState, UpdateRu
 from shes.es.schedules import Schedule
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation, Snapshot
-from shes.hierarchy.population import Work
+from shes.hierarchy.population_tasks import Work
 from shes.hierarchy.results import PopulationResults
 
 

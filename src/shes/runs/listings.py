@@ -8,7 +8,7 @@ from typing import Any
 from shes.listing import Listing, Table, facts_listing
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent, shipped_name, shipped_names
-from shes.runs.state import RunState, run_state, states_below
+from shes.runs.state import RunState, run_state, states_below, unregistered_state
 
 
 def list_runs(folder: Path | str = "runs") -> Listing:
@@ -51,6 +51,8 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
     """
     folder = RunFolder.open(run)
+    if unregistered := unregistered_state(folder):
+        return facts_listing(unregistered.to_dict())
     record, config = folder.read_record(), folder.read_config()
     levels, name = ", ".join(config.level_names), shipped_name(folder.path)
     parts: list[Table | str] = []

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from shes.errors import CheckpointError, RunFolderError, ShesError, UnknownNameError
+from shes.errors import CheckpointError, ConfigError, RunFolderError, ShesError, UnknownNameError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 
@@ -33,7 +33,7 @@ class RunState:
     """A `stopped` run can be resumed; a run with `tables only` has no checkpoints; an `unregistered` one needs a
     class that is not registered here. Unknown fields of the latter and of an `unreadable` run are None."""
     problem: str | None = None
-    """Why the run is unreadable, or what is not registered."""
+    """Why the run is unreadable, or the name of the class that is not registered."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the state as JSON types."""
@@ -68,6 +68,16 @@ def run_state(folder: RunFolder) -> RunState:
     )
 
 
+def unregistered_state(folder: RunFolder) -> RunState | None:
+    """Return the state of a run by its tables if it needs a class that is not registered here, else None."""
+    try:
+        folder.read_config()
+    except ConfigError as error:
+        if isinstance(error.__cause__, UnknownNameError):
+            return _state_by_tables(folder, error)
+    return None
+
+
 def states_below(path: Path) -> list[RunState]:
     """Return the states of the runs below `path`, in alphabetical order; runs that cannot be read say why."""
     found: list[RunState] = []
@@ -83,7 +93,7 @@ def states_below(path: Path) -> list[RunState]:
 
 
 def _state_by_tables(folder: RunFolder, error: Exception) -> RunState:
-    """Return what the record and the tables of a run tell whose settings cannot be read because of `error`."""
+    """Return the state of a run from its record and tables; its settings cannot be read because of `error`."""
     try:
         run = dict(folder.read_record()["config"]["run"])
     except (ShesError, KeyError, TypeError, ValueError):

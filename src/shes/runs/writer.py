@@ -46,7 +46,7 @@ class RunWriter:
         self._raise()
 
     def close(self) -> None:
-        """Write what waits and end the thread; raise StorageError if anything could not be written."""
+        """Write all pending rows and end the thread; raise StorageError if anything could not be written."""
         self._waiting.put(None)
         self._thread.join()
         self._raise()

@@ -15,7 +15,7 @@ from shes.studies.significance import holm, interquartile_mean, mann_whitney, pe
 from shes.studies.study import Study
 from shes.studies.study_tables import CellResults
 from shes.types import F64Array
-from shes.viewing.curves import interval
+from shes.viewing.curves import confidence_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +121,7 @@ def _compare_group(
     found: list[Comparison] = []
     for (variant, against, other), p in zip(pairs, tests, strict=True):
         values = variants[variant]
-        low, high = interval(values[:, None])
+        low, high = confidence_interval(values[:, None])
         iqm, iqm_low, iqm_high = interquartile_mean(values)
         found.append(
             Comparison(

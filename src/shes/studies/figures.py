@@ -19,7 +19,7 @@ from shes.studies.design import Curve, CurvePanel, Curves, Forest, Speedup, Swee
 from shes.studies.study import Study
 from shes.studies.study_tables import Cell, CellResults
 from shes.types import F64Array
-from shes.viewing.curves import interpolate, interval
+from shes.viewing.curves import confidence_interval, interpolate
 
 _WIDTH = 10.0
 """Width in inches."""
@@ -125,7 +125,7 @@ def _forest(axis: Axes, results: _Results, env: str, places: Sequence[_Place]) -
         color = _BASE_COLOR if is_base else _COLOR
         heights = y + rng.uniform(-0.16, 0.16, len(values))  # so that equal scores are distinguishable
         axis.scatter(values, heights, s=14, color=color, alpha=0.35, linewidth=0)
-        low, high = interval(values[:, None])
+        low, high = confidence_interval(values[:, None])
         axis.plot([low[0], high[0]], [y, y], color=color, linewidth=2)
         axis.plot(values.mean(), y, "D", color=color, markersize=6, markeredgecolor="white")
         beside = blended_transform_factory(axis.transAxes, axis.transData)
@@ -164,7 +164,7 @@ def _sensitivity(axis: Axes, results: _Results, env: str, figure_of: Sweep, sett
     places = {factor: (env, figure_of.group, sweep_name(setting, factor)) for factor in figure_of.factors}
     places = dict(sorted({**places, 1.0: (env, *results.design.base)}.items()))
     found = {factor: values for factor, place in places.items() if len(values := results.scores(place))}
-    bounds = [interval(values[:, None]) for values in found.values()]
+    bounds = [confidence_interval(values[:, None]) for values in found.values()]
     means = [values.mean() for values in found.values()]
     axis.fill_between(
         list(found),
@@ -224,7 +224,7 @@ def _draw_curve(
         steps = [x + results.of_primitive(run, name) / unit for x, run in zip(steps, runs, strict=True)]
     scores = [np.array([row[column] for row in run.curve], dtype=np.float64) for run in runs]
     grid, values = interpolate(steps, scores)
-    low, high = interval(values)
+    low, high = confidence_interval(values)
     words = f"{curve.words or results.design.label(place[2])} ({len(runs)} seed{'s' * (len(runs) != 1)})"
     axis.plot(grid, values.mean(axis=0), color=color, label=words)
     axis.fill_between(grid, low, high, color=color, alpha=0.2, linewidth=0)

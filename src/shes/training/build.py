@@ -109,8 +109,8 @@ def check_device(config: TrainConfig) -> None:
         ) from error
 
 
-def build_backend(config: TrainConfig, plan: WorkerPlan, num_episodes: int | None = None) -> Backend:
-    """Return the started backend of `config`, with at most `num_episodes` workers.
+def build_backend(config: TrainConfig, plan: WorkerPlan, max_workers: int | None = None) -> Backend:
+    """Return the started backend of `config`, with at most `max_workers` workers.
 
     A device has one worker, in this process.
     """
@@ -118,5 +118,5 @@ def build_backend(config: TrainConfig, plan: WorkerPlan, num_episodes: int | Non
     cls: Any = BACKENDS.find(config.workers.backend if config.workers.device == "cpu" else "serial")
     options = cls.Options.of(config.values)
     count = config.workers.num_workers or cls.all_workers()
-    count = count if num_episodes is None else min(count, num_episodes)
+    count = count if max_workers is None else min(count, max_workers)
     return cls(factory, count, **{name: getattr(options, name) for name in setting_fields(cls.Options)})

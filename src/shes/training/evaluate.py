@@ -197,7 +197,7 @@ def evaluate(
     plan = opened.algorithm.plan()
     if targets == "training":
         plan = replace(plan, evaluation=plan.training)
-    with build_backend(opened.config, plan, workload.num_episodes) as backend:
+    with build_backend(opened.config, plan, workload.most_episodes) as backend:
         backend.on_event = logger.warning  # of silent or lost workers; on standard error, unless logging is set up
         found = evaluate_state(opened.algorithm, opened.state, fresh_seeds(opened.state, episodes, seed), backend)
     return replace(found, run=str(run), checkpoint=checkpoint)

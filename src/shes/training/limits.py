@@ -58,17 +58,17 @@ class Workload:
         )
 
     @property
-    def num_episodes(self) -> int:
+    def most_episodes(self) -> int:
         """Largest number of episodes at a time. More workers than that would be idle."""
         return max(self.population_size * self.episodes_per_policy, self.evaluation_episodes)
 
     def memory(self, design: AgentDesign) -> int:
         """Return the bytes of memory that agents of `design` take, in all processes."""
-        parent = self.num_episodes * (empty_outcomes(len(design.dims), 1).nbytes + _TASK_BYTES)
+        parent = self.most_episodes * (empty_outcomes(len(design.dims), 1).nbytes + _TASK_BYTES)
         blocks = -(-self.evaluation_episodes // self.episodes_per_policy)
         rollouts = self._rollout(design, self.population_size, self.horizon)
         rollouts += self._rollout(design, blocks, self.evaluation_horizon)
-        workers = min(self.num_workers, self.num_episodes)
+        workers = min(self.num_workers, self.most_episodes)
         return parent + (workers * (_WORKER_BYTES + rollouts) if workers else rollouts)
 
     def _rollout(self, design: AgentDesign, policies: int, horizon: int) -> int:

@@ -1,4 +1,4 @@
-"""Listeners: what a run tells of its progress while it trains, and how a listener ends the run."""
+"""Listeners: the events of a run in training, and how a listener ends the run."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class Run:
         if self.best.generation >= 0:
             best = f"best evaluation score {self.best.score:.2f} (generation {self.best.generation})"
         parts = (
-            f"Done: {self.generation} generations, {best}.",
+            f"Done: {self.generation} generation{'s' * (self.generation != 1)}, {best}.",
             f"Next: shes evaluate {found} · shes render {found} · shes plot {found}",
         )
         return Listing({"run": str(self.path), "generation": self.generation, "best_score": self.best.score}, parts)
@@ -176,10 +176,10 @@ def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) 
         if config.run.is_over(done, steps) and not checkpoint.owes_evaluation:
             is_long = done >= config.run.generations
             made, end = (done, config.run.generations) if is_long else (steps, config.run.env_steps)
+            limit = "--generations" if is_long else "--env-steps"
             raise ConfigError(
-                f"the run has made {made} {'generations' if is_long else 'environment steps'}, and is to end after "
-                f"{end}. To go on: shes resume {shlex.quote(str(path))} "
-                f"{'--generations' if is_long else '--env-steps'} {2 * made}"
+                f"the run has made {made} {'generations' if is_long else 'environment steps'}, but {limit} is {end}. "
+                f"To go on: shes resume {shlex.quote(str(path))} {limit} {2 * made}"
             )
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
         check_tables(folder, done, owes_evaluation=checkpoint.owes_evaluation)
@@ -254,7 +254,7 @@ def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint:
         )
         stack.enter_context(closing(records))
         writer = stack.enter_context(closing(RunWriter(records)))
-        backend = stack.enter_context(build_backend(config, algorithm.plan(), Workload.of(config).num_episodes))
+        backend = stack.enter_context(build_backend(config, algorithm.plan(), Workload.of(config).most_episodes))
         session = stack.enter_context(closing(Session(folder, algorithm, checkpoint, writer, backend, audience)))
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"

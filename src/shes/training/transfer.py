@@ -118,7 +118,7 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
         if path is None:
             continue
         source, origins[level] = _read(level, own, path, config.values[f"{level}_checkpoint"])
-        theirs, ours = own.spec(source.algorithm.problem), own.spec(algorithm.problem)
+        theirs, ours = own.interface(source.algorithm.problem), own.interface(algorithm.problem)
         if theirs != ours:
             raise ConfigError(
                 f"the {level} of {path} does not fit {config.run.env}.\n"

@@ -23,7 +23,7 @@ def interpolate(x: Sequence[F64Array], y: Sequence[F64Array]) -> tuple[F64Array,
     return grid, np.stack([np.interp(grid, *curve) for curve in zip(x, y, strict=True)])
 
 
-def interval(values: F64Array) -> tuple[F64Array, F64Array]:
+def confidence_interval(values: F64Array) -> tuple[F64Array, F64Array]:
     """Return the bounds, each [grid], of the 95 % bootstrap interval of the mean over runs of `values` [runs, grid].
 
     One matrix product serves the whole grid; `scipy.stats.bootstrap` would store every resample of every curve.

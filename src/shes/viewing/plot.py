@@ -23,7 +23,7 @@ from shes.runs.tables import read_csv
 from shes.storage import write_atomically
 from shes.training.runs_folder import find_runs
 from shes.types import F64Array
-from shes.viewing.curves import interpolate, interval
+from shes.viewing.curves import confidence_interval, interpolate
 from shes.viewing.groups import Group, group_runs
 
 X_AXES = {
@@ -122,7 +122,7 @@ def _draw_group(axis: Axes, group: Group, table: str, column: str, x: str) -> No
     mean = values.mean(axis=0)
     axis.plot(grid, mean, label=group.label, color=group.color, linestyle=group.style)
     if not is_single:
-        low, high = interval(values)
+        low, high = confidence_interval(values)
     elif column == "score_mean":
         columns = read_csv(group.folders[0].evaluation)
         error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])

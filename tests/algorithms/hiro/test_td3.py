@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("jax")
 
 from shes.algorithms.hiro.level_learner import LevelLearner, flat, network, to_arrays, to_learner
-from shes.algorithms.hiro.levels import Level, UpdateSettings
+from shes.algorithms.hiro.levels import Level, UpdateHyperparameters
 from shes.algorithms.hiro.replay import Replay
 from shes.algorithms.hiro.td3 import Transitions, act, compiled_update
 from shes.es.statistics import normalise
@@ -18,7 +18,7 @@ from tests.algorithms.hiro import reference
 pytestmark = pytest.mark.hiro
 
 INPUTS, ACTIONS, BATCH = 5, 2, 16
-OWN = UpdateSettings(
+OWN = UpdateHyperparameters(
     half_range=(2.0, 0.5),
     noise_std=(0.4, 0.1),
     noise_clip=(0.5, 0.12),

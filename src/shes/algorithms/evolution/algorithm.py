@@ -79,7 +79,7 @@ def evolve(
     """Yield a report after every generation from `state` on, indefinitely. `pool` computes gradients in parallel."""
     while True:  # line 1
         start = perf_counter()
-        # lines 2 and 3: n roll-outs of policies perturbed by sigma * epsilon, for controller and primitive at once.
+        # lines 2 and 3: n rollouts of policies perturbed by sigma * epsilon, for controller and primitive at once.
         population = roll_out(state, hyperparameters, table, backend)
         # Not in the paper: a primitive may be evaluated by intervals that branch off the states of these episodes.
         branches = roll_out_branches(state, hyperparameters, table, backend, population)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from shes.algorithms.evolution.levels import by_episodes, is_alone, is_branched, learns
+from shes.algorithms.evolution.learned_levels import by_episodes, is_alone, is_branched, learns
 from shes.algorithms.evolution.sections import SCHEDULED
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
-from shes.algorithms.evolution.levels import is_alone, is_branched
+from shes.algorithms.evolution.learned_levels import is_alone, is_branched
 from shes.algorithms.problem import Problem
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from shes.algorithms.evolution.levels import is_branched, learns
+from shes.algorithms.evolution.learned_levels import is_branched, learns
 from shes.algorithms.evolution.populations import Hyperparameters
 from shes.algorithms.evolution.sections import SCHEDULED
 from shes.es.level import LevelState, TrainState, UpdateRule

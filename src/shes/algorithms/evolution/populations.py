@@ -27,7 +27,7 @@ from shes.es.schedules import Schedule
 from shes.hierarchy.episodes import Generation
 from shes.hierarchy.fitness import shaped_fitness
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapshot_steps
-from shes.hierarchy.population import Work, mean_policy_task, members_per_lane, population_tasks
+from shes.hierarchy.population_tasks import Work, mean_policy_task, members_per_lane, population_tasks
 from shes.hierarchy.results import PopulationResults
 
 
@@ -143,7 +143,7 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
     if estimate is not None:
         snapshot_goals, num_episodes = estimate.intervals, hyperparameters.population_size * episodes
         noted = draw_snapshot_steps(state, num_episodes, hyperparameters.horizon, estimate.controller_interval)
-    # line 2: n roll-outs, as tasks of a few integers each.
+    # line 2: n rollouts, as tasks of a few integers each.
     tasks = population_tasks(
         state,
         signs,

@@ -22,7 +22,7 @@ from shes.es.schedules import SCHEDULES
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
-from shes.hierarchy.population import COMMON_RANDOM_NUMBERS
+from shes.hierarchy.population_tasks import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
 from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS

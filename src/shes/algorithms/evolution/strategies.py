@@ -20,11 +20,11 @@ from shes.algorithms.evolution.designs import (
     primitive_design,
 )
 from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make_state
-from shes.algorithms.evolution.levels import population, steps_per_generation
+from shes.algorithms.evolution.learned_levels import population, steps_per_generation
+from shes.algorithms.evolution.level_transfers import PRIMITIVE_TRANSFER, SHES_TRANSFERS
 from shes.algorithms.evolution.presets import SES_PRESETS, SHES_PRESETS
 from shes.algorithms.evolution.sections import PRIMITIVE_SECTIONS, SES_SECTIONS, SHES_SECTIONS
 from shes.algorithms.evolution.state_arrays import check_arrays, check_headers, from_arrays, to_arrays
-from shes.algorithms.evolution.transfer import PRIMITIVE_TRANSFER, SHES_TRANSFERS
 from shes.algorithms.level_transfer import LevelTransfer
 from shes.algorithms.presets import Preset
 from shes.algorithms.problem import Problem

@@ -24,7 +24,7 @@ from shes.types import CONTROLLER, F32Array, F64Array, IntArray
 class HiroDesign(AgentDesign):
     """Design of HIRO's agent. The primitive observes the goal, seen from the current state, and then its view.
 
-    `decision_size` is 0, because a roll-out gives no exploration noise to this agent: it explores where it learns.
+    `decision_size` is 0, because a rollout gives no exploration noise to this agent: it explores where it learns.
     """
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
@@ -35,7 +35,7 @@ class HiroDesign(AgentDesign):
 
     @property
     def intrinsic_level(self) -> None:
-        """None: a roll-out does not compute the intrinsic reward, which depends on all coordinates of a goal."""
+        """None: a rollout does not compute the intrinsic reward, which depends on all coordinates of a goal."""
         return
 
     def exported(self) -> dict[str, Any]:

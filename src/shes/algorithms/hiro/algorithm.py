@@ -152,7 +152,7 @@ class TD3(Algorithm[TD3State]):
         return {level.name: learning.LevelLearner(level, own, *self._learning())}
 
     def _rewards(self) -> dict[str, Any]:
-        """Return what a collector needs to know of rewards and terminal states, by argument."""
+        """Return the collector's arguments for rewards and terminal states, by name."""
         return {"bootstraps": self.settings.bootstrap_terminal, "reward_scale": self.settings.reward_scale}
 
     def _learning(self) -> tuple[float, int, float]:

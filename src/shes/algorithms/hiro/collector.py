@@ -193,7 +193,7 @@ class Collector:
         return self._batch.reward * self._reward_scale
 
     def goes_on(self, terminated: BoolArray) -> BoolArray:
-        """Return which transitions lead to a state with a value [n]."""
+        """Return for each transition whether its next state has a value: the return is not cut there [n]."""
         return ~terminated | self._bootstraps
 
     def returns(self) -> dict[str, F64Array]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from shes.algorithms.hiro.agent import HiroDesign
 from shes.algorithms.hiro.goal_space import GoalSpace, primitive_columns
-from shes.algorithms.hiro.levels import Level, UpdateSettings
+from shes.algorithms.hiro.levels import Level, UpdateHyperparameters
 from shes.algorithms.hiro.replay import Replay
 from shes.algorithms.problem import Problem
 from shes.envs.episode_batch import EpisodeBatch
@@ -127,7 +127,7 @@ def _level(
     return Level(
         name=name,
         actor=actor,
-        hyperparameters=UpdateSettings(
+        hyperparameters=UpdateHyperparameters(
             half_range=tuple(map(float, half_range)),
             noise_std=tuple((unit * own.target_noise).tolist()),
             noise_clip=tuple((unit * own.target_noise_clip).tolist()),

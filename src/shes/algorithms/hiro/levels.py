@@ -27,7 +27,7 @@ _STATISTICS = ("observation_total", "observation_total_squares")
 
 
 @dataclass(frozen=True, kw_only=True)
-class UpdateSettings:
+class UpdateHyperparameters:
     """Settings of the update of one level. The fields are hashable, because an update is compiled for each."""
 
     half_range: tuple[float, ...]
@@ -49,7 +49,7 @@ class Level:
 
     name: str
     actor: MLP
-    hyperparameters: UpdateSettings
+    hyperparameters: UpdateHyperparameters
     exploration_std: tuple[float, ...]
     """Standard deviation of the exploration noise on each output of the actor [A]."""
     replay: Replay

@@ -45,7 +45,7 @@ class LearnerSettings(Settings):
     target_noise_clip: Annotated[float, Ge(0)] = 0.5
     """Largest noise on the target actor's outputs."""
     reward_scale: Annotated[float, Gt(0)] = 1.0
-    """Factor on the environment's reward (HIRO: 0.1). The primitive's own reward has none."""
+    """Factor on the environment's reward (HIRO: 0.1). The intrinsic reward is not scaled."""
     bootstrap_terminal: bool = False
     """Whether to bootstrap from terminal states (HIRO's code: yes). A time limit never ends the return."""
     normalise_inputs: bool = True

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from shes.algorithms.hiro.levels import UpdateSettings
+from shes.algorithms.hiro.levels import UpdateHyperparameters
 
 Array: TypeAlias = jax.Array
 Network: TypeAlias = tuple[tuple[Array, Array], ...]
@@ -81,7 +81,7 @@ def value(critic: Network, inputs: Array, action: Array) -> Array:
 _values = jax.vmap(value, in_axes=(0, None, None))  # of both critics [2, B]
 
 
-def critic_targets(learner: Learner, batch: Transitions, own: UpdateSettings) -> Array:
+def critic_targets(learner: Learner, batch: Transitions, own: UpdateHyperparameters) -> Array:
     """Return the targets of the critics [B]: r + discount * min(Q1', Q2') at the smoothed target action."""
     half_range, std, clip = (jnp.asarray(each) for each in (own.half_range, own.noise_std, own.noise_clip))
     noise = jnp.clip(batch.noise * std, -clip, clip)
@@ -102,7 +102,7 @@ def actor_loss(actor: Network, critics: Network, inputs: Array, half_range: Arra
     return -value(first, inputs, act(actor, inputs, half_range)).mean()
 
 
-def update(own: UpdateSettings, learner: Learner, batch: Transitions) -> tuple[Learner, Losses]:
+def update(own: UpdateHyperparameters, learner: Learner, batch: Transitions) -> tuple[Learner, Losses]:
     """Return the level after one update, and its losses."""
     actor_rule, critic_rule = optax.adam(own.actor_learning_rate), optax.adam(own.critic_learning_rate)
     target = critic_targets(learner, batch, own)
@@ -131,7 +131,7 @@ def update(own: UpdateSettings, learner: Learner, batch: Transitions) -> tuple[L
 
 
 @cache
-def compiled_update(own: UpdateSettings) -> Any:
+def compiled_update(own: UpdateHyperparameters) -> Any:
     """Return the compiled function `(learner, transitions) -> (learner, losses)` for K updates in sequence.
 
     The learner that it is given is consumed.

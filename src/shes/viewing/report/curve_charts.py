@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from shes.types import F64Array, FloatArray, IntArray
-from shes.viewing.curves import interpolate, interval
+from shes.viewing.curves import confidence_interval, interpolate
 from shes.viewing.report.reading import ReportedGroup, ReportedRun, Table
 
 X_AXES = {
@@ -121,7 +121,9 @@ def _traces(panel: Panel, group: ReportedGroup, tables: list[Table], x: str, fac
     mean = values.mean(axis=0)
     color, dash = line_look(group)
     common = {"type": "scatter", "meta": group.label}
-    band = interval(values) if len(tables) > 1 and len(grid) else _errors(tables[0], panel.column, mean, kept)
+    band = (
+        confidence_interval(values) if len(tables) > 1 and len(grid) else _errors(tables[0], panel.column, mean, kept)
+    )
     if band is not None:
         low, high = band
         edge = {"mode": "lines", "line": {"width": 0, "color": color}, "hoverinfo": "skip", "showlegend": False}

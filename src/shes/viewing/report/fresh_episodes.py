@@ -10,7 +10,7 @@ import numpy as np
 from shes.errors import ShesError
 from shes.training.evaluate import Evaluation, evaluate
 from shes.types import F64Array
-from shes.viewing.curves import interval
+from shes.viewing.curves import confidence_interval
 from shes.viewing.report.reading import ReportedGroup, ReportedRun
 
 _Z = 1.96  # of a 95 % interval
@@ -94,7 +94,7 @@ def estimate(values: F64Array) -> str:
     if len(values) < 2:
         return f"{values.mean():.2f}"
     error = values.std(ddof=1) / sqrt(len(values))
-    (low,), (high,) = interval(values[:, None])
+    (low,), (high,) = confidence_interval(values[:, None])
     return f"{values.mean():.2f} ± {error:.2f} [{low:.2f}, {high:.2f}]"
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 from shes.algorithms.evolution.designs import controller_inputs, primitive_inputs, primitive_layers
-from shes.algorithms.evolution.levels import is_alone
+from shes.algorithms.evolution.learned_levels import is_alone
 from shes.algorithms.level_transfer import LevelTransfer
 from shes.algorithms.problem import Problem
 from shes.es.level import TrainState
@@ -52,7 +52,7 @@ class PrimitiveTransfer(_Transfer):
             "primitive_view": "proprioception" if is_plain else view,
         }
 
-    def spec(self, problem: Problem) -> str:
+    def interface(self, problem: Problem) -> str:
         """Return the inputs and outputs of the primitive in words."""
         inputs, task, settings = primitive_inputs(problem), problem.sample(), problem.settings
         kind = settings.hierarchy.symmetry
@@ -79,7 +79,7 @@ class ControllerTransfer(_Transfer):
         """Return the settings of the controller's inputs, outputs and layers."""
         return {name: source.values[name] for name in ("controller_output", "controller_view", "hidden")}
 
-    def spec(self, problem: Problem) -> str:
+    def interface(self, problem: Problem) -> str:
         """Return the inputs and outputs of the controller in words."""
         inputs, settings = controller_inputs(problem), problem.settings
         spec = f"specification {settings.environment.spec}, output {settings.hierarchy.controller_output}"
