@@ -16,13 +16,12 @@ import numpy as np
 import pytest
 
 import shes
-from shes.algorithms.hiro.sections import HIRO_SECTIONS
 from shes.cli import main
 from shes.cli.command_table import COMMANDS
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
-from shes.runs.sections import known_settings, settings_in
+from shes.runs.sections import known_settings
 from shes.settings import flag, setting_fields
 from shes.training.make_config import make_config
 from tests.page_layout import find_browser, layout_faults
@@ -315,19 +314,6 @@ def test_the_home_page_and_the_readme_name_every_guide():
     made = {"changelog.md", "results.md", *(name for name in guides if name.startswith("reference/"))}
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert guides - made <= set(re.findall(r"\]\(docs/([\w/-]+\.md)\)", readme))
-
-
-def test_every_setting_has_its_place_in_change_one_thing():
-    text = (DOCS / "how-to" / "change-one-thing.md").read_text(encoding="utf-8")
-    places = {
-        title: set(re.findall(r"`(--[a-z-]+)`", "".join(re.findall(r"^\|[^|]*\|([^|]*)\|", rows, flags=re.MULTILINE))))
-        for title, rows in re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", text, flags=re.DOTALL | re.MULTILINE)
-    }
-    of_package = {each.flag for each in known_settings().values() if each.owner.__module__.startswith("shes.")}
-    assert set.union(*places.values()) == of_package - {"--env"}
-    assert places["Gradients: `hiro`, `td3`"] == {each.flag for each in settings_in(HIRO_SECTIONS.values()).values()}
-    of_tasks = {each.flag for found in ENVIRONMENTS.values() for each in settings_in([found.options]).values()}
-    assert places["The environment"] == of_tasks
 
 
 def test_getting_started_names_every_example():

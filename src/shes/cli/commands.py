@@ -11,6 +11,7 @@ import tyro
 from shes.errors import ConfigError
 from shes.listing import Listing
 from shes.runs.folder import new_folder
+from shes.runs.sections import RunSettings
 from shes.training import train as run_training
 from shes.training.runs_folder import RunsFolder
 from shes.training.train import Run
@@ -48,7 +49,7 @@ def train(
         out: The run folder; if none, below runs/.
         sweep: A run for each value: sigma=0.02,0.05.
     """
-    preset = settings.pop("preset", "laptop")
+    preset = settings.pop("preset", RunSettings.preset)
     swept = read_sweep(text for texts in sweep for text in texts)
     if not seed:
         raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")

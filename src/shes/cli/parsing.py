@@ -27,7 +27,7 @@ from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError, UnknownNameError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
-from shes.runs.sections import known_settings, settings_in
+from shes.runs.sections import RunSettings, known_settings, settings_in
 from shes.settings import Setting, flag
 from shes.training.make_config import make_config
 from shes.training.train import resumable_settings
@@ -158,7 +158,7 @@ def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
     found = {choosing[name]: value for name, value in pairs if name in choosing and not value.startswith("-")}
     given = {each.name: each.checked(value) for each, value in found.items()}
     return make_config(
-        env, given.get("preset", "laptop"), {name: given[name] for name in ("algorithm",) if name in given}
+        env, given.get("preset", RunSettings.preset), {name: given[name] for name in ("algorithm",) if name in given}
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from shes.algorithms.evolution.learned_levels import by_episodes, is_alone, is_branched, learns
-from shes.algorithms.evolution.sections import SCHEDULED
+from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
@@ -71,7 +71,7 @@ def _check_population(settings: Any) -> None:
             f"{settings.hierarchy.primitive_view!r}: only what is seen from the robot's own frame can be turned. "
             "Set --primitive-view egocentric, or --symmetry none."
         )
-    perturbation = PERTURBATIONS.find(settings.values.get("perturbation", "many_to_many"))()
+    perturbation = PERTURBATIONS.find(settings.values.get("perturbation", HierarchySettings.perturbation))()
     # A population of the same remainder tells as much, without an array of every member.
     small = min(evolution.population_size, _WHOLE_GROUPS + evolution.population_size % _WHOLE_GROUPS)
     try:

@@ -7,7 +7,7 @@ from typing import Any
 
 from shes.algorithms.evolution.learned_levels import is_branched, learns
 from shes.algorithms.evolution.populations import Hyperparameters
-from shes.algorithms.evolution.sections import SCHEDULED
+from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings, NoveltySettings
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.novelty import NOVELTY_RULES, WeightRule
 from shes.es.optimizers import OPTIMIZERS
@@ -37,18 +37,18 @@ def make_hyperparameters(settings: Any) -> Hyperparameters:
         updates=make_update_rules(settings),
         learns=learns(settings),
         mirrored=evolution.mirrored,
-        perturbation=make(PERTURBATIONS, values.get("perturbation", "many_to_many"), values),
+        perturbation=make(PERTURBATIONS, values.get("perturbation", HierarchySettings.perturbation), values),
         common_random_numbers=evolution.common_random_numbers,
         statistics_fraction=evolution.statistics_fraction,
         novelty=_novelty_rule(values),
-        novelty_neighbours=values.get("novelty_neighbours", 10),
+        novelty_neighbours=values.get("novelty_neighbours", NoveltySettings.novelty_neighbours),
         intervals=_interval_estimate(settings, schedule("sigma"), schedule("learning_rate")),
         horizon=settings.episodes.horizon,
     )
 
 
 def _novelty_rule(values: dict[str, Any]) -> WeightRule | None:
-    name = values.get("novelty", "none")
+    name = values.get("novelty", NoveltySettings.novelty)
     return None if name == "none" else make(NOVELTY_RULES, name, values)
 
 
