@@ -132,7 +132,8 @@ def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
             shown |= {"metavar": f"{one} [{one} ...]", "help_behavior_hint": hint}
         elif str in kinds:  # text where text will do
             kind = str | None if NoneType in kinds else str
-            shown |= {"metavar": one} if is_required or name == "env" else {}
+            one = "PATH" if name == "out" else one if found or is_required else f"[{one}]"
+            shown |= {"metavar": f"none|{one}" if NoneType in kinds else one}
         if name in flags:
             shown |= {"name": flags[name][2:], "aliases": (flag(name),)}
         kind = Annotated[kind, tyro.conf.arg(**shown)] if shown else kind
