@@ -9,13 +9,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
 import shes
 from shes.cli.exit_code import INTERRUPTED, exit_code
@@ -112,19 +110,15 @@ def _show(console: Console, path: Path, what: str, number: Callable[[Any], float
 
 def _draw(console: Console, runs: dict[str, Path], folder: Path, steps: int) -> None:
     """Draw curves, and a video before and after training, of each run, with live progress."""
+    from shes.training.progress_display import drawing_progress
+
     console.print("Drawing the untrained and the trained agents ...", highlight=False)
     for name, path in runs.items():
         curves = shes.plot([path], path / "curves.png")
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            show = partial(_show_step, progress, progress.add_task(name, total=steps))
-            video = folder / f"{name}.mp4"
-            shes.render(path, video, checkpoints=_BEFORE_AFTER, size=320, steps=steps, on_step=show)
+        video = folder / f"{name}.mp4"
+        with drawing_progress(console, name) as on_step:
+            shes.render(path, video, checkpoints=_BEFORE_AFTER, size=320, steps=steps, on_step=on_step)
         console.print(f"{name}: {video}   curves: {curves}", markup=False, highlight=False, soft_wrap=True)
-
-
-def _show_step(progress: Progress, task: TaskID, done: int, total: int) -> None:
-    """Show how many of `total` control steps are drawn."""
-    progress.update(task, completed=done, total=total)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from rich.progress import Progress
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from shes.cli.exit_code import TERMINATED, TO_ASCII
 from shes.console import LineConsole
 from shes.listing import Listing
+from shes.training.progress_display import drawing_progress
 
 __all__ = ["show", "show_steps"]
 
@@ -60,8 +60,5 @@ def show(found: Any, kind: str = "", *, as_json: bool = False) -> int:
 def show_steps() -> Iterator[dict[str, Callable[[int, int], None]]]:
     """Yield `on_step`, which shows the progress of a drawing in a terminal. SIGTERM lets it remove its files."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
-    console = LineConsole(stderr=True)
-    is_silent = not console.is_terminal or console.is_dumb_terminal
-    with Progress(console=console, transient=True, disable=is_silent) as progress:
-        task = progress.add_task("drawing", total=None)
-        yield {"on_step": lambda done, total: progress.update(task, completed=done, total=total)}
+    with drawing_progress(LineConsole(stderr=True)) as on_step:
+        yield {"on_step": on_step}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
@@ -11,6 +11,7 @@ from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
+from rich.progress import Progress
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
@@ -19,7 +20,7 @@ from shes.console import LineConsole
 from shes.runs.config import TrainConfig
 from shes.training.listening import AnyListener
 
-__all__ = ["ProgressDisplay", "format_duration", "shown_beside"]
+__all__ = ["ProgressDisplay", "drawing_progress", "format_duration", "shown_beside"]
 
 Row = dict[str, Any]
 
@@ -36,6 +37,15 @@ def format_duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+@contextmanager
+def drawing_progress(console: Console, name: str = "drawing") -> Iterator[Callable[[int, int], None]]:
+    """Yield a function of the control steps drawn and of their total, which shows the progress in a terminal."""
+    is_silent = not console.is_terminal or console.is_dumb_terminal
+    with Progress(console=console, transient=True, disable=is_silent) as progress:
+        task = progress.add_task(name, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
 def _sparkline(values: list[float], width: int, blocks: str) -> str:
