@@ -9,6 +9,10 @@ class SGD(Optimizer, Settings):
     "Momentum."
 ```
 
+The first is for classes that are nothing but their values, such as rewards and optimizers; the second for classes whose
+objects have a state and are made with other arguments: tasks, bodies and backends. An algorithm, which has many, sorts
+its settings into `sections`.
+
 Registering the class is enough: its options become settings of the section in which the class can be chosen. An option
 has a name of its own; classes of one registry may share an option if its type, default and range are the same.
 """
