@@ -215,7 +215,7 @@ BY_ENVIRONMENT = {
     },
     "ant-gather": {
         "walker": {
-            **WALKER, "controller_view": "nearest", "controller_output": "heading_direction", "mirrored": "pair",
+            **WALKER, "controller_view": "patrol", "controller_output": "heading_direction", "mirrored": "pair",
             "fitness_shaping": "pair_rank", "primitive_population_size": 8, "primitive_sigma": 0.1,
             "primitive_learning_rate": 0.05, "intervals": 1, "clock_frequency": 1.2,
         },
@@ -225,7 +225,7 @@ BY_ENVIRONMENT = {
         "position": {"controller_view": "position", "controller_output": "direction"},
     },
     # Many members are paid the same here, so that it matters how ties rank.
-    "point-gather": {"ties by index": {"rank_ties": "index"}, "novelty": {"novelty": "ns"}},
+    "point-gather": {"ties by index": {"rank_ties": "index"}, "novelty": {"novelty": "ns", "controller_view": "nearest"}},
 }  # fmt: skip
 METHODS = [
     *(("point-maze", name, settings) for name, settings in {**BY_CHOICE, **BY_HAND}.items()),
