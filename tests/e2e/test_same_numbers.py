@@ -225,7 +225,9 @@ BY_ENVIRONMENT = {
         "position": {"controller_view": "position", "controller_output": "direction"},
     },
     # Many members are paid the same here, so that it matters how ties rank.
-    "point-gather": {"ties by index": {"rank_ties": "index"}, "novelty": {"novelty": "ns", "controller_view": "nearest"}},
+    "point-gather": {
+        "ties by index": {"rank_ties": "index", "controller_view": "nearest"}, "novelty": {"novelty": "ns"},
+    },
 }  # fmt: skip
 METHODS = [
     *(("point-maze", name, settings) for name, settings in {**BY_CHOICE, **BY_HAND}.items()),
