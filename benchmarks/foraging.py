@@ -1,4 +1,4 @@
-"""What a gatherer does with its time: for every ten seconds, what it collects and whether it senses any food.
+"""Measure how Gather agents spend an episode: what they collect and how often they sense food, every ten seconds.
 
 `python benchmarks/foraging.py RUN… --out FILE` plays the best checkpoint of runs or shipped agents of Gather on 200
 fresh episodes of 500 steps of the task as specified. An episode that has ended counts as one that collects and senses

@@ -5,7 +5,7 @@ Ray cluster of this machine. Every 20 seconds a random worker is killed, and thr
 the run is resumed. The memory of every process is sampled. Then a serial run without any disturbance makes as many
 generations, and the two are compared: every array of the last checkpoint, and every column of the tables but times.
 
-Writes `soak.csv` (what was done and found) and `memory.csv` (every sample: process, its start, resident memory).
+Writes `soak.csv` (what was done and found), `memory.csv` (every sample: process, age, resident memory) and `soak.log`.
 `--backend processes` needs no extra. Exit code 1 if any number differs.
 """
 
@@ -17,7 +17,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic, sleep, time
@@ -54,13 +54,13 @@ def no_cluster() -> Iterator[list[str]]:
 class Soak:
     """A run under disturbance."""
 
-    def __init__(self, path: Path, flags: list[str], backend: str, seed: int) -> None:
-        """Train into `path` with `flags`, which choose `backend`. `seed` chooses the victims."""
+    def __init__(self, path: Path, flags: list[str], backend: str, log: Path, seed: int) -> None:
+        """Train into `path` with `flags`, which choose `backend`; log to `log`. `seed` chooses the victims."""
         self.path, self.flags, self.backend = path, flags, backend
         self.samples: list[dict[str, Any]] = []
         self.worker_kills = self.main_kills = 0
         self._random = np.random.default_rng(seed)
-        self._log = (path.parent / "soak.log").open("a")
+        self._log = log.open("w")
         self._start = monotonic()
         self._main: subprocess.Popen[bytes] | None = None
 
@@ -120,6 +120,12 @@ class Soak:
                     "rss_mb": round(process.memory_info().rss / 1e6, 1),
                 })  # fmt: skip
 
+    def abandon(self) -> None:
+        """Kill the main process if it runs still: the soak was interrupted."""
+        if self._main is not None and self._main.poll() is None:
+            self._main.kill()
+            self._main.wait()
+
     def end(self) -> int:
         """Stop the run as Ctrl-C does; return its number of generations."""
         assert self._main is not None
@@ -169,8 +175,9 @@ def main() -> None:
     length = 60 * asked.minutes
     with TemporaryDirectory() as folder:
         disturbed, serial = Path(folder) / "disturbed", Path(folder) / "serial"
-        with ray_cluster() if asked.backend == "ray" else no_cluster() as flags:
-            soak = Soak(disturbed, flags, asked.backend, seed=1)
+        with ray_cluster() if asked.backend == "ray" else no_cluster() as flags, ExitStack() as stack:
+            soak = Soak(disturbed, flags, asked.backend, asked.out / "soak.log", seed=1)
+            stack.callback(soak.abandon)
             soak.begin()
             main_kills = [length * (i + 1) / (asked.main_kills + 1) for i in range(asked.main_kills)]
             next_kill, next_sample = asked.every, SAMPLE_S

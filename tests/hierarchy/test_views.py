@@ -307,7 +307,7 @@ def test_without_food_in_range_the_frame_of_a_patrol_is_turned_along_its_walk():
     assert np.array_equal(observed, before)
 
 
-def test_a_patrol_passes_everywhere_in_sight():
+def test_a_patrol_walks_on_its_circle_from_wherever_it_starts():
     """From anywhere in the arena, a robot that follows the frame comes to walk on the circle."""
     view, rng = PatrolView(RINGS, [10, 11], OTHERS), np.random.default_rng(9)
     place, out = rng.uniform(-12, 12, (100, 2)), np.zeros((100, view.size(12)))
@@ -319,10 +319,13 @@ def test_a_patrol_passes_everywhere_in_sight():
     assert (before[:, 0] * place[:, 1] - before[:, 1] * place[:, 0] > 0).all()  # counter-clockwise
 
 
-def test_a_task_without_sensors_around_the_robot_has_no_nearest_view():
-    message = r"'nearest', but ant-maze has the ant, and no sensors around it, as Gather has\. Set --controller-view to"
+@pytest.mark.parametrize("view", ["nearest", "patrol"])
+def test_a_task_without_sensors_around_the_robot_has_no_nearest_view(view):
+    message = (
+        rf"'{view}', but ant-maze has the ant, and no sensors around it.*, as Gather has\. Set --controller-view to"
+    )
     with pytest.raises(ConfigError, match=message):
-        build_algorithm(make_config("ant-maze", "smoke", {"controller_view": "nearest"}))
+        build_algorithm(make_config("ant-maze", "smoke", {"controller_view": view}))
 
 
 POSITION = ("torso_x", "torso_y")

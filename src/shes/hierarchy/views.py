@@ -17,7 +17,7 @@ from shes.envs.bodies.body import Body
 from shes.types import F64Array, IntArray
 
 PATROL_RADIUS_M = 4.0
-"""Radius of the walk of `PatrolView`: with sensors that reach 8 m it passes every corner of Gather's food in sight."""
+"""Radius of the walk of `PatrolView`. Sensors that reach 8 m then cover all of Gather's food but the far corners."""
 
 
 class View(ABC):
