@@ -73,9 +73,10 @@ def test_several_rounds_cost_their_overhead_each():
 def test_the_parent_answers_one_message_after_the_other():
     slow = replace(NOTHING, draw_s=1.0, begin_s=0.5, want_s=0.25, result_s=2.0, update_s=4.0)
     found = times([1] * 4, 4, costs=slow, steps=1)
-    # Drawn after 1 s; the last of four is told at 3 s, asks at once and is answered at 4 s; four results take 8 s.
+    # Drawn after 1 s; the last of four is told at 3 s, asks at once and is answered at 4 s. From then on the parent is
+    # never without messages: each worker brings its result with its second question, and is done.
     assert found.start_s == pytest.approx(4.0)
-    assert found.rollout_s >= 1 + 4 * (0.5 + 0.25 + 2.0)
+    assert found.rollout_s == pytest.approx(1 + 4 * (0.5 + 0.25 + 2.0 + 0.25 + 0.5))
     assert found.update_s == 4.0
 
 
@@ -93,8 +94,8 @@ def test_messages_take_the_time_of_the_network():
     state_s, ask_s, tasks_s, result_s = 2 * (0.5 + 1), 0.5, 0.5 + 0.5, 0.5 + 2
     found = times([1] * 6, 6, costs=sizes, network=network)
     assert found.start_s == pytest.approx(state_s + ask_s + tasks_s)
-    end_s = 0.5 + 0.5  # it asks for more, and there is no more: its result is under way meanwhile
-    assert found.rollout_s == pytest.approx(found.start_s + 10 * 0.2 + max(result_s, end_s))
+    end_s = 0.5 + 0.5  # there is no more; it is done
+    assert found.rollout_s == pytest.approx(found.start_s + 10 * 0.2 + result_s + end_s)
 
 
 BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception"}

@@ -218,6 +218,7 @@ def test_everything_is_refused_before_there_is_a_folder(tmp_path, capsys):
     base = ["train", "point-gather", *runs.flags(**SEVERAL, out=tmp_path / "all")]
     assert "population_size" in refused(capsys, *base[:4], "--out", tmp_path / "all", "--sweep", "population_size=8,7")
     assert "seed 1 is given twice" in refused(capsys, *base, "--seed", "1", "1")
+    assert "seed needs at least one value" in refused(capsys, *base, "--seed")
     assert "sigma is both given and swept" in refused(capsys, *base, "--sigma", "1", "--sweep", "sigma=1,2")
     assert "at most 1,000 are allowed" in refused(
         capsys, *base, *("--sweep", f"sigma={','.join(map(str, range(1, 502)))}"), "--seed", "1", "2"

@@ -19,6 +19,7 @@ from typing import Any
 from shes.backends.pull import RemoteWorker
 from shes.backends.serving import ONE_THREAD
 
+_AT_ONCE_BYTES = 2**16  # of a message that is not worth the switch to a thread
 _END_S = 10.0  # wait for a killed process; one that waits for a disk may take longer
 
 
@@ -36,11 +37,13 @@ class SocketWorker(RemoteWorker):
             limit = struct.pack("ll", int(min(timeout_s, 1e9)), int(timeout_s % 1 * 1e6))  # a struct timeval
             own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
         self.connection = Connection(own.fileno())
-        # A thread sends: a stopped worker does not read, and would block the parent.
-        self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
+        # What the socket does not take at once, a thread sends: a stopped worker does not read, and would block the
+        # parent.
+        self._outgoing: SimpleQueue[bytes | memoryview | None] = SimpleQueue()
+        self._num_queued = self._num_sent = 0  # what the thread was given, and has done
         self._sender = Thread(target=self._send_all, name="shes-send", daemon=True)
         self._sender.start()
-        self._outgoing.put(factory)
+        self.send_pickled(factory)
 
     @property
     def name(self) -> str:
@@ -58,7 +61,15 @@ class SocketWorker(RemoteWorker):
 
     def send_pickled(self, message: bytes) -> None:
         """Send a pickled message soon."""
-        self._outgoing.put(message)
+        header = _header(len(message))
+        rest: list[bytes | memoryview] = [header, message]
+        if self._num_sent == self._num_queued and len(message) <= _AT_ONCE_BYTES:
+            rest = [memoryview(header + message)]
+            with suppress(OSError):  # BlockingIOError if there is no room; if the worker is gone, the thread meets it
+                rest = [rest[0][self._socket.send(rest[0], socket.MSG_DONTWAIT) :]]
+        for part in filter(None, rest):
+            self._num_queued += 1
+            self._outgoing.put(part)
 
     def receive(self) -> Sequence[tuple[Any, ...]]:
         """Return the next message."""
@@ -67,7 +78,8 @@ class SocketWorker(RemoteWorker):
     def _send_all(self) -> None:
         while (message := self._outgoing.get()) is not None:
             with suppress(OSError):
-                self.connection.send_bytes(message)
+                self._socket.sendall(message)
+            self._num_sent += 1
 
     def kill(self) -> None:
         """End the process of the worker, if it has one of its own. Call `end` afterwards."""
@@ -139,6 +151,11 @@ class WorkerProcess(SocketWorker):
         os.close(self._lifeline)
         with suppress(subprocess.TimeoutExpired):
             self.popen.wait(_END_S)
+
+
+def _header(size: int) -> bytes:
+    """Return what `Connection` reads before a message of `size` bytes."""
+    return struct.pack("!i", size) if size < 2**31 else struct.pack("!iQ", -1, size)
 
 
 def cause_of_death(code: int | None) -> str:

@@ -264,19 +264,20 @@ class PullBackend(Backend):
         if kind == "failed":
             at_work = [] if job is None else [repr(job.task(number)) for number in list(worker.numbers)[:3]]
             raise WorkerError(f"a worker failed while at work on {', '.join(at_work) or 'nothing yet'}:\n{content[0]}")
-        if job is None:  # it has started
+        if job is None or kind == "ready":  # it has started
             return
+        results = content.pop(0)
+        for number, result in results:
+            worker.numbers.pop(number)
+            job.add(number, result)
+        if results:
+            self._deaths_in_a_row = 0
+            self._longest_s = max(self._longest_s, self._silent_s(worker))
         if kind == "want":
             self._meet(worker)
             given = job.give(*content)
             worker.numbers.update(dict.fromkeys(number for number, _ in given))
             worker.send(*(("tasks", pickle.dumps(given, pickle.HIGHEST_PROTOCOL)) if given else ("end",)))
-        elif kind == "result":
-            number, result = content
-            worker.numbers.pop(number)
-            job.add(number, result)
-            self._deaths_in_a_row = 0
-            self._longest_s = max(self._longest_s, self._silent_s(worker))
         elif kind == "done":
             self._meet(worker)
             worker.job = None

@@ -1,7 +1,9 @@
 """The worker's side of a conversation with its parent, over any connection.
 
-A worker answers `("state", pickled)` and `("run", share)`. In a run it asks for tasks by `("want", units, enough)`, is
-given `("tasks", pickled)` or `("end",)`, and sends `("result", number, result)` and at last `("done",)`.
+A worker answers `("state", pickled)` and `("run", share)`. In a run it asks for tasks by `("want", results, units,
+enough)`, is given `("tasks", pickled)` or `("end",)`, and at last sends `("done", results)`. `results` are the numbered
+results since its previous message: with hundreds of workers the parent's time goes into messages, not into bytes. If
+they wait for long, they are sent by `("results", results)`.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import os
 import pickle
 import traceback
 from collections.abc import Sequence
+from time import monotonic
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,6 +26,9 @@ ONE_THREAD: dict[str, str] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
 """Environment variables by which linear algebra has one thread. More threads would change rounding."""
+
+KEPT_S = 1.0
+"""Seconds for which results may wait for the next message."""
 
 
 class Duplex(Protocol):
@@ -63,25 +69,40 @@ def _serve(connection: Duplex, factory: bytes) -> None:
         if kind == "state":
             worker.receive(pickle.loads(content[0]))
         elif kind == "run":
-            for number, result in worker.run(_Incoming(connection), content[0]):
-                connection.send(("result", number, result))
-            connection.send(("done",))
+            run = _Run(connection)
+            for numbered in worker.run(run, content[0]):
+                run.keep(numbered)
+            run.send("done")
         else:
             return
 
 
-class _Incoming(TaskSource):
-    """The tasks of a run, which the parent sends when asked."""
+class _Run(TaskSource):
+    """The tasks of a run, which the parent sends when asked, and the results that it has not been sent yet."""
 
     def __init__(self, connection: Duplex) -> None:
         self._connection = connection
         self._is_over = False
+        self._kept: list[tuple[int, Any]] = []
+        self._sent_s = monotonic()
+
+    def keep(self, numbered: tuple[int, Any]) -> None:
+        """Keep a numbered result for the next message; send it if that has not come for long."""
+        self._kept.append(numbered)
+        if monotonic() >= self._sent_s + KEPT_S:
+            self.send("results")
+
+    def send(self, kind: str, *content: Any) -> None:
+        """Send a message, and in it the results that are kept."""
+        self._connection.send((kind, self._kept, *content))
+        self._kept = []
+        self._sent_s = monotonic()
 
     def take(self, units: int, enough: int | None = None) -> Sequence[tuple[int, Any]]:
         """Ask the parent for tasks."""
         if self._is_over:
             return ()
-        self._connection.send(("want", units, units if enough is None else enough))
+        self.send("want", units, units if enough is None else enough)
         kind, *content = self._connection.recv()
         self._is_over = kind == "end"
         return () if self._is_over else pickle.loads(content[0])

@@ -6,6 +6,7 @@ import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import cycle, islice
 from time import perf_counter, process_time
 
 import numpy as np
@@ -21,6 +22,7 @@ from shes.bench.simulation import Costs, GenerationTimes, Network, simulate
 from shes.bench.sleepers import Sleep, Sleeper, SleepersBackend
 from shes.es.level import TrainState
 from shes.hierarchy.episodes import EpisodeTask, Generation
+from shes.hierarchy.results import PopulationResults
 
 _ROWS = (1, 2, 3, 5, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 640)
 """Numbers of episodes in lockstep whose steps are timed, if a worker runs so many."""
@@ -97,37 +99,47 @@ def measure_steps(worker: RolloutWorker, population: Population) -> StepCost:
 
 def _measure_parent(tasks: Sequence[EpisodeTask], generation: Generation, sleep: Sleep) -> Costs:
     """Return the costs of messages, in seconds of processor time of the parent, and their sizes."""
-    pickled = pickle.dumps(generation, pickle.HIGHEST_PROTOCOL)
-    singles = [task.part(0, 1) for task in tasks][:_PROBES]
+    singles = [task.part(0, 1) for task in tasks]
+    many = list(islice(cycle(singles), _PROBES))
+    few = many[:_PROBE_WORKERS]
+    at_once = StepCost(rows=np.array([1]), seconds=np.zeros(1), row_s=0.0)
+
+    def seconds_of_many(rows: int) -> tuple[float, float, float]:
+        """Return the seconds of `many` tasks, `rows` in each message, of `few`, and of these with a new state."""
+        rounds = dict.fromkeys((1, -(-_PROBES // _PROBE_WORKERS)), (rows, rows))
+        sleeper = partial(Sleeper, replace(sleep, cost=at_once, rounds=rounds))
+        with SleepersBackend(sleeper, _PROBE_WORKERS, per_node=1) as backend:
+
+            def collect(asked: Sequence[EpisodeTask]) -> None:
+                results = PopulationResults.of_tasks(tasks, generation)
+                for task, result in zip(asked, backend.map(asked), strict=True):
+                    results.add(task, result)
+
+            def begin_anew() -> None:
+                backend.broadcast(generation)
+                collect(few)
+
+            begin_anew()  # until all workers have started
+            return _processor_s(lambda: collect(many)), _processor_s(lambda: collect(few)), _processor_s(begin_anew)
+
+    rows = 5
+    in_rows, *_ = seconds_of_many(rows)
+    one_by_one, alone, anew = seconds_of_many(1)
+    # A run of one task is four messages: the worker begins, asks, brings its result with a second question, is done.
+    each_s = (one_by_one - alone) / (_PROBES - _PROBE_WORKERS)
+    want_s = min(max((one_by_one - in_rows) / _PROBES / (1 - 1 / rows), 0.0), each_s)
+    begin_s = (alone / _PROBE_WORKERS - want_s - each_s) / 2
+    draw_s = _seconds(lambda: pickle.dumps(generation, pickle.HIGHEST_PROTOCOL))
     results = RandomResults(0)
     results.receive(generation)
-    share = -(-len(singles) // _PROBE_WORKERS)
-    at_once = replace(
-        sleep,
-        cost=StepCost(rows=np.array([1]), seconds=np.zeros(1), row_s=0.0),
-        rounds={share: (1, 1), 1: (1, 1)},
-    )
-    with SleepersBackend(partial(Sleeper, at_once), _PROBE_WORKERS) as backend:
-        backend.broadcast(generation)
-        list(backend.map(singles[:_PROBE_WORKERS]))
-        round_trip_s = _processor_s(lambda: list(backend.map(singles))) / len(singles)
-        few = singles[:_PROBE_WORKERS]
-        begin_s = _processor_s(lambda: list(backend.map(few))) / _PROBE_WORKERS - round_trip_s
-
-        def send() -> None:
-            backend.broadcast(generation)
-            list(backend.map(few))
-
-        copy_s = _processor_s(send) / _PROBE_WORKERS - round_trip_s - begin_s
-    draw_s = _seconds(lambda: pickle.dumps(generation, pickle.HIGHEST_PROTOCOL))
     return Costs(
         draw_s=draw_s,
-        copy_s=max(copy_s - draw_s / _PROBE_WORKERS, 0.0),
+        copy_s=max((anew - alone - draw_s) / _PROBE_WORKERS, 0.0),
         begin_s=max(begin_s, 0.0),
-        want_s=round_trip_s / 2,
-        result_s=round_trip_s / 2,
+        want_s=want_s,
+        result_s=each_s - want_s,
         update_s=0.0,
-        state_bytes=len(pickled),
+        state_bytes=len(pickle.dumps(generation, pickle.HIGHEST_PROTOCOL)),
         task_bytes=len(pickle.dumps((0, tasks[0]), pickle.HIGHEST_PROTOCOL)),
         result_bytes=len(pickle.dumps(results.of(tasks[0]), pickle.HIGHEST_PROTOCOL)),
     )

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
 from itertools import count
 from math import ceil, log2
 from typing import Any
 
 from shes.backends.job import Job
+from shes.backends.serving import KEPT_S
 from shes.bench.lockstep import Lockstep, StepCost
 
 
@@ -48,11 +49,11 @@ class Costs:
     copy_s: float
     """Seconds in which the parent sends a copy of the state."""
     begin_s: float
-    """Seconds in which the parent sends the request to begin to one worker."""
+    """Seconds in which the parent tells a worker to begin, and as much again when it notes that the worker is done."""
     want_s: float
     """Seconds in which the parent answers a request for tasks."""
     result_s: float
-    """Seconds in which the parent stores a result."""
+    """Seconds in which the parent gives a task and stores its result."""
     update_s: float
     """Seconds from the last result to the next generation."""
     state_bytes: int
@@ -107,6 +108,10 @@ class _Worker:
     lockstep: Lockstep
     is_expected: bool = True
     is_over: bool = False
+    kept: list[int] = field(default_factory=list)
+    """Numbers of the results that go with its next message."""
+    sent_s: float = 0.0
+    """When it sent its last message."""
 
 
 class _Simulation:
@@ -146,9 +151,24 @@ class _Simulation:
         self._parent_s = max(self._parent_s, time_s) + seconds
         return self._parent_s
 
+    def _send(self, worker: _Worker, time_s: float, then: Callable[[float], None] | None = None) -> None:
+        """Send the results that a worker keeps; at their arrival `then` follows, by default nothing."""
+        kept, worker.kept, worker.sent_s = worker.kept, [], time_s
+        size = len(kept) * self._costs.result_bytes
+
+        def arrive(arrived_s: float) -> None:
+            if kept:
+                self._end_s = self._handle(arrived_s, len(kept) * self._costs.result_s)
+            for number in kept:
+                self._job.add(number, None)
+            if then is not None:
+                then(arrived_s)
+
+        self._at(time_s + self._network.message_s(size), arrive)
+
     def _ask(self, worker: _Worker, time_s: float) -> None:
         """Send a request for tasks at `time_s`."""
-        self._at(time_s + self._network.latency_s, partial(self._answer, worker))
+        self._send(worker, time_s, partial(self._answer, worker))
 
     def _answer(self, worker: _Worker, time_s: float) -> None:
         done_s = self._handle(time_s, self._costs.want_s)
@@ -168,19 +188,22 @@ class _Simulation:
         self._advance(worker, time_s)
 
     def _advance(self, worker: _Worker, time_s: float) -> None:
-        if not worker.lockstep.is_idle:
-            seconds, finished = worker.lockstep.advance()
-            self._busy_s += seconds
-            self._at(time_s + seconds, partial(self._finish, worker, finished))
+        if worker.lockstep.is_idle:
+            self._send(worker, time_s, self._end)
+            return
+        seconds, finished = worker.lockstep.advance()
+        self._busy_s += seconds
+        self._at(time_s + seconds, partial(self._finish, worker, finished))
 
     def _finish(self, worker: _Worker, finished: Sequence[int], time_s: float) -> None:
-        for number in finished:
-            self._at(time_s + self._network.message_s(self._costs.result_bytes), partial(self._store, number))
+        worker.kept += finished
         if worker.lockstep.room and not worker.is_over:
             self._ask(worker, time_s)
-        else:
-            self._advance(worker, time_s)
+            return
+        if worker.kept and time_s >= worker.sent_s + KEPT_S:
+            self._send(worker, time_s)
+        self._advance(worker, time_s)
 
-    def _store(self, number: int, time_s: float) -> None:
-        self._end_s = self._handle(time_s, self._costs.result_s)
-        self._job.add(number, None)
+    def _end(self, time_s: float) -> None:
+        """Note that a worker is done."""
+        self._end_s = self._handle(time_s, self._costs.begin_s)

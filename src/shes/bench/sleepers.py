@@ -1,12 +1,13 @@
 """Workers that sleep for as long as measured episodes take, and exchange real messages with the real parent.
 
-`python -m shes.bench.sleepers FD ...` hosts one in a thread for every socket: hundreds of processes that import MuJoCo
-would not fit into the memory of a small machine.
+`python -m shes.bench.sleepers FD ...` is a node of them, with one in a thread for every socket: hundreds of processes
+that import MuJoCo would not fit into the memory of a small machine. As in a cluster, the state is sent once to a node.
 """
 
 from __future__ import annotations
 
 import os
+import pickle
 import socket
 import subprocess
 import sys
@@ -14,21 +15,22 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from threading import Thread
+from threading import Event, Thread
+from typing import ClassVar
 
 import numpy as np
 
 from shes.backends.backend import WorkerFactory
+from shes.backends.job import State
 from shes.backends.process import SocketWorker
 from shes.backends.processes import ProcessesBackend
+from shes.backends.pull import RemoteWorker
 from shes.backends.serving import ONE_THREAD, serve
 from shes.backends.work import TaskSource
 from shes.bench.lockstep import Lockstep, StepCost
 from shes.bench.random_results import RandomResults
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.types import IntArray
-
-_THREADS = 50  # of a host process
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,18 +52,21 @@ class Sleep:
 class Sleeper:
     """A `Worker` that sleeps instead of running episodes, and returns random results of the real size."""
 
+    _results: ClassVar = RandomResults(0)
+    _has_state: ClassVar = Event()
+
     def __init__(self, sleep: Sleep) -> None:
         self._sleep = sleep
-        self._results = RandomResults(0)
-        self._generation: Generation | None = None
 
-    def receive(self, state: Generation) -> None:
-        """Keep the generation of the next tasks."""
-        self._generation = state
-        self._results.receive(state)
+    def receive(self, state: Generation | None) -> None:
+        """Keep the generation of the next tasks for all workers of the node; None stands for that of another one."""
+        if state is not None:
+            self._results.receive(state)
+            self._has_state.set()
 
     def run(self, work: TaskSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Sleep for the tasks of `work`, and yield numbered results."""
+        self._has_state.wait()
         rows, enough = self._sleep.rounds.get(share, (share, share))
         lockstep, tasks = Lockstep(cost=self._sleep.cost, rows=rows), dict[int, EpisodeTask]()
         is_over, due = False, time.monotonic()
@@ -83,41 +88,58 @@ class Sleeper:
 
 
 class SleepersBackend(ProcessesBackend):
-    """The processes backend with sleeping workers, in threads of a few processes."""
+    """The processes backend with sleeping workers, in threads of a few processes, which stand for nodes."""
 
-    def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
-        self._hosts: list[subprocess.Popen[bytes]] = []
-        self._sockets: list[socket.socket] = []
+    def __init__(self, factory: WorkerFactory, num_workers: int, *, per_node: int) -> None:
+        """Start `num_workers` workers, `per_node` in each process."""
+        self._per_node = per_node
+        self._nodes: list[subprocess.Popen[bytes]] = []
+        self._sockets: list[tuple[socket.socket, bool]] = []
+        self._first_of_nodes: set[RemoteWorker] = set()
         super().__init__(factory, num_workers)
 
     def close(self) -> None:
-        """End every worker and every host."""
+        """End every worker and every node."""
         super().close()
-        for host in self._hosts:
-            host.kill()
-            host.wait()
-        self._hosts.clear()
+        for node in self._nodes:
+            node.kill()
+            node.wait()
+        self._nodes.clear()
+        self._first_of_nodes.clear()
 
     def start_missing(self) -> None:
-        """Start the hosts before the first workers."""
-        if not self._hosts:
-            self._sockets = [own for first in range(0, self.num_workers, _THREADS) for own in self._start_host(first)]
+        """Start the nodes before the first workers."""
+        if not self._nodes:
+            firsts = range(0, self.num_workers, self._per_node)
+            self._sockets = [own for first in firsts for own in self._start_node(first)]
         super().start_missing()
 
     def start_worker(self) -> SocketWorker:
-        """Connect to the next worker of the hosts."""
-        return SocketWorker(self._sockets.pop(), self._factory, None)
+        """Connect to the next worker of the nodes."""
+        own, is_first = self._sockets.pop(0)
+        worker = SocketWorker(own, self._factory, None)
+        if is_first:
+            self._first_of_nodes.add(worker)
+        return worker
 
-    def _start_host(self, first: int) -> list[socket.socket]:
-        """Start the host of the workers from `first` on; return their sockets."""
-        pairs = [socket.socketpair() for _ in range(min(_THREADS, self.num_workers - first))]
+    def send_state(self, worker: RemoteWorker, state: State) -> None:
+        """Send `state` to the first worker of each node."""
+        if worker in self._first_of_nodes:
+            super().send_state(worker, state)
+        else:
+            worker.state = state
+            worker.send("state", pickle.dumps(None))
+
+    def _start_node(self, first: int) -> list[tuple[socket.socket, bool]]:
+        """Start the node of the workers from `first` on; return their sockets, and whether it is its first one."""
+        pairs = [socket.socketpair() for _ in range(min(self._per_node, self.num_workers - first))]
         numbers = [theirs.fileno() for _, theirs in pairs]
         command = [sys.executable, "-P", "-m", "shes.bench.sleepers", *map(str, numbers)]
         environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": self._import_path}
-        self._hosts.append(subprocess.Popen(command, pass_fds=numbers, env=environment, stdin=subprocess.DEVNULL))
+        self._nodes.append(subprocess.Popen(command, pass_fds=numbers, env=environment, stdin=subprocess.DEVNULL))
         for _, theirs in pairs:
             theirs.close()
-        return [own for own, _ in pairs]
+        return [(own, i == 0) for i, (own, _) in enumerate(pairs)]
 
 
 def _serve(descriptor: int) -> None:
@@ -126,7 +148,7 @@ def _serve(descriptor: int) -> None:
 
 
 def main() -> None:
-    """Host a worker for each socket given on the command line."""
+    """Serve as a worker for each socket given on the command line."""
     threads = [Thread(target=_serve, args=(int(word),)) for word in sys.argv[1:]]
     for thread in threads:
         thread.start()

@@ -10,6 +10,7 @@ import csv
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -35,6 +36,8 @@ SLEEPERS = (200, 600)
 """Numbers of sleeping workers."""
 _HERE = Network(latency_s=1e-4, bytes_per_s=2e9, cores_per_node=0)
 """The connections of processes on one machine."""
+_ASLEEP = replace(_HERE, cores_per_node=24)
+"""The connections of sleeping workers."""
 
 Row = dict[str, Any]
 
@@ -150,7 +153,7 @@ def _rows(
         *(("projected here", n, projected(n, _HERE)) for n in measured),
         *(("projected", n, projected(n, network)) for n in cores),
         *(("asleep", n, _asleep(n, stages)) for n in sleepers),
-        *(("projected asleep", n, projected(n, _HERE)) for n in sleepers),
+        *(("projected asleep", n, projected(n, _ASLEEP)) for n in sleepers),
     ]
     one_core = _times(measured[1]), projected(1, _HERE)
     return [_row(kind, n, stages, each, one_core[kind != "measured"]) for kind, n, each in times]
@@ -187,7 +190,7 @@ def _asleep(num_workers: int, stages: Sequence[Stage]) -> GenerationTimes:
     rollout_s = 0.0
     for stage in stages:
         sleep = stage.sleep_on(num_workers)
-        with SleepersBackend(partial(Sleeper, sleep), num_workers) as backend:
+        with SleepersBackend(partial(Sleeper, sleep), num_workers, per_node=_ASLEEP.cores_per_node) as backend:
             roll_out_tasks([task.part(0, 1) for task in stage.tasks[:num_workers]], stage.generation, backend)
             start = perf_counter()
             roll_out_tasks(stage.tasks, stage.generation, backend)

@@ -51,8 +51,6 @@ def train(
     """
     preset = settings.pop("preset", RunSettings.preset)
     swept = read_sweep(text for texts in sweep for text in texts)
-    if not seed:
-        raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
     if len(seed) == 1 and not swept:
         return run_training.train(env, preset=preset, out=out, progress=True, **{**settings, "seed": seed[0]})
     configs = vary(env, preset, settings, seed, swept)

@@ -11,8 +11,6 @@ from contextlib import suppress
 
 from shes.errors import ConfigError, ShesError
 
-__all__ = ["BROKEN_PIPE", "INTERRUPTED", "TERMINATED", "TO_ASCII", "exit_code"]
-
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 BROKEN_PIPE = 141

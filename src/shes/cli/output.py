@@ -17,8 +17,6 @@ from shes.console import LineConsole
 from shes.listing import Listing
 from shes.training.progress_display import drawing_progress
 
-__all__ = ["show", "show_steps"]
-
 _SHORT = 24  # characters
 
 

@@ -33,8 +33,6 @@ from shes.training.make_config import make_config
 from shes.training.train import resumable_settings
 from shes.training.transfer import transferred_levels
 
-__all__ = ["DEFAULT_ENV", "call"]
-
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
 _HELP_ALL = "--help-all"

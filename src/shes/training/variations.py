@@ -80,12 +80,14 @@ def vary(
     The keys are the places of the runs in their folder: `seed-1`, or `sigma-0.02_hidden-64/seed-1`.
 
     Raises:
-        ConfigError: A setting is not allowed or is both given and swept, or a seed is given twice.
+        ConfigError: A setting is not allowed or is both given and swept, or there is no seed or one twice.
         UnknownNameError: A name is unknown.
     """
     for name in sweep:
         if name in settings:
             raise ConfigError(f"{name} is both given and swept. Omit one.")
+    if not seeds:
+        raise ConfigError("seed needs at least one value. Set --seed 1 2 3, or omit it.")
     for seed in seeds:
         if seeds.count(seed) > 1:
             raise ConfigError(f"seed {seed} is given twice: it would be the same run. Set --seed.")

@@ -1,0 +1,97 @@
+"""Overhead of the backends over that of processes: the time of one generation of Ant Gather at the paper's size.
+
+`python benchmarks/backends.py --out results/backends.csv`: every round measures each backend in a process of its own,
+one after the other, on the same work: the first generation of a run, after a few episodes that start the workers.
+Prints medians over the rounds, and the median ratio to processes in the same round. Needs the extras `ray` and `mpi`
+and an idle machine; with two cores, five minutes for a round.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from time import perf_counter
+
+from run import write_csv
+
+from shes.algorithms.roll_out import roll_out_tasks
+from shes.bench.evolution import evolution_strategy, evolve, generation_work
+from shes.training.build import build_backend
+from shes.training.make_config import make_config
+
+BACKENDS = ("processes", "ray", "mpi")
+OPEN_MPI = {
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",  # one rank more than cores
+}
+
+
+def measure(backend: str, preset: str, workers: int) -> dict[str, float]:
+    """Return the seconds of a generation's rollouts and of its update."""
+    asked = {"integrator": "euler", "backend": backend, "num_workers": workers}
+    config = make_config("ant-gather", preset, asked | ({"ray_address": "local"} if backend == "ray" else {}))
+    algorithm = evolution_strategy(config)
+    state = algorithm.start(config.run.seed)
+    with build_backend(config, algorithm.plan()) as started:
+        work = generation_work(state, algorithm.hyperparameters, algorithm.table.size)
+        roll_out_tasks([task.part(0, 1) for task in work.tasks[:workers]], work.generation, started)
+        start = perf_counter()
+        report = next(evolve(state, algorithm.hyperparameters, algorithm.table, started))
+        return {"generation_s": perf_counter() - start, "rollout_s": report.rollout_s}
+
+
+def command_for(backend: str, preset: str, workers: int) -> list[str]:
+    """Return the command that prints the measurement of `backend`."""
+    words = [str(Path(__file__)), "--measure", backend, "--preset", preset, "--workers", str(workers)]
+    if backend != "mpi":
+        return [sys.executable, *words]
+    here = Path(sys.executable).parent / "mpiexec"
+    return [
+        str(here) if here.exists() else "mpiexec",
+        "-n",
+        str(workers + 1),
+        sys.executable,
+        "-m",
+        "mpi4py.futures",
+        *words,
+    ]
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, help="CSV file for the numbers")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--preset", default="paper")
+    parser.add_argument("--measure", choices=BACKENDS, help="print the seconds of one backend")
+    asked = parser.parse_args()
+    if asked.measure:
+        print(*measure(asked.measure, asked.preset, asked.workers).values())
+        return
+    rows: list[dict[str, object]] = []
+    for number in range(asked.rounds):
+        for backend in BACKENDS:
+            command = command_for(backend, asked.preset, asked.workers)
+            done = subprocess.run(
+                command, env={**os.environ, **OPEN_MPI}, check=True, stdout=subprocess.PIPE, text=True
+            )
+            words = done.stdout.split()
+            generation_s, rollout_s = map(float, words[-2:])
+            rows.append({"backend": backend, "round": number, "generation_s": generation_s, "rollout_s": rollout_s})
+            print(f"{backend}: {generation_s:.2f} s", flush=True)
+    seconds = {name: [float(str(row["generation_s"])) for row in rows if row["backend"] == name] for name in BACKENDS}
+    for name, times in seconds.items():
+        ratio = statistics.median(each / own for each, own in zip(times, seconds["processes"], strict=True))
+        print(f"{name}: median {statistics.median(times):.2f} s, {ratio:.3f} of processes")
+    if asked.out:
+        write_csv(asked.out, rows)
+
+
+if __name__ == "__main__":
+    main()

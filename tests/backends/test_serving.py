@@ -1,0 +1,64 @@
+"""The worker's side of a conversation."""
+
+import pickle
+
+import pytest
+
+from shes.backends import serving
+from shes.backends.serving import serve
+
+
+class Echo:
+    """A worker that returns each task twice."""
+
+    def run(self, work, share):
+        while taken := work.take(share):
+            yield from ((number, 2 * task) for number, task in taken)
+
+
+class Parent:
+    """A parent that sends these messages, and keeps those that it gets."""
+
+    def __init__(self, *messages):
+        self.got = []
+        self.recv = iter(messages).__next__
+
+    def send(self, message):
+        self.got.append(message)
+
+
+def test_results_go_with_the_next_message():
+    parent = conversation()
+    assert parent.got == [
+        ("ready",),
+        ("want", [], 2, 2),
+        ("want", [(0, "aa"), (1, "bb")], 2, 2),
+        ("want", [(2, "cc")], 2, 2),
+        ("done", []),
+    ]
+
+
+def test_results_that_have_waited_for_long_are_sent_alone(monkeypatch):
+    monkeypatch.setattr(serving, "KEPT_S", 0.0)
+    kinds = [message[0] for message in conversation().got]
+    assert kinds == ["ready", "want", "results", "results", "want", "results", "want", "done"]
+
+
+def conversation():
+    """Return the parent of a worker that has had three tasks."""
+    tasks = [("tasks", pickle.dumps(given)) for given in ([(0, "a"), (1, "b")], [(2, "c")])]
+    parent = Parent(("run", 2), *tasks, ("end",), ("close",))
+    serve(parent, pickle.dumps(Echo))
+    return parent
+
+
+@pytest.mark.parametrize("error", [EOFError, BrokenPipeError, ConnectionResetError])
+def test_a_parent_that_has_gone_ends_the_worker(error):
+    parent = Parent()
+
+    def recv():
+        raise error
+
+    parent.recv = recv
+    serve(parent, pickle.dumps(Echo))
+    assert parent.got == [("ready",)]
