@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import argparse
 import csv
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 from tempfile import TemporaryDirectory
 from time import monotonic, sleep, time
 from typing import Any
@@ -35,7 +37,8 @@ SHES = [sys.executable, "-m", "shes"]
 
 @contextmanager
 def ray_cluster() -> Iterator[list[str]]:
-    """Start a Ray cluster on this machine; yield the flags that join it."""
+    """Start a Ray cluster on this machine, with a token of its own; yield the flags that join it."""
+    os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": token_hex(32)}
     ray = str(Path(sys.executable).with_name("ray"))
     start = [ray, "start", "--head", "--port", "6399", "--num-cpus", "2", "--include-dashboard", "false"]
     subprocess.run(start, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

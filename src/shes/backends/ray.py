@@ -253,7 +253,7 @@ def _join(ray: ModuleType, address: str | None) -> None:
         if address != "local":
             ray.init(address=address or "auto", **quiet)
             return
-    except (ConnectionError, ValueError, RuntimeError) as error:
+    except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
         if address is not None:
             raise _no_cluster(address, error) from error
     ray.init(address="local", num_cpus=num_cores(), include_dashboard=False, **quiet)
@@ -271,5 +271,6 @@ def _check_answer(address: str) -> None:
 def _no_cluster(address: str, error: Exception) -> ConfigError:
     return ConfigError(
         f"no Ray cluster answers at {address!r}: {error}. Set --ray-address to HOST:PORT as `ray start --head` prints "
-        "it, to local for a cluster on this machine, or omit it."
+        "it, to local for a cluster on this machine, or omit it. If the cluster asks for a token, set the environment "
+        "variable RAY_AUTH_MODE=token."
     )
