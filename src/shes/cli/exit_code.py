@@ -11,12 +11,8 @@ from contextlib import suppress
 
 from shes.errors import ConfigError, ShesError
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
-BROKEN_PIPE = 141
-"""Exit code if the reader of the output has gone, as after SIGPIPE."""
-TERMINATED = 143
-"""Exit code after SIGTERM."""
+INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
+"""Exit codes after Ctrl-C, if the reader of the output has gone, and after SIGTERM."""
 
 TO_ASCII = "shes.to_ascii"
 """Name of the error handler that writes ASCII for the characters that an encoding lacks."""

@@ -17,8 +17,6 @@ from shes.console import LineConsole
 from shes.listing import Listing
 from shes.training.progress_display import drawing_progress
 
-_SHORT = 24  # characters
-
 
 def show(found: Any, kind: str = "", *, as_json: bool = False) -> int:
     """Print what a command returns; return the exit code.
@@ -44,7 +42,7 @@ def show(found: Any, kind: str = "", *, as_json: bool = False) -> int:
             continue
         table = RichTable(show_header=bool(part.headings))
         for i, heading in enumerate(part.headings):  # a name is to be copied: whole, on one line if it is short
-            is_short = max((len(row[i]) for row in part.rows), default=0) <= _SHORT
+            is_short = max((len(row[i]) for row in part.rows), default=0) <= 24  # characters
             table.add_column(heading, overflow="fold", no_wrap=i == 0 and is_short)
         for row in part.rows:  # laid out as long as they are in the encoding
             table.add_row(*(Text(cell.encode(console.encoding, TO_ASCII).decode(console.encoding)) for cell in row))

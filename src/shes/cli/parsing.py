@@ -37,9 +37,7 @@ DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
 _HELP_ALL = "--help-all"
 _BRIEF_WIDTH = 53  # characters beside the flags, in 80 columns
-
-_WRITES = {"plot": "Learning curves", "report": "Report", "render": "Video", "export": "Policy"}
-"""Description of the files that a command writes."""
+_WRITES = {"plot": "Learning curves", "report": "Report", "render": "Video", "export": "Policy"}  # into files
 
 
 def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
@@ -65,7 +63,8 @@ def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
         parameters["settings"] = parameters["settings"].replace(annotation=Annotated[kind, tyro.conf.arg(name="")])
     program.__annotations__ = {name: each.annotation for name, each in parameters.items()}
     program.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined] - tyro reads it
-    program.__doc__ = _joined(inspect.getdoc(function) or "").replace("`", "")
+    text = inspect.getdoc(function) or ""  # each paragraph, and the text of each argument, on one line
+    program.__doc__ = re.sub(r"(?<=\S)\n( {8})?(?=\S)", " ", text).replace("`", "")
     try:
         return tyro.cli(
             program,
@@ -91,12 +90,6 @@ def _environment_first(words: Sequence[str]) -> tuple[str, list[str]]:
     return DEFAULT_ENV, list(words)
 
 
-def _flags() -> dict[str, str]:
-    """Return the flags of the parameters and settings whose flag is not their name, by name. The name is an alias."""
-    own = {each.name: each.flag for each in known_settings().values() if each.flag != flag(each.name)}
-    return {"checkpoints": "--checkpoint", **own}
-
-
 def _check_repeated(words: Sequence[str], parameters: Mapping[str, inspect.Parameter]) -> None:
     """Raise ConfigError if a flag of several values is given twice; of other flags the last one counts."""
     several = {name for name, each in known_settings().items() if each.kind is tuple}
@@ -110,15 +103,12 @@ def _check_repeated(words: Sequence[str], parameters: Mapping[str, inspect.Param
             raise ConfigError(f"{flag(name)} is given twice. Give it once, with all its values.")
 
 
-def _joined(docstring: str) -> str:
-    """Return `docstring` with each paragraph, and the text of each argument, on one line."""
-    return re.sub(r"(?<=\S)\n( {8})?(?=\S)", " ", docstring)
-
-
 def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """Return the parameters of a command by name, as tyro reads them, with `json` if it returns a listing."""
-    signature, flags = inspect.signature(function, eval_str=True), _flags()
-    found: dict[str, inspect.Parameter] = {}
+    signature, found = inspect.signature(function, eval_str=True), dict[str, inspect.Parameter]()
+    # Flags that are not the name, which is an alias.
+    flags = {each.name: each.flag for each in known_settings().values() if each.flag != flag(each.name)}
+    flags["checkpoints"] = "--checkpoint"
     for name, each in signature.parameters.items():
         kind, is_required = each.annotation, each.default is each.empty
         shown: dict[str, Any] = {}
@@ -142,9 +132,6 @@ def _parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
         kind = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
         found["json"] = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
     return found
-
-
-# Settings.
 
 
 def _asked_config(env: str, words: Sequence[str]) -> TrainConfig:
@@ -206,7 +193,10 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
         metavar, text = "none|RUN" if name in transferred_levels() else None, each.text
         if is_brief:
             text = each.brief(default, _BRIEF_WIDTH)
-            metavar = metavar or _brief_metavar(each, text)
+            if each.kind is tuple and each.length is None:
+                metavar = f"{'none|' * each.can_be_empty}{each.item.__name__.upper()} ..."
+            elif each.choices and all(choice in text for choice in each.choices):
+                metavar = "NAME"
         shown = tyro.conf.arg(
             name=each.flag[2:],
             aliases=None if is_brief or each.flag == flag(name) else (flag(name),),
@@ -220,16 +210,8 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
     return group
 
 
-def _brief_metavar(setting: Setting, text: str) -> str | None:
-    """Return a short metavar for several numbers, and for names that `text` explains."""
-    if setting.kind is tuple and setting.length is None:
-        return f"{'none|' * setting.can_be_empty}{setting.item.__name__.upper()} ..."
-    return "NAME" if setting.choices and all(name in text for name in setting.choices) else None
-
-
-# Rules for values that tyro by itself reads otherwise.
-
 _VALUES = ConstructorRegistry()
+"""Rules for values that tyro by itself reads otherwise."""
 
 
 class _Empty:
