@@ -31,7 +31,7 @@ SES_PRESETS: Mapping[str, Preset] = {
 }
 """Values of one policy without goals."""
 
-# With these an ant learns in minutes; see docs/learning.md.
+# With these an ant learns to walk, and to gather, in minutes; see docs/learning.md.
 _ANT_WALKER: dict[str, Any] = {
     "primitive_view": "egocentric",
     "symmetry": "dihedral",
