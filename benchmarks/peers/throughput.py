@@ -37,9 +37,8 @@ from run import write_csv
 ENV, POPULATION, STEPS, HIDDEN, SIGMA = "shes/AntGather-v0", 240, 500, 64, 0.02
 
 
-@cache
 def make_env() -> Any:
-    """Return the environment, the same one in every call of a process."""
+    """Return the environment."""
     import gymnasium
 
     import shes
@@ -98,9 +97,12 @@ def evotorch_speeds(cores: int, seconds: float) -> list[float]:
     return found
 
 
+own_env = cache(make_env)  # of a process of the pool
+
+
 def run_policy(seed: int) -> int:
     """Run an episode with a random policy; return its steps."""
-    env, rng = make_env(), np.random.default_rng(seed)
+    env, rng = own_env(), np.random.default_rng(seed)
     observation, _ = env.reset(seed=seed)
     sizes = (len(observation), HIDDEN, HIDDEN, env.action_space.shape[0])
     layers = [SIGMA * rng.standard_normal((m, n)) for m, n in pairwise(sizes)]
