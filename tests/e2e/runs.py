@@ -72,7 +72,7 @@ def state(path, checkpoint="last"):
 def numbers(path):
     """Return every array of every checkpoint, and every column of the tables but times and rates, by name."""
     found = {}
-    for file in sorted((Path(path) / "checkpoints").iterdir()):
+    for file in sorted((Path(path) / "checkpoints").glob("*.npz")):  # a killed writer may have left an unfinished file
         with np.load(file) as arrays:
             found |= {f"{file.name}/{name}": arrays[name] for name in arrays.files}
     for table in ("progress.csv", "evaluation.csv"):
