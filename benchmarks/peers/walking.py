@@ -42,7 +42,7 @@ def evaluate(act: Act) -> dict[str, float]:
 
 
 class OwnView:
-    """What a walker of our preset sees, and what it does: egocentric, in a frame that the ant's symmetry chooses."""
+    """Observations and actions as in preset `laptop`: egocentric, in a frame chosen from the ant's symmetry group."""
 
     def __init__(self, num_envs: int) -> None:
         """Begin with new episodes in `num_envs` environments."""

@@ -4,15 +4,18 @@ import gc
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 import types
+from multiprocessing.connection import Connection
 
 import psutil
 import pytest
 
+from shes.backends.process import SocketWorker
 from shes.backends.processes import ProcessesBackend
 from shes.backends.pull import MAX_LOSSES
 from shes.errors import ConfigError, WorkerError
@@ -362,3 +365,18 @@ def test_work_beside_that_failed_is_not_done(backend):
     assert not beside.is_done
     with pytest.raises(WorkerError, match="this work ended with an error"):
         beside.results()
+
+
+def test_messages_to_a_worker_that_does_not_read_wait_in_order():
+    own, theirs = socket.socketpair()
+    worker = SocketWorker(own, b"factory", None)
+    sent = [bytes([i % 256]) * (1_000_000 if i % 50 == 7 else 2_000) for i in range(300)]
+    for message in sent:  # much more than the socket takes: small ones at once, then all by the thread
+        worker.send_pickled(message)
+    with Connection(theirs.detach()) as connection:
+        assert [connection.recv_bytes() for _ in range(301)] == [b"factory", *sent]
+        worker.send_pickled(b"at once again")
+        assert connection.recv_bytes() == b"at once again"
+        worker.end()
+        with pytest.raises(EOFError):
+            connection.recv_bytes()

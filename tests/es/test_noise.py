@@ -106,7 +106,7 @@ def test_opening_again_does_not_write_the_file(tmp_path, monkeypatch):
 
 
 def test_the_file_is_mapped_not_loaded(table):
-    assert type(table.values) is np.ndarray  # which is sliced much faster than a memmap
+    assert type(table.values) is np.ndarray  # a memmap is slower to slice
     assert isinstance(table.values.base, np.memmap)
     assert not table.values.flags.writeable
 

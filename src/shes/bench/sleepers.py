@@ -59,7 +59,7 @@ class Sleeper:
         self._sleep = sleep
 
     def receive(self, state: Generation | None) -> None:
-        """Keep the generation of the next tasks for all workers of the node; None stands for that of another one."""
+        """Store the generation for all workers of the node; None if another worker of the node receives it."""
         if state is not None:
             self._results.receive(state)
             self._has_state.set()

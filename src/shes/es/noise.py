@@ -164,7 +164,7 @@ class NoiseTable:
     def open_file(cls, path: Path) -> NoiseTable:
         """Map an existing table file, as worker processes do; raise StorageError if it is missing."""
         try:
-            # As a plain array: slicing a memmap takes three times as long.
+            # As a plain array: a memmap is slower to slice, and an update slices it for every group and block.
             return cls(np.asarray(np.memmap(path, dtype=np.float32, mode="r")), path)
         except (OSError, ValueError) as error:
             raise StorageError(f"the noise table {path} cannot be opened: {error}. Start the run again.") from error
