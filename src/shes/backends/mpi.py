@@ -25,7 +25,8 @@ from shes.settings import Settings
 
 _TAG = 4021  # of all messages of this backend
 # Between two looks for a message: a rank that waits leaves its core to others.
-_SHORTEST_NAP_S, _LONGEST_NAP_S = 1e-6, 1e-3
+_SHORTEST_NAP_S, _LONGEST_NAP_S = 1e-6, 4e-3
+_NAP_OF_POOL_S = 0.1  # mpi4py's, which looks for the end of `_serve_rank` during the whole run
 
 _HELD: list[MpiBackend] = []
 """The backend that has the ranks, if any."""
@@ -89,7 +90,7 @@ class MpiBackend(PullBackend):
         if _HELD:
             raise ConfigError("another backend mpi of this program has the ranks. Close it first.")
         _HELD.append(self)
-        self._pool = self._futures.MPIPoolExecutor(main=False)
+        self._pool = self._futures.MPIPoolExecutor(main=False, backoff=_NAP_OF_POOL_S)
         self._served = [self._pool.submit(_serve_rank, self._factory) for _ in range(self.num_workers)]
         self.workers = [_Rank(self._comm, rank) for rank in range(1, self._comm.Get_size())]
 
