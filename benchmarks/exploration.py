@@ -80,18 +80,19 @@ def ways(course: Course) -> dict[str, tuple[dict[str, Any], ...]]:
 
     Parts share the generations, and each continues with the controller of the one before.
     """
-    own = {"target": course.target}
+    random = {"target": None, "waypoints": None}
+    own = random | {"target": course.target}
     guided = own | {"waypoints": course.waypoints}
     return {
         "the task's target": (own,),
-        "random targets": ({},),
-        "random free targets": ({"target_sampling": "free_cells"},),
+        "random targets": (random,),
+        "random free targets": (random | {"target_sampling": "free_cells"},),
         "novelty alone": (own | {"novelty": "ns"},),
         "half novelty": (own | {"novelty": "nsr"},),
         "adaptive novelty": (own | {"novelty": "nsra"},),
         "goals within 8 m": (own | {"goal_distance": 8.0},),
         "goals for 2.5 s": (own | {"controller_interval": 25},),
-        "curriculum of targets": (*({"target": target} for target in course.curriculum), own),
+        "curriculum of targets": (*(random | {"target": target} for target in course.curriculum), own),
         "waypoints": (guided,),
         "waypoints, linear": (guided | {"hidden": ()},),
         "waypoints, view observation": (guided | {"controller_view": "observation"},),

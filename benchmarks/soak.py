@@ -2,8 +2,9 @@
 
 `python benchmarks/soak.py --out results/soak` (extra `ray`; about two hours) trains Point Gather for 45 minutes on a
 Ray cluster of this machine. Every 20 seconds a random worker is killed, and three times the main process, after which
-the run is resumed. The memory of every process is sampled. Then a serial run without any disturbance makes as many
-generations, and the two are compared: every array of the last checkpoint, and every column of the tables but times.
+the run is resumed. The memory of every process is sampled, Ray's own ones included. Then a serial run without any
+disturbance makes as many generations, and the two are compared: every array of the last checkpoint, and every column of
+the tables but times.
 
 Writes `soak.csv` (what was done and found), `memory.csv` (every sample: process, age, resident memory) and `soak.log`.
 `--backend processes` needs no extra. Exit code 1 if any number differs.
@@ -29,6 +30,7 @@ import numpy as np
 import psutil
 from run import write_csv
 
+from shes.runs.provenance import provenance
 from shes.runs.tables import read_csv
 
 SAMPLE_S = 5.0
@@ -88,6 +90,11 @@ class Soak:
             return [each for each in psutil.process_iter(["name"]) if "ray::RayActor" in (each.info["name"] or "")]
         return psutil.Process(self._main.pid).children()
 
+    def daemons(self) -> list[psutil.Process]:
+        """Return the processes of the cluster that manage it."""
+        names = ("raylet", "gcs_server")
+        return [each for each in psutil.process_iter(["name"]) if each.info["name"] in names]
+
     def kill_worker(self) -> None:
         """Kill a random worker."""
         workers = self.workers()
@@ -111,14 +118,17 @@ class Soak:
             raise SystemExit(f"the run ended with exit code {self._main.returncode}; see {self._log.name}")
 
     def sample(self) -> None:
-        """Note the memory of the main process and of every worker."""
+        """Note the memory of every process."""
         assert self._main is not None
-        processes = [("main", psutil.Process(self._main.pid)), *(("worker", each) for each in self.workers())]
-        for kind, process in processes:
+        kinds = {"main": [psutil.Process(self._main.pid)], "worker": self.workers(), "ray": self.daemons()}
+        for kind, process in ((kind, each) for kind, group in kinds.items() for each in group):
             with suppress(psutil.NoSuchProcess):
+                if process.status() == psutil.STATUS_ZOMBIE:
+                    continue
                 self.samples.append({
                     "time_s": round(self.seconds, 1),
                     "process": f"{kind} {process.pid}",
+                    "name": process.name(),
                     "age_s": round(time() - process.create_time()),
                     "rss_mb": round(process.memory_info().rss / 1e6, 1),
                 })  # fmt: skip
@@ -151,18 +161,28 @@ def numbers(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
-def growth(samples: list[dict[str, Any]], kind: str) -> float:
+def growth_of_lives(samples: list[dict[str, Any]], kind: str) -> float:
     """Return the largest growth of a process's memory from the first to the second half of its life, in MB.
 
-    Processes that are sampled fewer than eight times, or in their first 30 seconds, are left out.
+    The first 30 seconds are left out, and so are processes with fewer than eight samples.
     """
-    grown = [0.0]
-    for name in {sample["process"] for sample in samples if sample["process"].startswith(kind)}:
-        own = [sample["rss_mb"] for sample in samples if sample["process"] == name and sample["age_s"] >= 30]
-        if len(own) >= 8:
-            half = len(own) // 2
-            grown.append(float(np.median(own[half:]) - np.median(own[:half])))
-    return max(grown)
+    lives = [
+        [each["rss_mb"] for each in samples if each["process"] == name and each["age_s"] >= 30]
+        for name in {each["process"] for each in samples if each["process"].startswith(kind)}
+    ]
+    grown = [np.median(life[len(life) // 2 :]) - np.median(life[: len(life) // 2]) for life in lives if len(life) >= 8]
+    return float(max(grown, default=np.nan))
+
+
+def growth_of_workers(samples: list[dict[str, Any]], length_s: float) -> float:
+    """Return the growth of the workers' memory from the first third of the soak to the last, in MB.
+
+    No worker lives for long: medians at an age of 10 to 60 seconds.
+    """
+    own = [each for each in samples if each["process"].startswith("worker") and 10 <= each["age_s"] <= 60]
+    first = [each["rss_mb"] for each in own if each["time_s"] < length_s / 3]
+    last = [each["rss_mb"] for each in own if each["time_s"] > 2 * length_s / 3]
+    return float(np.median(last) - np.median(first)) if first and last else float("nan")
 
 
 def main() -> None:
@@ -212,8 +232,12 @@ def main() -> None:
         "main processes killed": soak.main_kills,
         "arrays and columns compared": len(first),
         "arrays and columns that differ": len(different),
-        "largest growth of a main process, MB": round(growth(soak.samples, "main"), 1),
-        "largest growth of a worker, MB": round(growth(soak.samples, "worker"), 1),
+        "workers sampled": len({each["process"] for each in soak.samples if each["process"].startswith("worker")}),
+        "largest growth of a main process in its life, MB": round(growth_of_lives(soak.samples, "main"), 1),
+        "largest growth of a worker in its life, MB": round(growth_of_lives(soak.samples, "worker"), 1),
+        "growth of workers of the same age over the soak, MB": round(growth_of_workers(soak.samples, length), 1),
+        "largest growth of a process of Ray, MB": round(growth_of_lives(soak.samples, "ray"), 1),
+        "commit": provenance("cpu")["git_commit"],
     }
     write_csv(asked.out / "soak.csv", [{"measure": name, "value": value} for name, value in facts.items()])
     for name, value in facts.items():

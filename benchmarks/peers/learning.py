@@ -7,7 +7,8 @@ trains on Ant Flagrun with
 - `ppo`: a single file of PPO over our vector environment, with the view of our walker (`ppo.py`);
 - `sb3-ppo`: PPO of Stable-Baselines3 with the settings that RL Zoo publishes for Ant, which are its defaults and
   normalisation, in two processes;
-- `evotorch-pgpe`: PGPE of EvoTorch with ClipUp on `GymNE`, as its authors publish it for Walker2d (`rl_clipup.py`).
+- `evotorch-pgpe`: PGPE of EvoTorch with ClipUp on `GymNE`, as its authors publish it for Walker2d (`rl_clipup.py`,
+  with horizon 500 instead of 1000, and without its bonus for staying alive, which this task does not have).
 
 The last two see the environment's own observations, as their users would have them. Evaluations (50 fresh episodes of
 500 steps, deterministic policies) do not count as training time, nor do imports and the start of workers, except those
@@ -36,6 +37,7 @@ from walking import HORIZON, Act
 
 sys.path.append(str(Path(__file__).parents[1]))
 from run import write_csv
+from versions import write_versions
 
 import shes
 from shes.runs.tables import read_csv
@@ -239,6 +241,7 @@ def main() -> None:
             found = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("row ")]
             rows += [{"learner": learner, "seed": seed, **dict(zip(names, row, strict=True))} for row in found]
             write_csv(table, rows)
+    write_versions(asked.out)
     with table.open(newline="") as file:
         draw(list(csv.DictReader(file)), asked.out / "learning.png")
 

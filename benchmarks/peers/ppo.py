@@ -92,8 +92,9 @@ def train(seed: int) -> Iterator[tuple[int, Policy]]:
     policy = Policy(view.size, actions)
     optimizer = torch.optim.Adam(policy.parameters(), LEARNING_RATE, eps=1e-5)
     observation, _ = envs.reset(seed=seed)
-    seen = torch.zeros(STEPS, NUM_ENVS, view.size)
-    taken, log_prob = torch.zeros(STEPS, NUM_ENVS, actions), torch.zeros(STEPS, NUM_ENVS)
+    # One step more than a rollout: the last one has the value after it, and is the first of the next.
+    seen = torch.zeros(STEPS + 1, NUM_ENVS, view.size)
+    taken, log_prob = torch.zeros(STEPS + 1, NUM_ENVS, actions), torch.zeros(STEPS + 1, NUM_ENVS)
     value, reward, ended = torch.zeros(STEPS + 1, NUM_ENVS), torch.zeros(STEPS, NUM_ENVS), torch.zeros(STEPS, NUM_ENVS)
     total = 0
 
@@ -125,20 +126,22 @@ def train(seed: int) -> Iterator[tuple[int, Policy]]:
         nn.utils.clip_grad_norm_(policy.parameters(), MAX_NORM)
         optimizer.step()
 
+    action = view.act(observation, lambda inputs: sample(0, inputs))
     while True:
         for step in range(STEPS):
-            action = view.act(observation, lambda inputs, step=step: sample(step, inputs))
             observation, gained, terminated, truncated, _ = envs.step(action)
             cut = torch.as_tensor(truncated & ~terminated)
+            # At a time limit the value of the last state stands for that of the one after it.
             reward[step] = torch.as_tensor(gained, dtype=torch.float32) + GAMMA * value[step] * cut
             ended[step] = torch.as_tensor(terminated | truncated)
             view.restart(np.flatnonzero(terminated | truncated))
-        # The value after the last step: that of the last state is near it, and costs no second look at the view.
-        value[STEPS] = value[STEPS - 1]
+            action = view.act(observation, lambda inputs, step=step: sample(step + 1, inputs))
         advantage = advantages(reward, value, ended)
         target = (advantage + value[:-1]).flatten()
         for _ in range(EPOCHS):
             for rows in torch.randperm(STEPS * NUM_ENVS).chunk(MINIBATCHES):
                 update(rows, advantage.flatten(), target)
+        for kept in (seen, taken, log_prob, value):
+            kept[0] = kept[STEPS]
         total += STEPS * NUM_ENVS
         yield total, policy

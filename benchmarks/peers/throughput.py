@@ -6,8 +6,11 @@ two cores). All evaluate a population of 240 policies, 64 x 64 units, for one ep
 and one after the other,
 
 - `shes`: this package, flat S-ES;
-- `evotorch`: PGPE on `GymNE` with a Ray actor for every core;
+- `evotorch`: PGPE on `GymNE` with a Ray actor for every core; `evotorch-pieces` gives the actors ten policies at a time
+  instead of their halves of the population, `evotorch-more-actors` has an actor more than cores;
 - `pool`: a plain Gymnasium loop with a NumPy policy in `multiprocessing.Pool`, without normalisation and update.
+
+The rivals step the single Gymnasium environment of this package, as any that is not vectorised.
 
 The first generation of each is not counted. Prints medians, and ratios in the same round. For its environment see
 `learning.py`.
@@ -21,7 +24,7 @@ import os
 import statistics
 import subprocess
 import sys
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
@@ -33,6 +36,7 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1]))
 from run import write_csv
+from versions import write_versions
 
 ENV, POPULATION, STEPS, HIDDEN, SIGMA = "shes/AntGather-v0", 240, 500, 64, 0.02
 
@@ -66,7 +70,7 @@ def shes_speeds(cores: int, seconds: float) -> list[float]:
     return found
 
 
-def evotorch_speeds(cores: int, seconds: float) -> list[float]:
+def evotorch_speeds(cores: int, seconds: float, more_actors: int = 0, **options: int) -> list[float]:
     """Return the steps per second of generations of EvoTorch."""
     os.environ["RAY_ADDRESS"] = "local"  # not a cluster that happens to run here
     import torch
@@ -76,7 +80,7 @@ def evotorch_speeds(cores: int, seconds: float) -> list[float]:
     torch.set_num_threads(1)
     layers = [f"Linear(obs_length, {HIDDEN})", f"Linear({HIDDEN}, {HIDDEN})", f"Linear({HIDDEN}, act_length)"]
     network = " >> Tanh() >> ".join(layers)
-    problem = GymNE(make_env, network, observation_normalization=True, num_actors=cores)
+    problem = GymNE(make_env, network, observation_normalization=True, num_actors=cores + more_actors, **options)
     searcher = PGPE(
         problem,
         popsize=POPULATION,
@@ -127,7 +131,13 @@ def pool_speeds(cores: int, seconds: float) -> list[float]:
     return found
 
 
-WAYS = {"shes": shes_speeds, "evotorch": evotorch_speeds, "pool": pool_speeds}
+WAYS = {
+    "shes": shes_speeds,
+    "evotorch": evotorch_speeds,
+    "evotorch-pieces": partial(evotorch_speeds, subbatch_size=10),
+    "evotorch-more-actors": partial(evotorch_speeds, more_actors=1),
+    "pool": pool_speeds,
+}
 
 
 def main() -> None:
@@ -137,6 +147,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=90.0, help="least duration of a measurement")
     parser.add_argument("--cores", type=int, default=2)
+    parser.add_argument("--only", nargs="+", choices=WAYS, default=list(WAYS))
     parser.add_argument("--measure", choices=WAYS, help="print the speed of one way")
     asked = parser.parse_args()
     if asked.measure:
@@ -145,7 +156,7 @@ def main() -> None:
         return
     rows: list[dict[str, Any]] = []
     for number in range(asked.rounds):
-        for way in WAYS:
+        for way in asked.only:
             command = [sys.executable, __file__, "--measure", way, "--seconds", str(asked.seconds)]
             done = subprocess.run(
                 [*command, "--cores", str(asked.cores)], check=True, stdout=subprocess.PIPE, text=True
@@ -153,12 +164,13 @@ def main() -> None:
             speed = float(done.stdout.split("speed")[-1])
             rows.append({"way": way, "round": number, "cores": asked.cores, "env_steps_per_s": round(speed, 1)})
             print(rows[-1], flush=True)
-    speeds = {way: [row["env_steps_per_s"] for row in rows if row["way"] == way] for way in WAYS}
+    speeds = {way: [row["env_steps_per_s"] for row in rows if row["way"] == way] for way in asked.only}
     for way, found in speeds.items():
         ratio = statistics.median(own / each for own, each in zip(speeds["shes"], found, strict=True))
         print(f"{way}: {statistics.median(found):,.0f} steps/s; shes is {ratio:.1f} times as fast")
     if asked.out:
         write_csv(asked.out, rows)
+        write_versions(asked.out.parent)
 
 
 if __name__ == "__main__":

@@ -17,4 +17,5 @@ else
     command=(train "$@" --backend mpi --out "$run")
 fi
 # If mpi4py finds no ranks (srun without PMIx): mpiexec python -m ...
-srun --mpi=pmix python -m mpi4py.futures -m shes "${command[@]}"
+# By itself, Slurm would let the other ranks wait for one that died.
+srun --kill-on-bad-exit=1 --mpi=pmix python -m mpi4py.futures -m shes "${command[@]}"

@@ -6,22 +6,27 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["num_cores", "on_one_core"]
+__all__ = ["core_numbers", "num_cores", "on_one_core"]
 
 
 def num_cores() -> int:
     """Return how many cores this process may use: those of its CPU affinity where the system has one, else all."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return len(core_numbers())
+
+
+def core_numbers() -> list[int]:
+    """Return the numbers of the cores that this process may use, in order."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
 
 
 @contextmanager
-def on_one_core() -> Iterator[None]:
-    """Keep this process and new child processes on one core inside the block, if the system can."""
+def on_one_core(core: int | None = None) -> Iterator[None]:
+    """Keep this thread and new child processes on a core inside the block, if the system can; None is the last one."""
     if not hasattr(os, "sched_getaffinity"):
         yield
         return
     cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(cores)})
+    os.sched_setaffinity(0, {max(cores) if core is None else core})
     try:
         yield
     finally:

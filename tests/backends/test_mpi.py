@@ -31,6 +31,21 @@ needs_mpi = [
 ]
 
 
+BROKEN_RANK = """
+import pickle
+import shes.backends.mpi as mpi
+from tests.backends.workers import Worker
+
+class NotThere:
+    def __reduce__(self):
+        return __import__, ("own",)
+
+mpi._serve_rank = NotThere()
+with mpi.MpiBackend(Worker, 2) as backend:
+    backend.broadcast(1)
+"""
+
+
 def start(num_ranks, *words):
     """Start `python -m WORDS` on `num_ranks` ranks."""
     return subprocess.Popen(
@@ -62,12 +77,24 @@ def test_without_mpi_the_error_names_the_extras(monkeypatch):
         MpiBackend(Worker, 2)
 
 
-def test_a_second_backend_says_that_another_has_the_ranks(monkeypatch):
-    comm = types.SimpleNamespace(Get_size=lambda: 3)
+@pytest.mark.parametrize(
+    ("level", "message"),
+    [
+        (3, r"another backend mpi of this program has the ranks\. Close it first"),
+        (1, r"needs an MPI library that several threads may call \(MPI_THREAD_MULTIPLE\), and Own MPI v1\.2 was not"),
+    ],
+)
+def test_a_second_backend_and_a_library_for_one_thread_are_refused(monkeypatch, level, message):
+    library = types.SimpleNamespace(
+        COMM_WORLD=types.SimpleNamespace(Get_size=lambda: 3),
+        THREAD_MULTIPLE=3,
+        Query_thread=lambda: level,
+        Get_library_version=lambda: "Own MPI v1.2, made here",
+    )
     futures = types.SimpleNamespace(_core=types.SimpleNamespace(SharedPool=object()))
-    monkeypatch.setattr(mpi, "_import_mpi", lambda: (types.SimpleNamespace(COMM_WORLD=comm), futures))
+    monkeypatch.setattr(mpi, "_import_mpi", lambda: (library, futures))
     monkeypatch.setattr(mpi, "_HELD", [object()])
-    with pytest.raises(ConfigError, match=r"another backend mpi of this program has the ranks\. Close it first"):
+    with pytest.raises(ConfigError, match=message):
         MpiBackend(Worker, 2)
 
 
@@ -101,13 +128,21 @@ class TestUnderMpiexec:
 
     def test_the_slurm_script_trains_and_then_resumes(self, tmp_path, tiny_run):
         srun, run = tmp_path / "srun", tmp_path / "run"  # a stand-in for Slurm's, which starts three ranks
-        srun.write_text(f'#!/bin/sh\nshift\nexec "{MPIEXEC}" -n 3 "$@"\n')
+        srun.write_text(f'#!/bin/sh\nshift 2\nexec "{MPIEXEC}" -n 3 "$@"\n')
         srun.chmod(0o755)
         flags = runs.flags(**{name: value for name, value in runs.TINY.items() if name != "backend"})
         submit(srun, run, "point-gather", *flags)
         assert runs.differences(tiny_run, run) == []
         srun.write_text('#!/bin/sh\necho "$@"\n')
         assert submit(srun, run, "point-gather", *flags).endswith(f"-m shes resume {run} --backend mpi\n")
+
+    def test_a_rank_that_cannot_begin_is_an_error_and_no_endless_wait(self, tmp_path):
+        path = tmp_path / "broken.py"
+        path.write_text(BROKEN_RANK)
+        process = start(3, "runpy", path)
+        _, err = process.communicate(timeout=runs.patient(60))
+        assert process.returncode != 0
+        assert "WorkerError: an MPI rank could not begin to work (ModuleNotFoundError: No module named 'own')" in err
 
     def test_the_backend_contract_holds(self):
         out = finish(start(3, "pytest", "-q", "-p", "no:cacheprovider", "tests/contracts/test_backend_contract.py",

@@ -253,15 +253,30 @@ def test_a_stopped_worker_is_told_of_and_replaced_and_its_tasks_are_done_again(t
     assert re.fullmatch(rf"worker {stopped} was ended \(no answer for \d+ s\); [1-3] tasks are done again", last)
 
 
-def test_a_worker_that_is_stopped_between_two_maps_blocks_no_broadcast():
-    with ProcessesBackend(Worker, 2, worker_timeout_s=1) as backend:
+def test_a_worker_that_is_stopped_between_two_maps_delays_nothing_and_works_again_when_it_goes_on(tmp_path):
+    with ProcessesBackend(Worker, 2, worker_timeout_s=600) as backend:
         list(backend.map([("where", 0)] * 4))
         stopped = backend.pids()[0]
         os.kill(stopped, signal.SIGSTOP)
-        for state in (b"x" * 10_000_000, 7):  # more than a pipe holds
+        for state in (b"x" * 10_000_000, 7, 8):  # more than a pipe holds
             backend.broadcast(state)
-        assert list(backend.map([("add", i) for i in range(4)])) == [7, 8, 9, 10]
-        assert stopped not in backend.pids()
+            if state in (7, 8):
+                assert list(backend.map([("add", i) for i in range(4)])) == [state + i for i in range(4)]
+        os.kill(stopped, signal.SIGCONT)
+        backend.broadcast(9)
+        done = list(backend.map([("meet", tmp_path)] * 12))
+        assert {pid for pid, _ in done} == set(backend.pids())
+        assert stopped in backend.pids()
+        assert {state for _, state in done} == {9}
+
+
+def test_a_node_that_is_lost_does_not_look_like_workers_that_keep_dying():
+    with ProcessesBackend(Worker, 4) as backend:
+        backend.broadcast(100)
+        backend.num_workers = 1  # what is left of the cluster
+        for pid in backend.pids()[:3]:
+            os.kill(pid, signal.SIGKILL)
+        assert list(backend.map([("add", i) for i in range(6)])) == list(range(100, 106))
 
 
 def test_a_worker_that_is_stopped_while_it_sends_a_result_is_replaced(monkeypatch):

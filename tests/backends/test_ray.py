@@ -57,6 +57,9 @@ def test_an_address_where_nothing_answers_is_an_error_that_names_the_flag(monkey
     for address in ("localhost:1", "nonsense"):
         with pytest.raises(ConfigError, match=rf"no Ray cluster answers at '{address}': .* Set --ray-address"):
             RayBackend(Worker, 2, ray_address=address)
+        monkeypatch.setenv("RAY_ADDRESS", address)
+        with pytest.raises(ConfigError, match=rf"at '{address}': .* Set the environment variable RAY_ADDRESS .* unset"):
+            RayBackend(Worker, 2)
 
 
 class BusyRay:
@@ -176,7 +179,9 @@ def test_a_node_that_joins_in_mid_generation_gets_work(free_cluster):
 
 
 @pytest.mark.extras
-def test_a_node_that_is_lost_in_mid_generation_changes_no_number(free_cluster, tiny_run, tmp_path, monkeypatch):
+def test_a_node_that_is_lost_in_mid_generation_and_a_resume_without_it_change_no_number(
+    free_cluster, tiny_run, tmp_path, monkeypatch
+):
     answer, nodes = RayBackend._answer, list(free_cluster.worker_nodes)
 
     def answer_and_end_node(backend, worker, message):
@@ -188,8 +193,11 @@ def test_a_node_that_is_lost_in_mid_generation_changes_no_number(free_cluster, t
 
     monkeypatch.setattr(RayBackend, "_answer", answer_and_end_node)
     path = tmp_path / "run"
-    runs.train_tiny(path, backend="ray")
+    runs.train_tiny(path, backend="ray", chunk_size=1)  # so that both nodes have work in hand and before them
     lines = runs.log_lines(path)
-    assert not nodes  # it was removed; the log tells of it if it had a worker
-    assert all(i > lines.index("generation 2 begins") for i, line in enumerate(lines) if "done again" in line)
+    (lost,) = [i for i, line in enumerate(lines) if "done again" in line]
+    assert lost > lines.index("generation 2 begins")
+    assert re.search(r" [1-9]\d* tasks are done again", lines[lost])
     assert runs.differences(tiny_run, path) == []
+    shes.resume(path, generations=6)
+    assert runs.differences(runs.train_tiny(tmp_path / "serial", generations=6), path) == []

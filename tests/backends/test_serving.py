@@ -2,6 +2,7 @@
 
 import pickle
 
+import cloudpickle
 import pytest
 
 from shes.backends import serving
@@ -10,6 +11,9 @@ from shes.backends.serving import serve
 
 class Echo:
     """A worker that returns each task twice."""
+
+    def receive(self, state):
+        pass
 
     def run(self, work, share):
         while taken := work.take(share):
@@ -47,9 +51,30 @@ def test_results_that_have_waited_for_long_are_sent_alone(monkeypatch):
 def conversation():
     """Return the parent of a worker that has had three tasks."""
     tasks = [("tasks", pickle.dumps(given)) for given in ([(0, "a"), (1, "b")], [(2, "c")])]
-    parent = Parent(("run", 2), *tasks, ("end",), ("close",))
+    parent = Parent(("run", 2, None), *tasks, ("end",), ("close",))
     serve(parent, pickle.dumps(Echo))
     return parent
+
+
+@pytest.mark.parametrize("error", [EOFError, BrokenPipeError, ConnectionResetError])
+def test_an_error_of_the_work_is_sent_even_if_it_looks_like_a_closed_connection(error):
+    class Failing(Echo):
+        def run(self, work, share):
+            raise error("no more data")
+
+    parent = Parent(("run", 2, None))
+    serve(parent, cloudpickle.dumps(Failing))
+    (kind, text) = parent.got[-1]
+    assert kind == "failed"
+    assert f"{error.__name__}: no more data" in text
+
+
+def test_work_whose_state_has_not_arrived_is_refused():
+    parent = Parent(("state", 3, pickle.dumps("state")), ("run", 2, 4))
+    serve(parent, pickle.dumps(Echo))
+    (kind, error) = parent.got[-1]
+    assert kind == "refused"
+    assert str(error) == "the work needs state 4, and the last that reached this worker is 3"
 
 
 @pytest.mark.parametrize("error", [EOFError, BrokenPipeError, ConnectionResetError])

@@ -116,7 +116,7 @@ def test_the_bench_measures_projects_and_validates(tmp_path, settings):
         for name in ("measured_efficiency_1", "projected_efficiency_4", "error_measured_1", "error_asleep_3"):
             assert math.isfinite(found[f"{algorithm}_{name}"])
     rows = read_rows(tmp_path / "speedup.csv")
-    kinds = [("measured", 1), ("projected here", 1), ("projected", 1), ("projected", 4), ("asleep", 3),
+    kinds = [("alone", 1), ("measured", 1), ("projected here", 1), ("projected", 1), ("projected", 4), ("asleep", 3),
              ("projected asleep", 3)]  # fmt: skip
     assert [(row["algorithm"], row["kind"], row["cores"]) for row in rows] == [
         (algorithm, *kind) for algorithm in ("shes", "es") for kind in kinds

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -61,11 +62,20 @@ def test_the_runs_of_scale_paper_have_ten_seeds_ten_hours_and_three_numbers_of_w
 
 
 def test_the_learning_changes_of_scale_paper_are_those_of_the_preset_but_for_sizes_and_steps():
-    sizes = {"hidden", "primitive_hidden", "population_size", "generations", "horizon", "sigma"}
+    others = {"hidden", "primitive_hidden", "population_size", "generations", "horizon", "sigma", "target", "waypoints"}
     for cell in (each for each in STUDIES["table1"]("paper", seeds=1).cells if each.variant == "pieces"):
         preset = SHES_PRESETS["laptop"].per_environment[cell.env].items()
-        changes = {k: v for k, v in preset if k not in sizes and not k.startswith(("learning_rate", "schedule"))}
+        changes = {k: v for k, v in preset if k not in others and not k.startswith(("learning_rate", "schedule"))}
         assert changes.items() <= cell.settings.items()
+
+
+@pytest.mark.parametrize(("scale", "has_way"), [("paper", False), ("laptop", True), ("smoke", False)])
+def test_training_shows_every_method_the_way_at_scale_laptop_only(scale, has_way, tmp_path):
+    cells = [each for each in STUDIES["fig5"](scale, 1).cells + STUDIES["fig3"](scale, 1).cells if "-maze" in each.env]
+    assert {cell.variant for cell in cells} == {"published", "pieces", "hiro"}
+    for cell in cells:
+        values = cell_config(replace(cell, primitive=None), tmp_path).values
+        assert (values["target"], values["waypoints"]) == (((0, 16), (16, 0, 16, 16)) if has_way else (None, None))
 
 
 # Runs.

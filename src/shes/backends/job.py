@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import count
 from typing import Any
 
 from shes.backends.division import Division, Part
@@ -13,8 +14,12 @@ from shes.backends.work import num_units
 class State:
     """A state of the tasks, pickled, in the form in which a backend sends it."""
 
+    _numbers = count()
+
     def __init__(self, pickled: bytes) -> None:
         self.pickled = pickled
+        self.number = next(self._numbers)
+        """Number by which a run of tasks refers to it."""
         self.stored: Any = None
         """Reference to it where an engine has stored it."""
 
@@ -26,8 +31,7 @@ class Job:
         self.state = state
         sizes = [num_units(task) for task in tasks]
         self.division = Division(sizes, num_workers)
-        self.losses: Counter[int] = Counter()
-        """How many workers were lost at each task."""
+        self._losses: Counter[tuple[int, int]] = Counter()  # workers that were lost at each unit of each task
         self._tasks = tasks
         self._parts: list[Part] = []
         self._results: list[dict[int, Any]] = [{} for _ in tasks]  # of each task, by the first unit of the part
@@ -56,11 +60,15 @@ class Job:
         """Take back the parts of a lost worker."""
         parts = [self._parts[number] for number in numbers]
         self.division.give_back(parts)
-        self.losses.update({part.task for part in parts})
+        self._losses.update(self._units(numbers))
 
     def num_losses(self, numbers: Sequence[int]) -> int:
-        """Return the largest number of losses among the tasks of these parts."""
-        return max((self.losses[self._parts[number].task] for number in numbers), default=0)
+        """Return how many workers were lost at one unit of these parts, at most."""
+        return max((self._losses[unit] for unit in self._units(numbers)), default=0)
+
+    def _units(self, numbers: Sequence[int]) -> list[tuple[int, int]]:
+        parts = [self._parts[number] for number in numbers]
+        return [(part.task, unit) for part in parts for unit in range(part.start, part.stop)]
 
     def add(self, number: int, result: Any) -> None:
         """Keep the result of a part."""

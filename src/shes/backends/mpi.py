@@ -20,13 +20,14 @@ from shes.backends.factory import pickle_factory
 from shes.backends.job import State
 from shes.backends.pull import PullBackend, RemoteWorker, WarningSettings
 from shes.backends.serving import serve, use_one_thread
-from shes.errors import ConfigError, MissingExtraError
+from shes.errors import ConfigError, MissingExtraError, WorkerError
 from shes.settings import Settings
 
 _TAG = 4021  # of all messages of this backend
 # Between two looks for a message: a rank that waits leaves its core to others.
 _SHORTEST_NAP_S, _LONGEST_NAP_S = 1e-6, 4e-3
 _NAP_OF_POOL_S = 0.1  # mpi4py's, which looks for the end of `_serve_rank` during the whole run
+_LOOK_S = 1.0  # between two looks for ranks that have failed
 
 _HELD: list[MpiBackend] = []
 """The backend that has the ranks, if any."""
@@ -42,10 +43,17 @@ class MpiBackend(PullBackend):
 
         Raises:
             MissingExtraError: mpi4py is not installed, or finds no MPI library.
-            ConfigError: This program was not started as a pool of ranks, or `factory` cannot be pickled.
+            ConfigError: This program was not started as a pool of ranks, the MPI library cannot be called by threads,
+                or `factory` cannot be pickled.
         """
         self._factory = pickle_factory(factory)
         self._mpi, self._futures = _import_mpi()
+        if self._mpi.Query_thread() < self._mpi.THREAD_MULTIPLE:  # mpi4py's pool has a thread of its own
+            raise ConfigError(
+                "--backend mpi needs an MPI library that several threads may call (MPI_THREAD_MULTIPLE), and "
+                f"{self._mpi.Get_library_version().split(',')[0].strip()} was not started so. Load another module of "
+                "MPI, or unset MPI4PY_RC_THREAD_LEVEL."
+            )
         self._comm = self._mpi.COMM_WORLD
         if self._futures._core.SharedPool is None or self._comm.Get_size() < 2:
             raise ConfigError(
@@ -56,10 +64,15 @@ class MpiBackend(PullBackend):
         self.workers: list[_Rank] = []
         self._pool: Any = None
         self._served: list[Any] = []  # one future for every rank
+        self._looked_at = 0.0
         self.start_workers()
 
     def broadcast(self, state: Any) -> None:
-        """Send `state` to all ranks together."""
+        """Send `state` to all ranks together.
+
+        Raises:
+            WorkerError: A rank has failed to start.
+        """
         self.start_workers()
         self._state = State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL))
         self._broadcast(self._state)
@@ -96,19 +109,28 @@ class MpiBackend(PullBackend):
 
     def _broadcast(self, state: State) -> None:
         """Send the state along a tree, and receive what workers send meanwhile: a worker that sends cannot join in."""
+        while not all(worker.is_ready for worker in self.workers):  # one that cannot start never joins in
+            self._collect(self.workers)
+            self._look_at_ranks()
+            sleep(_LONGEST_NAP_S)
         for worker in self.workers:
             worker.state = state
-            worker.send("broadcast", len(state.pickled))
+            worker.send("broadcast", len(state.pickled), state.number)
         request = self._comm.Ibcast([state.pickled, self._mpi.BYTE], root=0)
         while not request.Test():
             self._collect(self.workers)
             sleep(_SHORTEST_NAP_S)
 
     def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:
-        """Wait at most `timeout_s` for messages, with naps; return the workers that have sent some."""
+        """Wait at most `timeout_s` for messages, with naps; return the workers that have sent some.
+
+        Raises:
+            WorkerError: A rank has failed to start.
+        """
         end, nap_s = monotonic() + timeout_s, _SHORTEST_NAP_S
         while True:
             self._collect(self.workers)
+            self._look_at_ranks()
             found = [worker for worker in self.workers if worker.inbox]
             if found or monotonic() >= end:
                 return found
@@ -121,7 +143,24 @@ class MpiBackend(PullBackend):
         while self._comm.Iprobe(tag=_TAG, status=status):
             source: int = status.Get_source()
             worker = workers[source - 1]
+            worker.is_ready = True
             worker.inbox.append(self._comm.recv(source=worker.rank, tag=_TAG))
+
+    def _look_at_ranks(self) -> None:
+        """Now and then, raise WorkerError if a rank has failed outside of `serve`, whose errors come as messages."""
+        if monotonic() < self._looked_at + _LOOK_S:
+            return
+        self._looked_at = monotonic()
+        for future in self._served:
+            if future.done() and (error := future.exception()) is not None:
+                raise WorkerError(
+                    f"an MPI rank could not begin to work ({type(error).__name__}: {error}). Every node needs the same "
+                    "environment with SHES."
+                ) from error
+
+    def waits_for(self, worker: RemoteWorker) -> bool:
+        """Return True: all ranks receive a broadcast together."""
+        return True
 
     def advice(self, worker: RemoteWorker) -> str:
         """Not called: no rank is ever replaced."""
@@ -192,7 +231,7 @@ class _Parent:
             if message[0] == "broadcast":
                 state = bytearray(message[1])
                 self._comm.Ibcast([state, self._mpi.BYTE], root=0).Wait()
-                message = ("state", state)
+                message = ("state", message[2], state)
             self._inbox.append(message)
 
 

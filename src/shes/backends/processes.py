@@ -83,7 +83,7 @@ class ProcessesBackend(PullBackend):
     def send_state(self, worker: RemoteWorker, state: State) -> None:
         """Send `state`, in a message that is pickled once for all workers."""
         assert isinstance(worker, SocketWorker)
-        state.stored = state.stored or pickle.dumps(("state", state.pickled), pickle.HIGHEST_PROTOCOL)
+        state.stored = state.stored or pickle.dumps(("state", state.number, state.pickled), pickle.HIGHEST_PROTOCOL)
         worker.state = state
         worker.send_pickled(state.stored)
 

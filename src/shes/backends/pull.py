@@ -19,7 +19,7 @@ from shes.errors import WorkerError
 from shes.settings import Execution, Gt, Settings
 
 MAX_LOSSES = 3
-"""The run ends when this many workers died on one task, or as many per worker in a row without a result."""
+"""The run ends when this many workers died on one unit of work, or as many per worker in a row without a result."""
 _TOLD_AT, _REPLACED_AT = 2, 10
 """A silent worker is reported or replaced only after this multiple of the longest silence that ended with a result."""
 _PATIENCE = 4
@@ -52,6 +52,8 @@ class RemoteWorker(ABC):
         """Begin without work."""
         self.is_started = True
         """Whether a process for it exists; if not, it waits for a core of the cluster."""
+        self.is_ready = False
+        """Whether it has said that it is ready."""
         self.job: Job | None = None
         """The job that it works on."""
         self.numbers: dict[int, None] = {}
@@ -115,6 +117,7 @@ class PullBackend(Backend):
         self._judged_s = 0.0  # when silent workers were last looked for
         self._longest_s = 0.0  # of the silences that ended with a result
         self._deaths_in_a_row = 0
+        self._most_workers = 0  # a cluster that has lost a node has fewer
         self._state: State | None = None  # the last broadcast
         self._beside: list[Job] = []  # to be done beside the next `map`
         self._jobs: list[Job] = []  # of the `map` under way
@@ -134,16 +137,17 @@ class PullBackend(Backend):
         """Return advice to the user about a worker that ended."""
 
     def broadcast(self, state: Any) -> None:
-        """Send `state` to every worker, and later to the replacements of lost ones."""
+        """Send `state` to every worker, and later to those that are still in another run, and to replacements."""
         self._state = State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL))
         self.start_workers()
         for worker in self.workers:
-            self.send_state(worker, self._state)
+            if worker.job is None:
+                self.send_state(worker, self._state)
 
     def send_state(self, worker: RemoteWorker, state: State) -> None:
         """Send `state` to one worker, and note it there. `state.stored` is for what all workers share."""
         worker.state = state
-        worker.send("state", state.pickled)
+        worker.send("state", state.number, state.pickled)
 
     def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
         """Yield the result of every task, in order."""
@@ -173,13 +177,20 @@ class PullBackend(Backend):
             while not all(job.is_done for job in self._jobs):
                 self._serve()
                 yield from wanted.finished()
-            while any(worker.job is not None for worker in self.workers):
+            while any(worker.job is not None and self.waits_for(worker) for worker in self.workers):
                 self._serve()
             is_finished = True
         finally:
             self._jobs = []
             if not is_finished:  # a worker raised, or the caller stopped iterating: nobody needs the remaining results
                 self.close()
+
+    def waits_for(self, worker: RemoteWorker) -> bool:
+        """Return whether a `map` whose work is done waits for this worker, which is in one of its runs.
+
+        It does not for one that was ready and never asked for tasks, since it may have been stopped.
+        """
+        return not (worker.is_ready and worker.is_expected)
 
     def _start_runs(self) -> None:
         """Tell the workers without work of the first job that wants them."""
@@ -195,7 +206,7 @@ class PullBackend(Backend):
             self.send_state(worker, job.state)
         worker.job, worker.is_expected, worker.heard_s = job, True, self._clock_s
         job.division.expect()
-        worker.send("run", job.division.share)
+        worker.send("run", job.division.share, None if worker.state is None else worker.state.number)
 
     def _serve(self) -> None:
         """Wait for messages and answer them. Replace workers that have died or given no answer for too long."""
@@ -264,7 +275,9 @@ class PullBackend(Backend):
         if kind == "failed":
             at_work = [] if job is None else [repr(job.task(number)) for number in list(worker.numbers)[:3]]
             raise WorkerError(f"a worker failed while at work on {', '.join(at_work) or 'nothing yet'}:\n{content[0]}")
-        if job is None or kind == "ready":  # it has started
+        if kind == "ready":
+            worker.is_ready = True
+        if job is None or kind in ("ready", "started"):
             return
         results = content.pop(0)
         for number, result in results:
@@ -291,6 +304,7 @@ class PullBackend(Backend):
 
     def _replace(self, worker: RemoteWorker, *, is_silent: bool = False) -> None:
         """Replace a worker that died or is silent, and hand out its tasks before all others."""
+        self._most_workers = max(self._most_workers, len(self.workers))
         self.workers.remove(worker)
         self.end_worker(worker)
         lost = tuple(worker.numbers)
@@ -298,12 +312,12 @@ class PullBackend(Backend):
         if worker.job is not None:
             self._meet(worker)
             worker.job.take_back(lost)
-            worst = max(worker.job.losses.values(), default=0)
+            worst = worker.job.num_losses(lost)
         self._deaths_in_a_row += 1
         silence = f"no answer for {self._silent_s(worker):.0f} s"
         end = f"was ended ({silence})" if is_silent else f"died ({worker.ending})"
         self.tell(f"worker {worker.name} {end}; {len(lost)} tasks are done again")
-        if worst >= MAX_LOSSES or self._deaths_in_a_row >= MAX_LOSSES * self.num_workers:
+        if worst >= MAX_LOSSES or self._deaths_in_a_row >= MAX_LOSSES * self._most_workers:
             fault = f"giving {silence}" if is_silent else f"dying ({worker.cause})"
             advice = "If its work takes so long, raise --worker-timeout-s." if is_silent else self.advice(worker)
             raise WorkerError(

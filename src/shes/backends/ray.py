@@ -94,7 +94,7 @@ class RayBackend(PullBackend):
     def send_state(self, worker: RemoteWorker, state: State) -> None:
         """Send a reference to `state`, which every node fetches once."""
         worker.state = state
-        worker.send("state", self._put(state))
+        worker.send("state", state.number, self._put(state))
 
     def _put(self, state: State) -> Any:
         """Return the reference to the factory or a state in Ray's object store."""
@@ -246,31 +246,38 @@ def _join(ray: ModuleType, address: str | None) -> None:
     Raises:
         ConfigError: There is no such cluster.
     """
-    if address is not None and address != "local":
-        _check_answer(address)
+    # Asked for either way, a cluster that does not answer is an error: a job for 600 cores must not run on one node.
+    asked = address or os.environ.get("RAY_ADDRESS") or "auto"
+    if asked not in ("auto", "local"):
+        _check_answer(asked, is_variable=address is None)
     quiet = {"log_to_driver": False, "logging_level": logging.WARNING}
     try:
-        if address != "local":
-            ray.init(address=address or "auto", **quiet)
+        if asked != "local":
+            ray.init(address=asked, **quiet)
             return
     except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
-        if address is not None:
-            raise _no_cluster(address, error) from error
+        if asked != "auto" or address is not None:
+            raise _no_cluster(asked, error, is_variable=address is None) from error
     ray.init(address="local", num_cpus=num_cores(), include_dashboard=False, **quiet)
 
 
-def _check_answer(address: str) -> None:
+def _check_answer(address: str, *, is_variable: bool) -> None:
     """Raise ConfigError unless something answers at `address`: Ray itself would ask for minutes."""
     try:
         host, port = address.rsplit(":", 1)
         socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
     except (OSError, ValueError) as error:
-        raise _no_cluster(address, error) from error
+        raise _no_cluster(address, error, is_variable=is_variable) from error
 
 
-def _no_cluster(address: str, error: Exception) -> ConfigError:
+def _no_cluster(address: str, error: Exception, *, is_variable: bool) -> ConfigError:
+    fix = (
+        "Set the environment variable RAY_ADDRESS to HOST:PORT as `ray start --head` prints it, or unset it."
+        if is_variable
+        else "Set --ray-address to HOST:PORT as `ray start --head` prints it, to local for a cluster on this machine, "
+        "or omit it."
+    )
     return ConfigError(
-        f"no Ray cluster answers at {address!r}: {error}. Set --ray-address to HOST:PORT as `ray start --head` prints "
-        "it, to local for a cluster on this machine, or omit it. If the cluster asks for a token, set the environment "
+        f"no Ray cluster answers at {address!r}: {error}. {fix} If the cluster asks for a token, set the environment "
         "variable RAY_AUTH_MODE=token."
     )

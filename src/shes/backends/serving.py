@@ -1,9 +1,10 @@
 """The worker's side of a conversation with its parent, over any connection.
 
-A worker answers `("state", pickled)` and `("run", share)`. In a run it asks for tasks by `("want", results, units,
-enough)`, is given `("tasks", pickled)` or `("end",)`, and at last sends `("done", results)`. `results` are the numbered
-results since its previous message: with hundreds of workers the parent's time goes into messages, not into bytes. If
-they wait for long, they are sent by `("results", results)`.
+A worker answers `("state", number, pickled)` and `("run", share, number)`, whose number is that of the tasks' state.
+In a run it asks for tasks by `("want", results, units, enough)`, is given `("tasks", pickled)` or `("end",)`, and
+at last sends `("done", results)`. `results` are the numbered results since its previous message: with hundreds of
+workers the parent's time goes into messages, not into bytes. One that comes more than a second after the previous
+message is sent at once, by `("results", results)`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from shes.backends.factory import unpickle_factory
 from shes.backends.work import TaskSource
-from shes.errors import ShesError
+from shes.errors import ShesError, WorkerError
 
 ONE_THREAD: dict[str, str] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
@@ -28,11 +29,15 @@ ONE_THREAD: dict[str, str] = dict.fromkeys(
 """Environment variables by which linear algebra has one thread. More threads would change rounding."""
 
 KEPT_S = 1.0
-"""Seconds for which results may wait for the next message."""
+"""A result waits for the next message, unless this many seconds have passed since the last one."""
+_CLOSED = (EOFError, BrokenPipeError, ConnectionResetError)
 
 
 class Duplex(Protocol):
-    """A connection to the parent. Both methods raise EOFError or ConnectionError if the parent has closed it."""
+    """A connection to the parent.
+
+    Both methods raise EOFError, BrokenPipeError or ConnectionResetError if the parent has closed it.
+    """
 
     def send(self, message: tuple[Any, ...], /) -> None:
         """Send a message."""
@@ -52,8 +57,8 @@ def use_one_thread() -> None:
 def serve(connection: Duplex, factory: bytes) -> None:
     """Make the worker by the pickled `factory`, and follow the parent's messages until it closes the connection."""
     try:
-        _serve(connection, factory)
-    except (EOFError, BrokenPipeError, ConnectionResetError):
+        _serve(_Checked(connection), factory)
+    except _ClosedError:
         return
     except ShesError as error:
         connection.send(("refused", error))
@@ -61,16 +66,44 @@ def serve(connection: Duplex, factory: bytes) -> None:
         connection.send(("failed", traceback.format_exc()))
 
 
+class _ClosedError(Exception):
+    """The parent has closed the connection. The work itself may raise EOFError, from a file or a socket of its own."""
+
+
+class _Checked:
+    """A connection whose end is told from errors of the work."""
+
+    def __init__(self, connection: Duplex) -> None:
+        self._connection = connection
+
+    def send(self, message: tuple[Any, ...]) -> None:
+        try:
+            self._connection.send(message)
+        except _CLOSED as error:
+            raise _ClosedError from error
+
+    def recv(self) -> tuple[Any, ...]:
+        try:
+            return self._connection.recv()
+        except _CLOSED as error:
+            raise _ClosedError from error
+
+
 def _serve(connection: Duplex, factory: bytes) -> None:
     worker = unpickle_factory(factory)()
     connection.send(("ready",))
+    state: int | None = None  # number of the last one
     while True:
         kind, *content = connection.recv()
         if kind == "state":
-            worker.receive(pickle.loads(content[0]))
+            state, pickled = content
+            worker.receive(pickle.loads(pickled))
         elif kind == "run":
+            share, wanted = content
+            if state != wanted:
+                raise WorkerError(f"the work needs state {wanted}, and the last that reached this worker is {state}")
             run = _Run(connection)
-            for numbered in worker.run(run, content[0]):
+            for numbered in worker.run(run, share):
                 run.keep(numbered)
             run.send("done")
         else:
@@ -87,7 +120,7 @@ class _Run(TaskSource):
         self._sent_s = monotonic()
 
     def keep(self, numbered: tuple[int, Any]) -> None:
-        """Keep a numbered result for the next message; send it if that has not come for long."""
+        """Keep a numbered result for the next message; send it if the last one was long ago."""
         self._kept.append(numbered)
         if monotonic() >= self._sent_s + KEPT_S:
             self.send("results")

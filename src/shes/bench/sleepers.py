@@ -128,7 +128,7 @@ class SleepersBackend(ProcessesBackend):
             super().send_state(worker, state)
         else:
             worker.state = state
-            worker.send("state", pickle.dumps(None))
+            worker.send("state", state.number, pickle.dumps(None))
 
     def _start_node(self, first: int) -> list[tuple[socket.socket, bool]]:
         """Start the node of the workers from `first` on; return their sockets, and whether it is its first one."""

@@ -9,9 +9,11 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from statistics import harmonic_mean
 from time import perf_counter
 from typing import Any
 
@@ -22,6 +24,7 @@ from shes.bench.measure import bench_update
 from shes.bench.simulation import GenerationTimes, Network
 from shes.bench.sleepers import Sleeper, SleepersBackend
 from shes.bench.speedup_figure import draw_speedup
+from shes.cores import core_numbers, on_one_core
 from shes.errors import ConfigError
 from shes.es.level import TrainState
 from shes.runs.config import TrainConfig
@@ -38,6 +41,9 @@ _HERE = Network(latency_s=1e-4, bytes_per_s=2e9, cores_per_node=0)
 """The connections of processes on one machine."""
 _ASLEEP = replace(_HERE, cores_per_node=24)
 """The connections of sleeping workers."""
+
+_MEASURED = ("alone", "measured")
+"""Kinds of rows with measured generations: one worker that stays on a core, and workers on any cores."""
 
 Row = dict[str, Any]
 
@@ -90,11 +96,13 @@ def measure_speedup(
         raise ConfigError(f"bench speedup measures the CPU, got device {config.workers.device!r}. Omit --device.")
     algorithm = evolution_strategy(config)
     state = algorithm.start(config.run.seed)
-    measured = {n: _measure(config, algorithm, state, n, seconds) for n in range(1, config.workers.count + 1)}
+    count = config.workers.count
+    alone = [_measure(config, algorithm, state, 1, seconds, core) for core in core_numbers()[:count]]
+    measured = {1: alone[0]} | {n: _measure(config, algorithm, state, n, seconds) for n in range(2, count + 1)}
     # The first updates of a process are slower than those of a long run: pages of the noise table have to be mapped.
     update_s = bench_update(config)["total_ms"] / 1000
     stages = measure_stages(algorithm, state, measured[max(measured)], update_s)
-    return _rows(stages, measured, network, cores, sleepers)
+    return _rows(stages, alone, measured, network, cores, sleepers)
 
 
 def settings_of(env: str, algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -121,11 +129,19 @@ def speedup_of(
 
 
 def _measure(
-    config: TrainConfig, algorithm: EvolutionAlgorithm, state: TrainState, num_workers: int, seconds: float
+    config: TrainConfig,
+    algorithm: EvolutionAlgorithm,
+    state: TrainState,
+    num_workers: int,
+    seconds: float,
+    core: int | None = None,
 ) -> GenerationReport:
-    """Return a generation of median duration on `num_workers` workers."""
+    """Return a generation of median duration on `num_workers` workers, which stay on `core` if it is given."""
     config, reports = config.having(num_workers=num_workers), list[GenerationReport]()
-    with build_backend(config, algorithm.plan()) as backend, ThreadPoolExecutor(min(num_workers, 8)) as pool:
+    with ExitStack() as stack:
+        with nullcontext() if core is None else on_one_core(core):
+            backend = stack.enter_context(build_backend(config, algorithm.plan()))
+        pool = stack.enter_context(ThreadPoolExecutor(min(num_workers, 8)))
         work = generation_work(state, algorithm.hyperparameters, algorithm.table.size)
         singles = [task.part(0, 1) for task in work.tasks[:num_workers]]
         roll_out_tasks(singles, work.generation, backend)  # until all workers have started
@@ -138,26 +154,33 @@ def _measure(
 
 def _rows(
     stages: Sequence[Stage],
+    alone: Sequence[GenerationReport],
     measured: Mapping[int, GenerationReport],
     network: Network,
     cores: Sequence[int],
     sleepers: Sequence[int],
 ) -> list[Row]:
-    """Return the rows of an algorithm. Speed-ups of the measured generations are relative to the one on one worker."""
+    """Return the rows of an algorithm.
+
+    Speed-ups of measured generations are relative to those `alone` on each core, at the mean of the cores' speeds; of
+    others, to the one projected for one core.
+    """
 
     def projected(num_workers: int, connections: Network) -> GenerationTimes:
         first, *others = (stage.simulate(num_workers, connections) for stage in stages)
         return sum(others, start=first)
 
+    own = _at_mean_speed([_times(report) for report in alone])
     times = [
-        *(("measured", n, _times(report)) for n, report in measured.items()),
+        *(("alone", 1, _times(report)) for report in alone),
+        *(("measured", n, own if n == 1 else _times(report)) for n, report in measured.items()),
         *(("projected here", n, projected(n, _HERE)) for n in measured),
         *(("projected", n, projected(n, network)) for n in cores),
         *(("asleep", n, _asleep(n, stages)) for n in sleepers),
         *(("projected asleep", n, projected(n, _ASLEEP)) for n in sleepers),
     ]
-    one_core = _times(measured[1]), projected(1, _HERE)
-    return [_row(kind, n, stages, each, one_core[kind != "measured"]) for kind, n, each in times]
+    one_core = projected(1, _HERE)
+    return [_row(kind, n, stages, each, own if kind in _MEASURED else one_core) for kind, n, each in times]
 
 
 def _row(
@@ -184,6 +207,16 @@ def _times(report: GenerationReport) -> GenerationTimes:
     """Return the times of a measured generation."""
     busy_s = sum(float(each.results.seconds.sum()) for each in report.populations)
     return GenerationTimes(start_s=float("nan"), rollout_s=report.rollout_s, update_s=report.update_s, busy_s=busy_s)
+
+
+def _at_mean_speed(alone: Sequence[GenerationTimes]) -> GenerationTimes:
+    """Return the times on a core of the mean speed of some cores, whose times these are."""
+    return GenerationTimes(
+        start_s=float("nan"),
+        rollout_s=harmonic_mean(times.rollout_s for times in alone),
+        update_s=harmonic_mean(times.update_s for times in alone),
+        busy_s=harmonic_mean(times.busy_s for times in alone),
+    )
 
 
 def _asleep(num_workers: int, stages: Sequence[Stage]) -> GenerationTimes:

@@ -174,12 +174,13 @@ def _cells(size: Scale, body: str, group: str, form: str, seed: int) -> Iterator
 
     def cell(task: str, settings: Mapping[str, Any], primitive: str | None = None) -> Cell:
         env, preset = f"{body}-{task}", size.preset
+        training = size.training(task)
         if form == HIRO:
-            settings, preset = {"algorithm": "hiro", **size.hiro}, size.hiro_preset
+            settings, preset = {"algorithm": "hiro", **size.hiro, **training}, size.hiro_preset
         else:
             steps = size.env_steps.get(env)
             budget = {} if steps is None else {"env_steps": steps, "generations": 100_000}
-            settings = {**settings, **size.settings, **budget}
+            settings = {**settings, **size.settings, **training, **budget}
             if (preset, body, form) == ("laptop", "ant", PUBLISHED):
                 preset = "smoke"
         return Cell(

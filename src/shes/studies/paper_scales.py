@@ -81,6 +81,8 @@ class Scale:
     episodes: int
     env_steps: Mapping[str, int] = field(default_factory=dict)
     """Environment steps of training, by environment; without, the preset's generations."""
+    shows_way: bool = False
+    """Whether training shows every method the way to the target, as preset `laptop` does for the ant."""
     branched_population: int | None = None
     """Size of a population of branched pairs beside controllers, if it is not the form's."""
     hiro: Mapping[str, Any] = field(default_factory=dict)
@@ -94,6 +96,11 @@ class Scale:
     """Environment of the generations that are timed; that of the authors' raw times."""
     sleepers: tuple[int, ...] = (200, 600)
     """Numbers of sleeping workers that validate the projection of their time."""
+
+    def training(self, task: str) -> dict[str, Any]:
+        """Return the settings of training's task that every method has."""
+        values = make_config(f"ant-{task}", "laptop").values if self.shows_way else {}
+        return {name: values[name] for name in ("target", "waypoints") if values.get(name) is not None}
 
     def form(self, body: str, task: str, form: str) -> dict[str, Any]:
         """Return the settings of a form over the preset: of two levels, or of a primitive alone for Flagrun."""
@@ -133,6 +140,8 @@ SCALES: dict[str, Scale] = {
             "ant-push": 2_000_000,
             "ant-flagrun": 1_000_000,
         },
+        # Without a way to the target no method reaches it in so few steps.
+        shows_way=True,
         hiro={
             "horizon": 500,
             "evaluation_horizon": 500,

@@ -74,6 +74,13 @@ _ANT_TO_TARGET = {
     "generations": 200,
 }
 
+_WAYS: Mapping[str, Mapping[str, Any]] = {
+    "maze": {"target": (0.0, 16.0), "waypoints": (16.0, 0.0, 16.0, 16.0)},
+    "push": {"waypoints": (-6.0, 4.0, -5.0, 9.0, -1.0, 11.0)},
+    "fall": {"waypoints": (8.0, 0.0, 4.75, 8.0, 12.0, 4.75, 8.0, 24.0, 4.75)},
+}
+"""The way to the target in training, by task, where the reward as published leads into a dead end."""
+
 SHES_PRESETS: Mapping[str, Preset] = {
     **SES_PRESETS,
     "laptop": Preset(
@@ -89,7 +96,7 @@ SHES_PRESETS: Mapping[str, Preset] = {
                 "evaluation_interval": 5,
             },
             "ant-gather": _ANT_TO_FOOD,
-            **{f"ant-{task}": _ANT_TO_TARGET for task in ("maze", "push", "fall")},
+            **{f"ant-{task}": {**_ANT_TO_TARGET, **way} for task, way in _WAYS.items()},
             "point-gather": {"controller_interval": 10, "learning_rate": 0.04},
             "robotics-point-maze": {"minimum_goal_distance": False},
         }

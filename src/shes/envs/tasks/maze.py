@@ -29,7 +29,7 @@ class MazeOptions(TargetOptions):
         if self.target is not None and self.target_sampling != "square":
             raise ConfigError(
                 f"target {self.target} fixes training's target, so target_sampling {self.target_sampling!r} has no "
-                "effect. Omit --target or --target-sampling."
+                "effect. Omit --target-sampling, or set --target none and --waypoints none."
             )
         if self.waypoints is not None and self.target is None and not self.evaluation:
             raise ConfigError(

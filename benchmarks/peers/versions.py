@@ -1,0 +1,20 @@
+"""What was compared on which machine: `versions.csv` beside the tables."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+
+from run import write_csv
+
+from shes.runs.provenance import provenance
+
+PACKAGES = ("shes", "torch", "stable-baselines3", "evotorch", "ray", "gymnasium", "mujoco", "numpy")
+
+
+def write_versions(folder: Path) -> None:
+    """Write the versions of the packages, and the machine."""
+    found = provenance("cpu")
+    versions = {name: version(name) for name in PACKAGES}
+    rows = {"commit of shes": found["git_commit"], **versions, **found["machine"]}
+    write_csv(folder / "versions.csv", [{"name": name, "value": value} for name, value in rows.items()])
