@@ -136,10 +136,10 @@ class TestUnderMpiexec:
         srun.write_text('#!/bin/sh\necho "$@"\n')
         assert submit(srun, run, "point-gather", *flags).endswith(f"-m shes resume {run} --backend mpi\n")
 
-    def test_a_rank_that_cannot_begin_is_an_error_and_no_endless_wait(self, tmp_path):
-        path = tmp_path / "broken.py"
-        path.write_text(BROKEN_RANK)
-        process = start(3, "runpy", path)
+    def test_a_rank_that_cannot_begin_is_an_error_and_no_endless_wait(self, tmp_path, monkeypatch):
+        (tmp_path / "broken_rank.py").write_text(BROKEN_RANK)
+        monkeypatch.syspath_prepend(tmp_path)
+        process = start(3, "broken_rank")
         _, err = process.communicate(timeout=runs.patient(60))
         assert process.returncode != 0
         assert "WorkerError: an MPI rank could not begin to work (ModuleNotFoundError: No module named 'own')" in err
