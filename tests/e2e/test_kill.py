@@ -8,6 +8,7 @@ import psutil
 import pytest
 
 import shes
+from shes.backends.processes import ProcessesBackend
 from shes.training import session
 from tests.e2e import runs
 from tests.e2e.conftest import BRANCHED
@@ -98,17 +99,21 @@ def test_a_worker_killed_inside_a_generation_is_replaced_and_the_numbers_stay_th
     assert runs.differences(undisturbed, path) == []
 
 
-def test_a_stopped_worker_is_told_of_and_replaced_and_the_numbers_stay_the_same(tmp_path, tiny_run, capsys):
-    stopped = []
+def test_a_stopped_worker_is_told_of_and_replaced_and_the_numbers_stay_the_same(
+    tmp_path, tiny_run, capsys, monkeypatch
+):
+    answer, stopped = ProcessesBackend._answer, []
 
-    def stop_one(row):
-        if row["generation"] == 1:
-            stopped.append(runs.workers_of(os.getpid())[0])
+    def stop_and_answer(backend, worker, message):
+        if message[0] == "want" and not stopped:  # the answer is its first tasks
+            stopped.append(worker.popen.pid)
             os.kill(stopped[0], signal.SIGSTOP)
+        answer(backend, worker, message)
 
+    monkeypatch.setattr(ProcessesBackend, "_answer", stop_and_answer)
     settings = {"backend": "processes", "num_workers": 2, "worker_warning_s": 0.5, "worker_timeout_s": 3}
     path, settings = tmp_path / "run", {**runs.TINY, **settings}
-    shes.train("point-gather", out=path, listener=stop_one, progress=True, **settings)
+    shes.train("point-gather", out=path, progress=True, **settings)
     out, (worker,) = " ".join(capsys.readouterr().out.split()), stopped
     assert re.search(rf"worker {worker} has given no answer for \d+ s; it is replaced after \d+ s", out)
     assert re.search(rf"worker {worker} was ended \(no answer for \d+ s\); \d+ tasks are done again", out)
