@@ -535,22 +535,22 @@ def intact(path):
 
 
 @pytest.mark.parametrize(
-    ("name", "generation"),
+    ("name", "generation", "latest"),
     [
-        (r"last\.npz", 2),
-        pytest.param(r"best\.npz", 0, marks=pytest.mark.extras),
-        pytest.param(r"generation_000004\.npz", 2, marks=pytest.mark.extras),
+        (r"last\.npz", 2, 3),
+        pytest.param(r"best\.npz", 0, 1, marks=pytest.mark.extras),
+        pytest.param(r"generation_000004\.npz", 2, 4, marks=pytest.mark.extras),  # last.npz may be written before it
     ],
 )
 def test_a_full_disk_while_writing_a_checkpoint_loses_nothing(
-    tmp_path, tiny_run, fill_disk, monkeypatch, name, generation
+    tmp_path, tiny_run, fill_disk, monkeypatch, name, generation, latest
 ):
     path = tmp_path / "run"
     with pytest.raises(ShesError, match=r"cannot write .*\.npz: the disk is full: make room.*`shes resume`") as error:
         runs.train_tiny(path, listener=FromGeneration(generation, lambda: fill_disk(name)))
     assert error.value.exit_code == MENDABLE
     # The files of that generation and of those before it may not have been begun when the disk got full.
-    assert intact(path) <= generation + 1
+    assert intact(path) <= latest
     monkeypatch.undo()
     shes.resume(path)
     assert runs.differences(tiny_run, path) == []
