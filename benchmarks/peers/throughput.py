@@ -10,7 +10,7 @@ and one after the other,
   instead of their halves of the population, `evotorch-more-actors` has an actor more than cores;
 - `pool`: a plain Gymnasium loop with a NumPy policy in `multiprocessing.Pool`, without normalisation and update.
 
-The rivals step the single Gymnasium environment of this package, as any that is not vectorised.
+EvoTorch and the pool step the single Gymnasium environment of this package.
 
 The first generation of each is not counted. Prints medians, and ratios in the same round. For its environment see
 `learning.py`.
@@ -147,7 +147,6 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=90.0, help="least duration of a measurement")
     parser.add_argument("--cores", type=int, default=2)
-    parser.add_argument("--only", nargs="+", choices=WAYS, default=list(WAYS))
     parser.add_argument("--measure", choices=WAYS, help="print the speed of one way")
     asked = parser.parse_args()
     if asked.measure:
@@ -156,7 +155,7 @@ def main() -> None:
         return
     rows: list[dict[str, Any]] = []
     for number in range(asked.rounds):
-        for way in asked.only:
+        for way in WAYS:
             command = [sys.executable, __file__, "--measure", way, "--seconds", str(asked.seconds)]
             done = subprocess.run(
                 [*command, "--cores", str(asked.cores)], check=True, stdout=subprocess.PIPE, text=True
@@ -164,7 +163,7 @@ def main() -> None:
             speed = float(done.stdout.split("speed")[-1])
             rows.append({"way": way, "round": number, "cores": asked.cores, "env_steps_per_s": round(speed, 1)})
             print(rows[-1], flush=True)
-    speeds = {way: [row["env_steps_per_s"] for row in rows if row["way"] == way] for way in asked.only}
+    speeds = {way: [row["env_steps_per_s"] for row in rows if row["way"] == way] for way in WAYS}
     for way, found in speeds.items():
         ratio = statistics.median(own / each for own, each in zip(speeds["shes"], found, strict=True))
         print(f"{way}: {statistics.median(found):,.0f} steps/s; shes is {ratio:.1f} times as fast")

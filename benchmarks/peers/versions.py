@@ -1,4 +1,4 @@
-"""What was compared on which machine: `versions.csv` beside the tables."""
+"""Versions of the packages that are compared, and the machine, written to `versions.csv`."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ SCALES: dict[str, Scale] = {
             "ant-push": 2_000_000,
             "ant-flagrun": 1_000_000,
         },
-        # Without a way to the target no method reaches it in so few steps.
+        # Without it no controller of the ant has reached the target in so few steps (docs/learning.md).
         shows_way=True,
         hiro={
             "horizon": 500,
