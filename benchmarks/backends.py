@@ -3,7 +3,7 @@
 `python benchmarks/backends.py --out results/backends.csv`: every round measures each backend in a process of its own,
 one after the other, on the same work: the first generation of a run, after a few episodes that start the workers.
 Prints medians over the rounds, and the median ratio to processes in the same round. Needs the extras `ray` and `mpi`
-and an idle machine; with two cores, five minutes for a round.
+and an idle machine; with two cores, five to twelve minutes for a round.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ OPEN_MPI = {
 }
 
 
-def measure(backend: str, preset: str, workers: int) -> dict[str, float]:
-    """Return the seconds of a generation's rollouts and of its update."""
+def measure(backend: str, preset: str, workers: int) -> float:
+    """Return the seconds of a generation: its rollouts and its update."""
     asked = {"integrator": "euler", "backend": backend, "num_workers": workers}
     config = make_config("ant-gather", preset, asked | ({"ray_address": "local"} if backend == "ray" else {}))
     algorithm = evolution_strategy(config)
@@ -41,8 +41,8 @@ def measure(backend: str, preset: str, workers: int) -> dict[str, float]:
         work = generation_work(state, algorithm.hyperparameters, algorithm.table.size)
         roll_out_tasks([task.part(0, 1) for task in work.tasks[:workers]], work.generation, started)
         start = perf_counter()
-        report = next(evolve(state, algorithm.hyperparameters, algorithm.table, started))
-        return {"generation_s": perf_counter() - start, "rollout_s": report.rollout_s}
+        next(evolve(state, algorithm.hyperparameters, algorithm.table, started))
+        return perf_counter() - start
 
 
 def command_for(backend: str, preset: str, workers: int) -> list[str]:
@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--measure", choices=BACKENDS, help="print the seconds of one backend")
     asked = parser.parse_args()
     if asked.measure:
-        print(*measure(asked.measure, asked.preset, asked.workers).values())
+        print(measure(asked.measure, asked.preset, asked.workers))
         return
     rows: list[dict[str, object]] = []
     for number in range(asked.rounds):
@@ -81,13 +81,12 @@ def main() -> None:
             done = subprocess.run(
                 command, env={**os.environ, **OPEN_MPI}, check=True, stdout=subprocess.PIPE, text=True
             )
-            words = done.stdout.split()
-            generation_s, rollout_s = map(float, words[-2:])
-            rows.append({"backend": backend, "round": number, "generation_s": generation_s, "rollout_s": rollout_s})
-            print(f"{backend}: {generation_s:.2f} s", flush=True)
-    seconds = {name: [float(str(row["generation_s"])) for row in rows if row["backend"] == name] for name in BACKENDS}
-    for name, times in seconds.items():
-        ratio = statistics.median(each / own for each, own in zip(times, seconds["processes"], strict=True))
+            seconds = float(done.stdout.split()[-1])
+            rows.append({"backend": backend, "round": number, "generation_s": round(seconds, 2)})
+            print(f"{backend}: {seconds:.2f} s", flush=True)
+    found = {name: [float(str(row["generation_s"])) for row in rows if row["backend"] == name] for name in BACKENDS}
+    for name, times in found.items():
+        ratio = statistics.median(each / own for each, own in zip(times, found["processes"], strict=True))
         print(f"{name}: median {statistics.median(times):.2f} s, {ratio:.3f} of processes")
     if asked.out:
         write_csv(asked.out, rows)

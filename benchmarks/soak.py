@@ -140,12 +140,16 @@ class Soak:
             self._main.wait()
 
     def end(self) -> int:
-        """Stop the run as Ctrl-C does; return its number of generations."""
+        """Stop the run as Ctrl-C does, and let it end with the next generation; return its number of generations."""
         assert self._main is not None
         self._main.send_signal(signal.SIGINT)
         self._main.wait(timeout=120)
+        generations = int(read_csv(self.path / "progress.csv")["generation"][-1]) + 1
+        # The last generation of a run is evaluated; that of one that was stopped may not be.
+        last = ["resume", str(self.path), *self.flags, "--generations", str(generations)]
+        subprocess.run([*SHES, *last], check=True, timeout=600, stdout=self._log, stderr=self._log)
         self._log.close()
-        return int(read_csv(self.path / "progress.csv")["generation"][-1])
+        return generations
 
 
 def numbers(path: Path) -> dict[str, np.ndarray]:

@@ -241,7 +241,7 @@ def main() -> None:
             found = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("row ")]
             rows += [{"learner": learner, "seed": seed, **dict(zip(names, row, strict=True))} for row in found]
             write_csv(table, rows)
-    write_versions(asked.out)
+    write_versions(asked.out / "learning_versions.csv")
     with table.open(newline="") as file:
         draw(list(csv.DictReader(file)), asked.out / "learning.png")
 

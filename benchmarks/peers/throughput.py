@@ -169,7 +169,7 @@ def main() -> None:
         print(f"{way}: {statistics.median(found):,.0f} steps/s; shes is {ratio:.1f} times as fast")
     if asked.out:
         write_csv(asked.out, rows)
-        write_versions(asked.out.parent)
+        write_versions(asked.out.with_name("throughput_versions.csv"))
 
 
 if __name__ == "__main__":

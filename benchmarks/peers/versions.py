@@ -1,4 +1,4 @@
-"""Versions of the packages that are compared, and the machine, written to `versions.csv`."""
+"""Versions of the packages that are compared, and the machine, written beside the results of a script."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from shes.runs.provenance import provenance
 PACKAGES = ("shes", "torch", "stable-baselines3", "evotorch", "ray", "gymnasium", "mujoco", "numpy")
 
 
-def write_versions(folder: Path) -> None:
-    """Write the versions of the packages, and the machine."""
+def write_versions(path: Path) -> None:
+    """Write the versions of the packages, and the machine, to a CSV file."""
     found = provenance("cpu")
     versions = {name: version(name) for name in PACKAGES}
     rows = {"commit of shes": found["git_commit"], **versions, **found["machine"]}
-    write_csv(folder / "versions.csv", [{"name": name, "value": value} for name, value in rows.items()])
+    write_csv(path, [{"name": name, "value": value} for name, value in rows.items()])

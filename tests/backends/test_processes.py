@@ -270,6 +270,69 @@ def test_a_worker_that_is_stopped_between_two_maps_delays_nothing_and_works_agai
         assert {state for _, state in done} == {9}
 
 
+def test_work_that_is_lost_does_not_wait_for_a_worker_that_never_asks(tmp_path):
+    with noted(ProcessesBackend(Worker, 2, worker_timeout_s=5)) as backend:
+        list(backend.map([("meet", tmp_path)] * 4))
+        stopped = backend.pids()[0]
+        os.kill(stopped, signal.SIGSTOP)
+        backend.broadcast(100)
+        # The other one dies with no more in hand than the share of the one that is stopped.
+        tasks = [*[("add", i) for i in range(3)], ("die_once", tmp_path / "marker")]
+        assert list(backend.map(tasks)) == [100, 101, 102, 100]
+        assert stopped in backend.pids()
+        assert not any("no answer" in event for event in backend.told)
+        os.kill(stopped, signal.SIGCONT)
+
+
+def test_a_worker_that_dies_at_its_start_beside_others_is_replaced_after_a_while(tmp_path):
+    starts, meeting = tmp_path / "starts", tmp_path / "meeting"
+    starts.mkdir()
+    meeting.mkdir()
+
+    def make():
+        number = len(list(starts.iterdir()))
+        (starts / str(os.getpid())).touch()
+        if number == 2:
+            os._exit(3)
+        return Worker()
+
+    with noted(ProcessesBackend(make, 2)) as backend:
+        backend.broadcast(100)
+        list(backend.map([("meet", meeting)] * 4))
+        os.kill(backend.pids()[0], signal.SIGKILL)
+        assert list(backend.map([("add", i) for i in range(20)])) == list(range(100, 120))
+        assert len(list(backend.map([("meet", meeting, 3)] * 4))) == 4  # until a third process has come
+        assert len(backend.told) == 2
+    *_, third, fourth = sorted(each.stat().st_mtime for each in starts.iterdir())
+    assert fourth - third >= 1.5
+
+
+def test_a_worker_that_has_not_started_is_sent_no_state_but_that_of_its_work():
+    with noted(ProcessesBackend(Worker, 1)) as backend:
+        (worker,) = backend.workers
+        worker.is_started = False
+        for state in (1, 2, 3):
+            backend.broadcast(state)
+        assert worker.states == ()
+        worker.is_started = True
+        assert list(backend.map([("add", 0)])) == [3]
+        assert len(worker.states) == 1
+
+
+def test_a_worker_keeps_the_state_of_the_generation_while_it_does_work_beside_it(monkeypatch):
+    with noted(ProcessesBackend(Worker, 1)) as backend:
+        sent, send_state = [], backend.send_state
+        monkeypatch.setattr(
+            backend, "send_state", lambda worker, state: (sent.append(state.number), send_state(worker, state))
+        )
+        for generation in (100, 200, 300):
+            backend.broadcast(generation)
+            beside = backend.beside([("add", i) for i in range(4)], generation - 1)
+            assert list(backend.map([("add", i) for i in range(4)])) == [generation + i for i in range(4)]
+            assert beside.results() == [generation - 1 + i for i in range(4)]
+        assert len(sent) == len(set(sent)) == 6
+
+
 def test_a_node_that_is_lost_does_not_look_like_workers_that_keep_dying():
     with ProcessesBackend(Worker, 4) as backend:
         backend.broadcast(100)

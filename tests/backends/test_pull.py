@@ -7,7 +7,8 @@ import pytest
 
 from shes.backends import mpi, process, processes, ray
 from shes.backends.processes import ProcessesBackend
-from shes.backends.pull import PullBackend, RemoteWorker
+from shes.backends.pull import PullBackend
+from shes.backends.remote_worker import RemoteWorker
 from tests.backends.workers import Worker
 
 SECTION = (

@@ -74,7 +74,29 @@ def test_work_whose_state_has_not_arrived_is_refused():
     serve(parent, pickle.dumps(Echo))
     (kind, error) = parent.got[-1]
     assert kind == "refused"
-    assert str(error) == "the work needs state 4, and the last that reached this worker is 3"
+    assert str(error) == "the work needs state 4, and those that reached this worker are 3"
+
+
+def test_a_worker_returns_to_the_state_before_the_last_and_keeps_no_more():
+    class Stateful(Echo):
+        def receive(self, state):
+            self.state = state
+
+        def run(self, work, share):
+            while taken := work.take(share):
+                yield from ((number, f"{task} of {self.state}") for number, task in taken)
+
+    def doing(number, task):
+        return ("run", 2, number), ("tasks", pickle.dumps([(0, task)])), ("end",)
+
+    first, second, third = (("state", number, pickle.dumps(f"state {number}")) for number in (3, 4, 5))
+    parent = Parent(first, second, *doing(3, "a"), *doing(4, "b"), third, *doing(4, "c"), *doing(3, "d"))
+    serve(parent, cloudpickle.dumps(Stateful))
+    *others, (kind, error) = parent.got
+    results = [content[0] for _, *content in others if content and content[0]]
+    assert results == [[(0, "a of state 3")], [(0, "b of state 4")], [(0, "c of state 4")]]
+    assert kind == "refused"
+    assert str(error) == "the work needs state 3, and those that reached this worker are 4, 5"
 
 
 @pytest.mark.parametrize("error", [EOFError, BrokenPipeError, ConnectionResetError])

@@ -53,8 +53,8 @@ class Worker:
             for number, task in reversed(taken):
                 yield number, self.do(*task)
 
-    def do(self, verb, argument=None):
-        return getattr(self, verb)(argument)
+    def do(self, verb, argument=None, *more):
+        return getattr(self, verb)(argument, *more)
 
     def add(self, number):
         """Add the state to a number."""

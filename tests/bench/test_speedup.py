@@ -2,17 +2,20 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from shes.bench import speedup
 from shes.bench.bench import bench
 from shes.bench.lockstep import Lockstep, StepCost
-from shes.bench.simulation import Costs, Network, simulate
+from shes.bench.simulation import Costs, GenerationTimes, Network, simulate
 from shes.bench.speedup import bench_speedup, read_rows, speedup_of
 from shes.bench.speedup_figure import draw_speedup
+from shes.cores import core_numbers
 from shes.errors import ConfigError
 from shes.training.make_config import make_config
 from tests.hierarchy.made_up import make_task
@@ -98,25 +101,50 @@ def test_messages_take_the_time_of_the_network():
     assert found.rollout_s == pytest.approx(found.start_s + 10 * 0.2 + result_s + end_s)
 
 
+def test_measured_speed_ups_are_relative_to_the_mean_speed_of_the_cores_and_projected_ones_to_one_core():
+    def report(seconds):
+        results = SimpleNamespace(seconds=np.array([seconds]))
+        return SimpleNamespace(rollout_s=seconds, update_s=0.0, populations=[SimpleNamespace(results=results)])
+
+    def simulate(num_workers, network):
+        return GenerationTimes(start_s=0.0, rollout_s=12 / num_workers, update_s=0.0, busy_s=12.0)
+
+    alone = [report(10.0), report(30.0)]  # a generation takes 15 s on a core of the mean speed
+    stage, measured = SimpleNamespace(num_episodes=3, simulate=simulate), {1: alone[0], 2: report(8.0)}
+    rows = speedup._rows([stage], alone, measured, NO_NETWORK, (2,), ())
+    found = [(row["kind"], row["cores"], row["speedup"], row["efficiency"], row["bound"]) for row in rows]
+    assert found == [
+        ("alone", 1, 1.5, 1.5, 1.0),
+        ("alone", 1, 0.5, 0.5, 1.0),
+        ("measured", 1, 1.0, 1.0, 1.0),
+        ("measured", 2, 15 / 8, 15 / 16, 0.75),
+        ("projected here", 1, 1.0, 1.0, 1.0),
+        ("projected here", 2, 2.0, 1.0, 0.75),
+        ("projected", 2, 2.0, 1.0, 0.75),
+    ]
+
+
 BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception"}
 
 
 @pytest.mark.parametrize(
-    "settings", [{}, pytest.param(BRANCHES, marks=pytest.mark.extras)], ids=["episodes", "branches"]
+    ("settings", "workers"),
+    [({}, 1), pytest.param(BRANCHES, 1, marks=pytest.mark.extras), pytest.param({}, 2, marks=pytest.mark.extras)],
+    ids=["episodes", "branches", "two processes"],
 )
-def test_the_bench_measures_projects_and_validates(tmp_path, settings):
+def test_the_bench_measures_projects_and_validates(tmp_path, settings, workers):
     def make(algorithm):
         own = settings if algorithm == "shes" else {}
-        return make_config(
-            "point-gather", "smoke", {**TINY, **own, "backend": "serial", "num_workers": 1, "algorithm": algorithm}
-        )
+        where = {"backend": "serial" if workers == 1 else "processes", "num_workers": workers}
+        return make_config("point-gather", "smoke", {**TINY, **own, **where, "algorithm": algorithm})
 
     found = bench_speedup(make, tmp_path, network=Network(latency_s=1e-4, bytes_per_s=1e9), cores=(1, 4), sleepers=(3,))
     for algorithm in ("shes", "es"):
         for name in ("measured_efficiency_1", "projected_efficiency_4", "error_measured_1", "error_asleep_3"):
             assert math.isfinite(found[f"{algorithm}_{name}"])
     rows = read_rows(tmp_path / "speedup.csv")
-    kinds = [("alone", 1), ("measured", 1), ("projected here", 1), ("projected", 1), ("projected", 4), ("asleep", 3),
+    here = [(kind, n) for kind in ("measured", "projected here") for n in range(1, workers + 1)]
+    kinds = [*[("alone", 1)] * len(core_numbers()[:workers]), *here, ("projected", 1), ("projected", 4), ("asleep", 3),
              ("projected asleep", 3)]  # fmt: skip
     assert [(row["algorithm"], row["kind"], row["cores"]) for row in rows] == [
         (algorithm, *kind) for algorithm in ("shes", "es") for kind in kinds

@@ -23,9 +23,9 @@ assert shes
 COMMON = {"spec", "integrator", "reset_noise", "evaluation"}
 OWN = {
     Gather: {"fall_penalty", "max_tilt"},
-    Maze: {"target", "evaluation_target", "waypoints", "target_sampling"},
-    Push: {"target", "evaluation_target", "waypoints", "observe_block"},
-    Fall: {"target", "evaluation_target", "waypoints", "observe_block"},
+    Maze: {"max_tilt", "target", "evaluation_target", "waypoints", "target_sampling"},
+    Push: {"max_tilt", "target", "evaluation_target", "waypoints", "observe_block"},
+    Fall: {"max_tilt", "target", "evaluation_target", "waypoints", "observe_block"},
     Flagrun: {"controller_interval", "goal_distance", "stiff_contacts", "max_tilt"},
 }
 
@@ -145,6 +145,24 @@ def test_a_robot_that_tilts_too_far_has_fallen_in_training_alone(name):
         assert task.terminated.all()
     env = gymnasium.make({"ant-flagrun": "shes/AntFlagrun-v0", "ant-gather": "shes/AntGather-v0"}[name], max_tilt=60.0)
     assert env.unwrapped._adapter.task._min_cos_tilt == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("name", ["ant-maze", "ant-push", "ant-fall"])
+def test_a_tilt_ends_an_episode_of_a_task_with_a_target_in_training_alone_and_the_robot_stays(name):
+    kind, tilts = ENVIRONMENTS[name].options, np.deg2rad([0, 44, 46, 180, -46])
+    for limit, evaluation, expected in [
+        (45.0, False, [False, False, True, True, True]),
+        (45.0, True, [False] * 5),
+        (None, False, [False] * 5),
+    ]:
+        task = make_task(name, len(tilts), kind(max_tilt=limit, evaluation=evaluation))
+        task.reset(np.arange(len(tilts)), range(len(tilts)))
+        assert task.ends_early == any(expected)
+        task.reward[:] = -7
+        task.sim.qpos[:, 3:7] = np.stack([np.cos(tilts / 2), 0 * tilts, np.sin(tilts / 2), 0 * tilts], axis=1)
+        task.sim.qpos[:, 2] -= 0.5  # in these tasks a height is no fall
+        assert task.terminated.tolist() == task.fallen.tolist() == expected
+        assert task.reward_after_end.tolist() == (-7.0 * np.array(expected)).tolist()
 
 
 @pytest.mark.parametrize(("evaluation", "reward"), [(False, -10), (True, 0)])

@@ -361,3 +361,14 @@ def test_a_machine_that_lacks_the_file_generates_the_same_table_once_in_its_own_
     assert len(built) == 1
     assert {copy.path for copy in copies} == {tmp_path / "here" / there.path.name}
     np.testing.assert_array_equal(copies[0].values, there.values)
+
+
+@pytest.mark.parametrize("damage", [lambda old: old[:-4], lambda old: b"\1" + old[1:]])
+def test_a_machine_whose_file_is_of_another_length_or_beginning_does_not_use_it(tmp_path, monkeypatch, damage):
+    there = NoiseTable.open(5000, directory=tmp_path / "there")
+    expected = there.values.copy()
+    monkeypatch.setenv("SHES_CACHE_DIR", str(tmp_path / "here"))
+    there.path.write_bytes(damage(there.path.read_bytes()))
+    copy = NoiseTable.open_copy(there.path)
+    assert copy.path.parent == tmp_path / "here"
+    np.testing.assert_array_equal(copy.values, expected)

@@ -48,6 +48,7 @@ class FakeTask:
         self.num_episodes = num_episodes
         self.on_step = on_step
         self.goal_interval = goal_interval
+        self.stays_for = 0.0
         self.goal = np.ones((num_episodes, 2)) if goal_interval else None
         self.scripts = [Script(0, 0)] * num_episodes
         self.seeds = np.full(num_episodes, -1)
@@ -69,6 +70,10 @@ class FakeTask:
     def fallen(self):
         """Ends after an odd number of steps are falls."""
         return self.terminated & (self.age % 2 == 1)
+
+    @property
+    def reward_after_end(self):
+        return np.where(self.terminated, self.stays_for, 0.0)
 
     @property
     def score(self):

@@ -62,6 +62,7 @@ CHOICES = {
         "ant-flagrun",
         {"primitive_estimate": "episode", "primitive_view": "egocentric", "symmetry": "rotation", "max_tilt": 20.0},
     ),
+    "falls that end": ("ant-maze", {"primitive_estimate": "episode", "max_tilt": 5.0}),
     "few statistics": ("point-gather", {"statistics_fraction": 0.5}),
 }
 

@@ -289,6 +289,21 @@ def test_of_the_ends_by_their_own_rule_the_task_says_which_are_falls():
     assert results.has_fallen.tolist() == [False, True, False]
 
 
+def test_an_end_that_an_aid_makes_pays_the_last_reward_for_every_step_that_is_left():
+    def play(stays_for):
+        rollout = _rollout(episodes=4)
+        rollout.batch.stays_for = stays_for
+        seeds = [make_seed(terminates_after=4), make_seed(), make_seed(diverges_after=6), make_seed(terminates_after=5)]
+        return _run(rollout, [_task(0, seeds, slots=range(4))])[0]
+
+    usual, paid = play(0.0), play(-2.0)
+    extra = [-2.0 * (HORIZON - 4), 0, 0, -2.0 * (HORIZON - 5)]
+    assert (paid.environment_returns - usual.environment_returns).tolist() == pytest.approx(extra)
+    assert (paid.returns[CONTROLLER] - usual.returns[CONTROLLER]).tolist() == pytest.approx(extra)
+    assert paid.returns[PRIMITIVE].tolist() == usual.returns[PRIMITIVE].tolist()
+    assert paid.score.tolist() == usual.score.tolist()
+
+
 def test_an_episode_that_diverges_as_it_falls_has_diverged():
     results = _run(_rollout(episodes=1), [_task(0, [make_seed(terminates_after=5, diverges_after=5)])])[0]
     assert results.steps.tolist() == [5]

@@ -1,7 +1,9 @@
 """The thread that writes a run's files: in order, beside the caller's work, of each checkpoint only the newest."""
 
 import errno
+import gc
 import threading
+import weakref
 from dataclasses import replace
 
 import pytest
@@ -69,6 +71,19 @@ def test_waiting_ends_when_all_is_written(slow, tmp_path):
     threading.Timer(0.05, may_go_on.set).start()
     writer.wait()
     assert tables.written == [("last", 1)]
+    writer.close()
+
+
+def test_a_checkpoint_that_is_written_is_not_kept_in_memory(tmp_path):
+    writer, kept = RunWriter(Tables()), []
+    for generation in (1, 2):
+        checkpoint = make(generation)
+        kept.append(weakref.ref(checkpoint))
+        writer.save(tmp_path / f"{generation}.npz", checkpoint)
+    del checkpoint
+    writer.wait()
+    gc.collect()
+    assert [each() for each in kept] == [None, None]
     writer.close()
 
 

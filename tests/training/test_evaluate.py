@@ -1,6 +1,7 @@
 """Evaluation: fresh episodes of the mean policies, the same on any number of workers."""
 
 import importlib
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +34,16 @@ def test_workers_change_no_number(threes):
     one = evaluate(threes, episodes=7, num_workers=1)
     assert same(one, evaluate(threes, episodes=7, num_workers=2))
     assert one.scores.shape == (7,)
+
+
+@pytest.mark.parametrize("backend", ["mpi", "ray"])
+def test_a_run_of_a_cluster_is_evaluated_on_this_machine(run_copy, tiny_run, backend):
+    record = json.loads((run_copy / "config.json").read_text())
+    record["config"]["workers"] |= {"backend": backend}
+    if backend == "ray":
+        record["config"]["workers"] |= {"ray_address": "gone:6379"}
+    (run_copy / "config.json").write_text(json.dumps(record))
+    assert same(evaluate(run_copy, episodes=4, num_workers=1), evaluate(tiny_run, episodes=4, num_workers=1))
 
 
 def test_what_the_workers_tell_is_a_warning(tiny_run, monkeypatch, caplog):

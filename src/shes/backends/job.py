@@ -62,6 +62,11 @@ class Job:
         self.division.give_back(parts)
         self._losses.update(self._units(numbers))
 
+    @property
+    def has_losses(self) -> bool:
+        """Whether workers were lost with parts of it."""
+        return bool(self._losses)
+
     def num_losses(self, numbers: Sequence[int]) -> int:
         """Return how many workers were lost at one unit of these parts, at most."""
         return max((self._losses[unit] for unit in self._units(numbers)), default=0)

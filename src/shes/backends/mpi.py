@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import pickle
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from time import monotonic, sleep
 from types import ModuleType
 from typing import Any, ClassVar
@@ -18,7 +18,8 @@ from typing import Any, ClassVar
 from shes.backends.backend import WorkerFactory
 from shes.backends.factory import pickle_factory
 from shes.backends.job import State
-from shes.backends.pull import PullBackend, RemoteWorker, WarningSettings
+from shes.backends.pull import PullBackend, WarningSettings
+from shes.backends.remote_worker import RemoteWorker
 from shes.backends.serving import serve, use_one_thread
 from shes.errors import ConfigError, MissingExtraError, WorkerError
 from shes.settings import Settings
@@ -34,7 +35,7 @@ _HELD: list[MpiBackend] = []
 
 
 class MpiBackend(PullBackend):
-    """One worker per MPI rank except the first; --workers is ignored."""
+    """One worker per MPI rank except the first; --workers sets the threads of the gradient alone."""
 
     Options: ClassVar[type[Settings]] = WarningSettings
 
@@ -109,17 +110,30 @@ class MpiBackend(PullBackend):
 
     def _broadcast(self, state: State) -> None:
         """Send the state along a tree, and receive what workers send meanwhile: a worker that sends cannot join in."""
-        while not all(worker.is_ready for worker in self.workers):  # one that cannot start never joins in
-            self._collect(self.workers)
-            self._look_at_ranks()
-            sleep(_LONGEST_NAP_S)
+        # One that cannot start never joins in.
+        self._wait(lambda: all(worker.is_ready for worker in self.workers), _LONGEST_NAP_S, self._text_of_unready)
         for worker in self.workers:
-            worker.state = state
+            worker.note_state(state)
             worker.send("broadcast", len(state.pickled), state.number)
         request = self._comm.Ibcast([state.pickled, self._mpi.BYTE], root=0)
-        while not request.Test():
+        self._wait(request.Test, _SHORTEST_NAP_S, lambda: "the state has not reached every MPI rank")
+
+    def _text_of_unready(self) -> str:
+        """Say which ranks are not ready."""
+        late = [str(worker.rank) for worker in self.workers if not worker.is_ready]
+        return f"MPI rank{'s' * (len(late) > 1)} {', '.join(late[:10])}{', ...' * (len(late) > 10)} cannot work yet"
+
+    def _wait(self, is_over: Callable[[], bool], nap_s: float, what_is_late: Callable[[], str]) -> None:
+        """Receive messages until `is_over`; after `worker_warning_s` tell once what is late."""
+        begin = monotonic()
+        is_told = self.worker_warning_s is None
+        while not is_over():
             self._collect(self.workers)
-            sleep(_SHORTEST_NAP_S)
+            self._look_at_ranks()
+            if not is_told and monotonic() >= begin + (self.worker_warning_s or 0.0):
+                is_told = True
+                self.tell(f"{what_is_late()} after {monotonic() - begin:.0f} s; the run waits for it")
+            sleep(nap_s)
 
     def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:
         """Wait at most `timeout_s` for messages, with naps; return the workers that have sent some.

@@ -16,7 +16,7 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any
 
-from shes.backends.pull import RemoteWorker
+from shes.backends.remote_worker import RemoteWorker
 from shes.backends.serving import ONE_THREAD
 
 _AT_ONCE_BYTES = 2**16  # of a message that is not worth the switch to a thread

@@ -17,7 +17,8 @@ from shes.backends.backend import WorkerFactory
 from shes.backends.factory import import_path, pickle_factory
 from shes.backends.job import State
 from shes.backends.process import SocketWorker, WorkerProcess
-from shes.backends.pull import PullBackend, RemoteWorker, SilenceSettings
+from shes.backends.pull import PullBackend, SilenceSettings
+from shes.backends.remote_worker import RemoteWorker
 from shes.errors import WorkerError
 from shes.settings import Settings
 
@@ -71,7 +72,7 @@ class ProcessesBackend(PullBackend):
 
     def start_missing(self) -> None:
         """Start workers until there are `num_workers`; a subclass may prepare them. Raises OSError."""
-        while len(self.workers) < self.num_workers:
+        while len(self.workers) < self.num_workers and not self.pauses:
             worker = self.start_worker()
             self.workers.append(worker)
             self._selector.register(worker.connection, EVENT_READ, worker)
@@ -84,7 +85,7 @@ class ProcessesBackend(PullBackend):
         """Send `state`, in a message that is pickled once for all workers."""
         assert isinstance(worker, SocketWorker)
         state.stored = state.stored or pickle.dumps(("state", state.number, state.pickled), pickle.HIGHEST_PROTOCOL)
-        worker.state = state
+        worker.note_state(state)
         worker.send_pickled(state.stored)
 
     def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:

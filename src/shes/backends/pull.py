@@ -7,7 +7,7 @@ side of the conversation.
 from __future__ import annotations
 
 import pickle
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import monotonic
@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 from shes.backends.backend import Backend, Pending
 from shes.backends.job import Job, State
+from shes.backends.remote_worker import RemoteWorker
 from shes.errors import WorkerError
 from shes.settings import Execution, Gt, Settings
 
@@ -22,6 +23,8 @@ MAX_LOSSES = 3
 """The run ends when this many workers died on one unit of work, or as many per worker in a row without a result."""
 _TOLD_AT, _REPLACED_AT = 2, 10
 """A silent worker is reported or replaced only after this multiple of the longest silence that ended with a result."""
+_LONGEST_PAUSE_S = 60.0
+"""Longest pause before workers are started again where they die before they are ready."""
 _PATIENCE = 4
 """Factor of the limit after each loss of the same task, or each loss in a row: maybe the work just takes long."""
 _TICK_S = 1.0
@@ -45,61 +48,6 @@ class SilenceSettings(WarningSettings):
     long, ten times the longest so far."""
 
 
-class RemoteWorker(ABC):
-    """A worker in another process as its parent sees it, and the tasks it is working on."""
-
-    def __init__(self) -> None:
-        """Begin without work."""
-        self.is_started = True
-        """Whether a process for it exists; if not, it waits for a core of the cluster."""
-        self.is_ready = False
-        """Whether it has said that it is ready."""
-        self.job: Job | None = None
-        """The job that it works on."""
-        self.numbers: dict[int, None] = {}
-        """Numbers of the job's parts at work, in the order they were given."""
-        self.is_expected = False
-        """Whether it has been told of the job and has not yet asked for tasks."""
-        self.state: State | None = None
-        """The state that was last sent to it."""
-        self.heard_s = 0.0
-        """Time of its last message, on the clock of the backend."""
-        self.is_told = False
-        """Whether the user has been told of the silence."""
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name of the worker in messages."""
-
-    @property
-    @abstractmethod
-    def ending(self) -> str:
-        """How the worker ended, in short."""
-
-    @property
-    def cause(self) -> str:
-        """How the worker ended, at length."""
-        return self.ending
-
-    @abstractmethod
-    def send(self, *message: Any) -> None:
-        """Send a message soon. If the worker is gone, the next read notices it."""
-
-    @abstractmethod
-    def receive(self) -> Sequence[tuple[Any, ...]]:
-        """Return the messages that have arrived.
-
-        Raises:
-            EOFError: The worker is gone. So does OSError.
-            BlockingIOError: The worker has stopped in the middle of a message.
-        """
-
-    @abstractmethod
-    def end(self) -> None:
-        """End the worker immediately, even if it has been stopped."""
-
-
 class PullBackend(Backend):
     """Workers in other processes, which ask for tasks.
 
@@ -118,6 +66,8 @@ class PullBackend(Backend):
         self._longest_s = 0.0  # of the silences that ended with a result
         self._deaths_in_a_row = 0
         self._most_workers = 0  # a cluster that has lost a node has fewer
+        self._failed_starts = 0  # in a row, while other workers were ready
+        self._starts_at = 0.0  # when the next workers may start
         self._state: State | None = None  # the last broadcast
         self._beside: list[Job] = []  # to be done beside the next `map`
         self._jobs: list[Job] = []  # of the `map` under way
@@ -126,7 +76,15 @@ class PullBackend(Backend):
 
     @abstractmethod
     def start_workers(self) -> None:
-        """Start the workers that are missing from `workers`: at first, after a loss, and before work."""
+        """Start the workers that are missing from `workers`: at first, after a loss, and before work.
+
+        None is missing while `pauses`.
+        """
+
+    @property
+    def pauses(self) -> bool:
+        """Whether workers have died before they were ready, so that others are started only after a while."""
+        return bool(self.workers) and monotonic() < self._starts_at
 
     @abstractmethod
     def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:
@@ -137,16 +95,16 @@ class PullBackend(Backend):
         """Return advice to the user about a worker that ended."""
 
     def broadcast(self, state: Any) -> None:
-        """Send `state` to every worker, and later to those that are still in another run, and to replacements."""
+        """Send `state` to every worker, and later to those that are in another run or have not started."""
         self._state = State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL))
         self.start_workers()
         for worker in self.workers:
-            if worker.job is None:
+            if worker.job is None and worker.is_started:
                 self.send_state(worker, self._state)
 
     def send_state(self, worker: RemoteWorker, state: State) -> None:
-        """Send `state` to one worker, and note it there. `state.stored` is for what all workers share."""
-        worker.state = state
+        """Send `state` to one worker, and let it note that. `state.stored` is for what all workers share."""
+        worker.note_state(state)
         worker.send("state", state.number, state.pickled)
 
     def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
@@ -195,18 +153,28 @@ class PullBackend(Backend):
     def _start_runs(self) -> None:
         """Tell the workers without work of the first job that wants them."""
         for job in self._jobs:
-            for worker in self.workers if job.division.wants_worker else ():
+            for worker in self.workers:
+                if not self._wants_worker(job):
+                    break
                 if worker.is_started and worker.job is None:
                     self._start_run(worker, job)
-                    if not job.division.wants_worker:
-                        break
+
+    def _wants_worker(self, job: Job) -> bool:
+        """Return whether a job wants another worker: for more work, or for lost work that nobody who is here would do.
+
+        A worker that is expected and never asks may have been stopped.
+        """
+        if job.division.wants_worker:
+            return True
+        is_left = job.has_losses and job.division.units_left > 0
+        return is_left and all(worker.job is not job or worker.is_expected for worker in self.workers)
 
     def _start_run(self, worker: RemoteWorker, job: Job) -> None:
-        if job.state is not None and worker.state is not job.state:
+        if job.state is not None and job.state not in worker.states:
             self.send_state(worker, job.state)
         worker.job, worker.is_expected, worker.heard_s = job, True, self._clock_s
         job.division.expect()
-        worker.send("run", job.division.share, None if worker.state is None else worker.state.number)
+        worker.send("run", job.division.share, None if job.state is None else job.state.number)
 
     def _serve(self) -> None:
         """Wait for messages and answer them. Replace workers that have died or given no answer for too long."""
@@ -230,6 +198,8 @@ class PullBackend(Backend):
             self._judged_s = self._clock_s
             for worker in [each for each in self.workers if each.job is not None]:
                 self._judge_silence(worker)
+            if len(self.workers) < self.num_workers:
+                self.start_workers()
         self.look_around()
         self._start_runs()
 
@@ -263,9 +233,8 @@ class PullBackend(Backend):
         ):
             worker.is_told = True
             end = "never replaced" if self.worker_timeout_s is None else f"replaced after {limit_s:.0f} s"
-            self.tell(
-                f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end} (--worker-timeout-s)"
-            )
+            hint = " (--worker-timeout-s)" if issubclass(self.Options, SilenceSettings) else ""
+            self.tell(f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end}{hint}")
 
     def _answer(self, worker: RemoteWorker, message: tuple[Any, ...]) -> None:
         kind, *content = message
@@ -276,7 +245,7 @@ class PullBackend(Backend):
             at_work = [] if job is None else [repr(job.task(number)) for number in list(worker.numbers)[:3]]
             raise WorkerError(f"a worker failed while at work on {', '.join(at_work) or 'nothing yet'}:\n{content[0]}")
         if kind == "ready":
-            worker.is_ready = True
+            worker.is_ready, self._failed_starts = True, 0
         if job is None or kind in ("ready", "started"):
             return
         results = content.pop(0)
@@ -313,7 +282,11 @@ class PullBackend(Backend):
             self._meet(worker)
             worker.job.take_back(lost)
             worst = worker.job.num_losses(lost)
-        self._deaths_in_a_row += 1
+        if not worker.is_ready and any(other.is_ready for other in self.workers):
+            self._failed_starts += 1  # on a node that lacks something, maybe: the others work on
+            self._starts_at = monotonic() + min(2.0**self._failed_starts, _LONGEST_PAUSE_S)
+        else:
+            self._deaths_in_a_row += 1
         silence = f"no answer for {self._silent_s(worker):.0f} s"
         end = f"was ended ({silence})" if is_silent else f"died ({worker.ending})"
         self.tell(f"worker {worker.name} {end}; {len(lost)} tasks are done again")

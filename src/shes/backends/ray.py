@@ -25,7 +25,8 @@ from typing import Annotated, Any, ClassVar
 from shes.backends.backend import WorkerFactory
 from shes.backends.factory import import_path, pickle_factory
 from shes.backends.job import State
-from shes.backends.pull import PullBackend, RemoteWorker, SilenceSettings
+from shes.backends.pull import PullBackend, SilenceSettings
+from shes.backends.remote_worker import RemoteWorker
 from shes.backends.serving import serve, use_one_thread
 from shes.cores import num_cores
 from shes.errors import ConfigError, MissingExtraError
@@ -93,7 +94,7 @@ class RayBackend(PullBackend):
 
     def send_state(self, worker: RemoteWorker, state: State) -> None:
         """Send a reference to `state`, which every node fetches once."""
-        worker.state = state
+        worker.note_state(state)
         worker.send("state", state.number, self._put(state))
 
     def _put(self, state: State) -> Any:
@@ -113,7 +114,12 @@ class RayBackend(PullBackend):
         self._join()
         self._looked_at = monotonic()
         self.num_workers = max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
-        while len(self.workers) < self.num_workers:
+        # Those of a node that was lost, or of CPUs that other work has, would never start.
+        surplus = max(0, len(self.workers) - self.num_workers)
+        for worker in [each for each in self.workers if not each.is_started][:surplus]:
+            self.workers.remove(worker)
+            worker.end()
+        while len(self.workers) < self.num_workers and not self.pauses:
             actor = self._actor.options(scheduling_strategy="SPREAD").remote(self._put(self._factory), import_path())
             self.workers.append(_RayWorker(self._ray, actor, self._events))
 

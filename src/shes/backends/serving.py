@@ -1,6 +1,7 @@
 """The worker's side of a conversation with its parent, over any connection.
 
-A worker answers `("state", number, pickled)` and `("run", share, number)`, whose number is that of the tasks' state.
+A worker answers `("state", number, pickled)` and `("run", share, number)`, whose number is that of the tasks' state. It
+keeps its last two states, of a generation and of the evaluation beside it.
 In a run it asks for tasks by `("want", results, units, enough)`, is given `("tasks", pickled)` or `("end",)`, and
 at last sends `("done", results)`. `results` are the numbered results since its previous message: with hundreds of
 workers the parent's time goes into messages, not into bytes. One that comes more than a second after the previous
@@ -28,6 +29,8 @@ ONE_THREAD: dict[str, str] = dict.fromkeys(
 )
 """Environment variables by which linear algebra has one thread. More threads would change rounding."""
 
+NUM_STATES = 2
+"""Number of states that a worker keeps."""
 KEPT_S = 1.0
 """A result waits for the next message, unless this many seconds have passed since the last one."""
 _CLOSED = (EOFError, BrokenPipeError, ConnectionResetError)
@@ -92,16 +95,24 @@ class _Checked:
 def _serve(connection: Duplex, factory: bytes) -> None:
     worker = unpickle_factory(factory)()
     connection.send(("ready",))
-    state: int | None = None  # number of the last one
+    states: dict[int, Any] = {}
+    state: int | None = None  # number of the one that the worker has
     while True:
         kind, *content = connection.recv()
         if kind == "state":
-            state, pickled = content
-            worker.receive(pickle.loads(pickled))
+            number, pickled = content
+            states[number], state = pickle.loads(pickled), number
+            worker.receive(states[number])
+            if len(states) > NUM_STATES:
+                del states[next(iter(states))]
         elif kind == "run":
             share, wanted = content
-            if state != wanted:
-                raise WorkerError(f"the work needs state {wanted}, and the last that reached this worker is {state}")
+            if wanted is not None and wanted != state:
+                if wanted not in states:
+                    known = ", ".join(map(str, states)) or "none"
+                    raise WorkerError(f"the work needs state {wanted}, and those that reached this worker are {known}")
+                worker.receive(states[wanted])
+                state = wanted
             run = _Run(connection)
             for numbered in worker.run(run, share):
                 run.keep(numbered)

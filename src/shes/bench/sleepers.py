@@ -24,7 +24,7 @@ from shes.backends.backend import WorkerFactory
 from shes.backends.job import State
 from shes.backends.process import SocketWorker
 from shes.backends.processes import ProcessesBackend
-from shes.backends.pull import RemoteWorker
+from shes.backends.remote_worker import RemoteWorker
 from shes.backends.serving import ONE_THREAD, serve
 from shes.backends.work import TaskSource
 from shes.bench.lockstep import Lockstep, StepCost
@@ -127,7 +127,7 @@ class SleepersBackend(ProcessesBackend):
         if worker in self._first_of_nodes:
             super().send_state(worker, state)
         else:
-            worker.state = state
+            worker.note_state(state)
             worker.send("state", state.number, pickle.dumps(None))
 
     def _start_node(self, first: int) -> list[tuple[socket.socket, bool]]:

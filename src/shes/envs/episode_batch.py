@@ -173,6 +173,16 @@ class EpisodeBatch(ABC):
         """Whether the episode has ended by a fall [N]; in an external environment, by a termination without success."""
 
     @property
+    def ends_early(self) -> bool:
+        """Whether an aid of training ends episodes that the task itself would not end; by default not."""
+        return False
+
+    @property
+    def reward_after_end(self) -> F64Array:
+        """Reward of each step up to the horizon that an ended episode no longer makes [N]; 0 unless it `ends_early`."""
+        return self.xp.zeros(self.num_episodes)
+
+    @property
     @abstractmethod
     def diverged(self) -> BoolArray:
         """Whether the physics has diverged since the reset [N]: the episode ends and does not score."""

@@ -32,7 +32,7 @@ def empty_outcomes(num_levels: int, *shape: int) -> Outcomes:
     """
     fields = [
         ("returns", np.float64, (num_levels,)),  # undiscounted return of each level
-        ("environment_returns", np.float64),  # undiscounted return of the environment
+        ("environment_returns", np.float64),  # undiscounted, with `reward_after_end` up to the horizon
         ("score", np.float64),  # test score of the task
         ("success", np.bool_),  # whether the task counts as solved
         ("steps", np.int64),  # environment steps; 0 for an episode that was not run

@@ -237,14 +237,16 @@ class Rollout:
             "final_position": batch.position,
         }
         # A single transfer. float64 represents every count exactly.
-        parts = [part[ids].reshape(len(rows), -1) for part in (self._intrinsic_return, *quantities.values())]
+        extra = (self._intrinsic_return, batch.reward_after_end)
+        parts = [part[ids].reshape(len(rows), -1) for part in (*extra, *quantities.values())]
         found = to_host(np.concatenate([part.astype(np.float64) for part in parts], axis=1))
         ends = np.cumsum([part.shape[1] for part in parts])
-        intrinsic_return, *columns = np.split(found, ends[:-1], axis=1)
+        intrinsic_return, reward_after_end, *columns = np.split(found, ends[:-1], axis=1)
         outcomes = empty_outcomes(len(self.design.dims), len(rows))
         for name, column in zip(quantities, columns, strict=True):
             outcomes[name] = column.reshape(outcomes[name].shape)
         outcomes["steps"] = self._steps[rows]
+        outcomes["environment_returns"] += reward_after_end[:, 0] * (self.horizon - self._steps[rows])
         outcomes["returns"] = outcomes["environment_returns"][:, None]
         if self.design.intrinsic_level is not None:
             outcomes["returns"][:, self.design.intrinsic_level] = intrinsic_return[:, 0]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from queue import SimpleQueue
-from threading import Event, Thread
+from threading import Event, Lock, Thread
 
 from shes.runs.checkpoint import Checkpoint, save_checkpoint
 from shes.runs.tables import Records, Row
@@ -22,7 +22,8 @@ class RunWriter:
         """Begin to write to these tables."""
         self._records = records
         self._waiting: SimpleQueue[Callable[[], None] | Event | None] = SimpleQueue()
-        self._newest: dict[Path, tuple[int, Checkpoint]] = {}
+        self._newest: dict[Path, tuple[int, Checkpoint]] = {}  # of those that wait
+        self._lock = Lock()  # of `_newest`
         self._numbers = count()
         self._error: Exception | None = None
         self._thread = Thread(target=self._write_all, name="shes-writer", daemon=True)
@@ -35,7 +36,8 @@ class RunWriter:
     def save(self, path: Path, checkpoint: Checkpoint) -> None:
         """Let a checkpoint be written; raise StorageError if anything before could not be written."""
         number = next(self._numbers)
-        self._newest[path] = number, checkpoint
+        with self._lock:
+            self._newest[path] = number, checkpoint
         self._put(lambda: self._save(path, number))
 
     def wait(self) -> None:
@@ -61,9 +63,12 @@ class RunWriter:
             raise error
 
     def _save(self, path: Path, number: int) -> None:
-        newest, checkpoint = self._newest[path]
-        if number == newest:  # else it is written later, after the rows that belong to it
-            save_checkpoint(path, checkpoint)
+        with self._lock:
+            newest, checkpoint = self._newest[path]
+            if number != newest:  # it is written later, after the rows that belong to it
+                return
+            del self._newest[path]
+        save_checkpoint(path, checkpoint)
 
     def _write_all(self) -> None:
         """Write until `close`. After an error nothing more is written: a checkpoint needs the rows before it."""

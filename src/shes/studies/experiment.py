@@ -71,7 +71,7 @@ def experiment(
     study = STUDIES[name](scale, seeds)
     out = out or Path("runs") / ("paper" if name in _OF_THE_PAPER else name)
     until = math.inf if budget is None else time() + 3600 * budget
-    num_workers = WorkerSettings(num_workers=num_workers).count
+    at_once = WorkerSettings(num_workers=num_workers).count
     chosen = choose(study, only)
     check_study(study, out)
     left = {cell.name for cell in cells_left(chosen, out)}
@@ -79,7 +79,7 @@ def experiment(
     stopped: list[str] = []
     try:
         with closing(run_study(chosen, out, num_workers=num_workers, backend=backend, until=until)) as outcomes:
-            for outcome in with_progress(chosen, outcomes, left, num_workers, LineConsole().print_line):
+            for outcome in with_progress(chosen, outcomes, left, at_once, LineConsole().print_line):
                 if outcome.error:
                     failed[outcome.cell.name] = outcome.error
                 elif outcome.summary is None:

@@ -63,7 +63,7 @@ _PIECES = (
     *("primitive_view", "symmetry", "goal_encoding", "clock_frequency", "primitive_estimate", "intervals"),
     *("fall_price", "output_weights", "weight_decay", "hold_tied", "controller_view", "controller_output"),
     *("controller_interval", "minimum_goal_distance", "primitive_population_size", "primitive_sigma"),
-    "primitive_learning_rate",
+    *("primitive_learning_rate", "max_tilt"),
 )
 """Settings that are learning changes; the others of a preset say how large networks and population are."""
 OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")

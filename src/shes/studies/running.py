@@ -23,6 +23,7 @@ from shes.backends.processes import ProcessesBackend
 from shes.errors import RunFolderError, ShesError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
+from shes.runs.sections import WorkerSettings
 from shes.runs.tables import Row, read_csv, read_wall_time
 from shes.storage import storage_errors, write_atomically
 from shes.studies.provenance_columns import provenance_columns
@@ -198,7 +199,8 @@ def run_study(
     Args:
         study: The study.
         out: Its folder.
-        num_workers: Number of cells that run at a time; of a study with large runs, the number of workers of each.
+        num_workers: Number of cells that run at a time; of a study with large runs, the number of workers of each. 0 is
+            one for every core, of `backend`'s cluster if it has one.
         backend: Backend of large runs.
         until: Time, as of `time.time`, at which all runs stop.
 
@@ -215,7 +217,7 @@ def run_study(
         check_study(study, out)
         names = {cell.name for cell in cells_left(study, out)}
         left = [tuple(cell for cell in stage if cell.name in names) for stage in study.stages()]
-        size = min(num_workers, max(map(len, left), default=0))
+        size = min(WorkerSettings(num_workers=num_workers).count, max(map(len, left), default=0))
         if not size:
             return
         with ExitStack() as stack:

@@ -18,6 +18,7 @@ from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.listing import Listing, facts_listing
 from shes.runs.device import check_asked_device
+from shes.runs.folder import RunFolder
 from shes.runs.log import logger
 from shes.settings import Ge
 from shes.training.build import build_backend, open_run
@@ -173,7 +174,8 @@ def evaluate(
         run: The run folder, or the name of a shipped agent.
         episodes: Number of episodes.
         checkpoint: Checkpoint: `best`, `last` or the number of a generation.
-        num_workers: Worker processes; 0 is one for every core. Does not change results.
+        num_workers: Worker processes on this machine, wherever the run was trained; 0 is one for every core. Does not
+            change results.
         device: Device of the physics, whichever the run was trained on.
         nconmax: Contact buffer of a device, per simulation; that of the run if none.
         njmax: Constraint buffer of a device, in rows per simulation; that of the run if none.
@@ -189,7 +191,9 @@ def evaluate(
         MissingExtraError: The device needs a package that is not installed.
     """
     buffers = {name: size for name, size in (("nconmax", nconmax), ("njmax", njmax)) if size is not None}
-    execution = {"num_workers": num_workers, "device": device, **buffers}
+    execution: dict[str, Any] = {"num_workers": num_workers, "device": device, **buffers}
+    if device == "cpu" and RunFolder.open(run).read_config().workers.backend != "serial":
+        execution["backend"] = "processes"  # the cluster that trained the run need not be there
     opened = open_run(run, checkpoint, **execution, evaluation_episodes=episodes)
     check_asked_device(opened.config, execution)
     workload = Workload.of(opened.config, is_evaluation=True)

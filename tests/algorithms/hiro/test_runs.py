@@ -141,6 +141,7 @@ def test_a_level_of_hiro_is_not_transferred(untrained):
         ("hiro", "point-maze", {"replay_size": 10**12}, r"replay_size is 1,000,000,000,000.*Set --replay-size \d+ or"),
         ("td3", "point-maze", {"generation_steps": 10**14}, r"GB are free\. Set --generation-steps lower"),
         ("td3", "point-maze", {"sigma": 0.1}, "sigma is not a setting of a run of point-maze with algorithm 'td3'"),
+        ("hiro", "ant-push", {"max_tilt": 60.0}, r"max_tilt ends episodes of ant-push that .*Omit --max-tilt"),
         ("hiro", "point-maze", {"discount": 1.0}, r"discount must be .*less than 1"),
     ],
 )

@@ -71,6 +71,7 @@ _ANT_TO_TARGET = {
     "hidden": (32,),
     "controller_view": "position",
     "controller_output": "direction",
+    "max_tilt": 60.0,
     "generations": 200,
 }
 

@@ -32,6 +32,11 @@ def check_problem(problem: Problem) -> EpisodeBatch:
             "hidden must be at least one layer, because a linear critic cannot rank actions. Set --hidden."
         )
     task = problem.sample()
+    if task.ends_early:
+        raise ConfigError(
+            f"max_tilt ends episodes of {problem.name} that the task does not end; every reward there is negative, so "
+            f"that {problem.settings.run.algorithm} would learn to fall. Omit --max-tilt, or set --algorithm shes."
+        )
     if np.issubdtype(task.reader.to_action(np.zeros((1, task.action_size))).dtype, np.integer):
         raise ConfigError(
             f"the actions of {problem.name} are discrete, but TD3 needs continuous ones. Set --algorithm es."

@@ -13,7 +13,7 @@ from shes.envs.bodies.body import Body
 from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
-from shes.envs.tasks.task_options import Coordinates, TaskOptions
+from shes.envs.tasks.task_options import Coordinates, FallOptions, TaskOptions
 from shes.envs.worlds import Grid, add_grid, empty_world
 from shes.errors import ConfigError
 from shes.host_arrays import to_host
@@ -26,7 +26,7 @@ PASSED_DISTANCE_M = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class TargetOptions(TaskOptions):
+class TargetOptions(FallOptions):
     """Options of a task with a target."""
 
     target: Coordinates | None = None
@@ -148,6 +148,26 @@ class TargetTask(Task):
         for axis in range(1, offset.shape[1]):
             total = total + offset[:, axis]
         return np.sqrt(total)
+
+    @property
+    def terminated(self) -> BoolArray:
+        """Whether the robot has tilted by more than `max_tilt` [N]: in training alone, and never without it."""
+        return self.tilts_too_far() if self.ends_early else super().terminated
+
+    @property
+    def ends_early(self) -> bool:
+        """Whether a fall ends episodes: in training with `max_tilt`."""
+        return self._min_cos_tilt is not None
+
+    @property
+    def fallen(self) -> BoolArray:
+        """Whether the robot's fall has ended the episode [N]: nothing else ends one."""
+        return self.terminated
+
+    @property
+    def reward_after_end(self) -> F64Array:
+        """The last reward of a robot that has fallen [N]: it would stay where it is."""
+        return np.where(self.terminated, self.reward, 0.0)
 
     @property
     def success(self) -> BoolArray:

@@ -51,10 +51,12 @@ class TaskOptions(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class FallOptions(TaskOptions):
-    """Options of a task that ends when the robot falls over."""
+    """Options of a task in which an episode of training can end by a fall."""
 
     max_tilt: Annotated[float | None, Gt(0), Lt(180)] = None
     """Degrees of tilt of the torso beyond which an episode of training ends as a fall; help for training only. By the
     published rule an ant on its back has not fallen, because its torso is higher than 0.2 m. Evaluation does not use
-    it; an environment of Gymnasium always does.
+    it; an environment of Gymnasium always does. In Maze, Push and Fall, where no fall ends an episode and every reward
+    is negative, the evolution strategies count the reward of that step for each of the steps left, so that nothing is
+    gained by a fall.
     """

@@ -1,13 +1,13 @@
-"""Ant Gather from nothing, over seeds and ways: `python benchmarks/gather_seeds.py --out runs/gather`.
+"""Tasks of the ant from nothing, over seeds and ways: `python benchmarks/seeds.py gather --out runs/gather`.
 
-- `transfer`: a walker (`shes train ant-flagrun`), then a controller on it (`shes train ant-gather --primitive WALKER
-  --generations 60`).
+- `transfer`: a walker (`shes train ant-flagrun`, for Push and Fall with `--stiff-contacts`), then a controller on it
+  (`shes train ant-gather --primitive WALKER --generations 60`).
 - `coevolved`: both levels together (`shes train ant-gather`).
 
 Every run can be interrupted at any time: the same command goes on. `--results FOLDER` also writes the tables:
 `gather_runs.csv` (best checkpoint of each run over 200 fresh episodes of the task as specified; environment steps and
-wall-clock include the walker's) and `gather_curves.csv` (every evaluation). Five to ten minutes of two cores for each
-seed and way.
+wall-clock include the walker's) and `gather_curves.csv` (every evaluation). In Gather five to ten minutes of two cores
+for each seed and way, in the others ten to twenty.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from shes.training.train import finish_run
 EPISODES = 200
 """Fresh episodes on which the best checkpoint of a run is evaluated."""
 WAYS = ("transfer", "coevolved")
+WALKERS = {"gather": {}, "maze": {}, "push": {"stiff_contacts": True}, "fall": {"stiff_contacts": True}}
+"""Settings of the walker, by task."""
 
 
 def finished(env: str, path: Path, **settings: Any) -> Path:
@@ -35,12 +37,12 @@ def finished(env: str, path: Path, **settings: Any) -> Path:
     return path
 
 
-def runs(way: str, seed: int, out: Path) -> list[Path]:
-    """Return the runs of a seed, which are finished first; the one that collects is last."""
+def runs(task: str, way: str, seed: int, out: Path) -> list[Path]:
+    """Return the runs of a seed, which are finished first; that of the task is last."""
     if way == "coevolved":
-        return [finished("ant-gather", out / way / f"seed_{seed}", seed=seed)]
-    walker = finished("ant-flagrun", out / "walker" / f"seed_{seed}", seed=seed)
-    return [walker, finished("ant-gather", out / way / f"seed_{seed}", seed=seed, primitive=walker, generations=60)]
+        return [finished(f"ant-{task}", out / way / f"seed_{seed}", seed=seed)]
+    walker = finished("ant-flagrun", out / "walker" / f"seed_{seed}", seed=seed, **WALKERS[task])
+    return [walker, finished(f"ant-{task}", out / way / f"seed_{seed}", seed=seed, primitive=walker, generations=60)]
 
 
 def results(way: str, seed: int, paths: list[Path]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -56,7 +58,10 @@ def results(way: str, seed: int, paths: list[Path]) -> tuple[dict[str, Any], lis
         "generations": int(tables[-1]["generation"][-1]),
         "env_steps": before_steps + int(tables[-1]["env_steps"][-1]),
         "wall_time_s": round(before_s + read_wall_time(RunFolder(paths[-1]).progress)),
-        **{name: summary[name] for name in ("score_mean", "score_std", "return_mean", "episode_steps_mean")},
+        **{
+            name: summary[name]
+            for name in ("score_mean", "score_std", "success_rate", "return_mean", "episode_steps_mean")
+        },
     }
     table = read_csv(paths[-1] / "evaluation.csv")
     names = ("generation", "env_steps", "wall_time_s", "score_mean", "score_std")
@@ -73,7 +78,8 @@ def results(way: str, seed: int, paths: list[Path]) -> tuple[dict[str, Any], lis
 def main() -> None:
     """Train what is left of the runs asked for, then write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("runs/gather"), help="folder of the runs")
+    parser.add_argument("task", choices=tuple(WALKERS))
+    parser.add_argument("--out", type=Path, help="folder of the runs; by default runs/TASK")
     parser.add_argument("--only", nargs="+", choices=WAYS, default=list(WAYS), help="ways to train")
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(1, 6)), help="seeds")
     parser.add_argument("--results", type=Path, help="folder of the tables")
@@ -81,14 +87,14 @@ def main() -> None:
     rows, curves = [], []
     for way in asked.only:
         for seed in asked.seeds:
-            row, curve = results(way, seed, runs(way, seed, asked.out))
+            row, curve = results(way, seed, runs(asked.task, way, seed, asked.out or Path("runs") / asked.task))
             print(f"{way}, seed {seed}: score {row['score_mean']:.2f} after {row['wall_time_s']} s", flush=True)
             rows.append(row)
             curves += curve
     if asked.results is not None:
         asked.results.mkdir(parents=True, exist_ok=True)
-        write_csv(asked.results / "gather_runs.csv", rows)
-        write_csv(asked.results / "gather_curves.csv", curves)
+        write_csv(asked.results / f"{asked.task}_runs.csv", rows)
+        write_csv(asked.results / f"{asked.task}_curves.csv", curves)
 
 
 if __name__ == "__main__":
