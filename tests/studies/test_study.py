@@ -266,11 +266,12 @@ def test_a_run_with_a_time_limit_of_its_own_is_finished_when_it_is_over(tmp_path
     assert 1 <= run_cell(limited, tmp_path, 3).row["generations"] < 100
 
 
-def test_large_runs_have_all_workers_and_the_same_numbers(tmp_path, finished):
+@pytest.mark.parametrize("num_workers", [2, 0])  # 0 is for the backend to resolve: a cluster has cores of its own
+def test_large_runs_have_all_workers_and_the_same_numbers(tmp_path, finished, num_workers):
     study = Study(cells=(cell(),), episodes=3, has_large_runs=True)
-    (outcome,) = run_study(study, tmp_path, num_workers=2)
+    (outcome,) = run_study(study, tmp_path, num_workers=num_workers)
     assert without_seconds(outcome.summary) == without_seconds(finished[1])
-    assert RunFolder(tmp_path / cell().name).read_config().values["num_workers"] == 2
+    assert RunFolder(tmp_path / cell().name).read_config().values["num_workers"] == num_workers
 
 
 def test_an_error_nobody_expected_is_an_outcome_with_its_traceback(monkeypatch, tmp_path, in_this_process):
