@@ -80,7 +80,7 @@ def ways(course: Course) -> dict[str, tuple[dict[str, Any], ...]]:
 
     Parts share the generations, and each continues with the controller of the one before.
     """
-    random = {"target": None, "waypoints": None}
+    random = {"target": None, "waypoints": None, "max_tilt": None}
     own = random | {"target": course.target}
     guided = own | {"waypoints": course.waypoints}
     return {

@@ -307,6 +307,23 @@ def test_a_worker_that_dies_at_its_start_beside_others_is_replaced_after_a_while
     assert fourth - third >= 1.5
 
 
+def test_a_worker_that_was_ended_while_its_message_waited_is_not_asked_for_it(monkeypatch):
+    with noted(ProcessesBackend(Worker, 1)) as backend:
+        backend.broadcast(100)
+        (pid,) = backend.pids()
+        wait = backend.ready_workers
+
+        def find_the_dead_twice(timeout_s):
+            found = list(wait(timeout_s))
+            return [*found, *[worker for worker in found if worker.popen.pid == pid]]
+
+        list(backend.map([("add", 1)]))
+        monkeypatch.setattr(backend, "ready_workers", find_the_dead_twice)
+        os.kill(pid, signal.SIGKILL)
+        assert list(backend.map([("add", i) for i in range(3)])) == [100, 101, 102]
+        assert len(backend.told) == 1
+
+
 def test_a_worker_that_has_not_started_is_sent_no_state_but_that_of_its_work():
     with noted(ProcessesBackend(Worker, 1)) as backend:
         (worker,) = backend.workers

@@ -86,6 +86,13 @@ def test_targets_of_training_may_be_asked_for(tmp_path):
         evaluate(run, targets="train")
 
 
+def test_the_targets_of_training_come_without_its_falls(tmp_path):
+    run = runs.train_tiny(tmp_path / "run", "ant-maze", max_tilt=0.5)
+    assert np.mean(read_csv(run / "progress.csv")["terminated_rate"]) > 0.5
+    found = evaluate(run, episodes=3, num_workers=1, targets="training")
+    assert set(found.steps) == {RunFolder(run).read_config().episodes.horizon}
+
+
 def test_checkpoints_are_evaluated_apart(tiny_run):
     assert not same(evaluate(tiny_run, episodes=4, checkpoint="0"), evaluate(tiny_run, episodes=4, checkpoint="last"))
     assert same(evaluate(tiny_run, episodes=4, checkpoint="4"), evaluate(tiny_run, episodes=4, checkpoint="last"))

@@ -35,7 +35,7 @@ _HELD: list[MpiBackend] = []
 
 
 class MpiBackend(PullBackend):
-    """One worker per MPI rank except the first; --workers sets the threads of the gradient alone."""
+    """One worker per MPI rank except the first; --workers sets only how many threads compute the gradient."""
 
     Options: ClassVar[type[Settings]] = WarningSettings
 
@@ -132,7 +132,7 @@ class MpiBackend(PullBackend):
             self._look_at_ranks()
             if not is_told and monotonic() >= begin + (self.worker_warning_s or 0.0):
                 is_told = True
-                self.tell(f"{what_is_late()} after {monotonic() - begin:.0f} s; the run waits for it")
+                self.tell(f"{what_is_late()} after {monotonic() - begin:.0f} s; the run waits")
             sleep(nap_s)
 
     def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:

@@ -72,7 +72,7 @@ class ProcessesBackend(PullBackend):
 
     def start_missing(self) -> None:
         """Start workers until there are `num_workers`; a subclass may prepare them. Raises OSError."""
-        while len(self.workers) < self.num_workers and not self.pauses:
+        while len(self.workers) < self.num_workers:
             worker = self.start_worker()
             self.workers.append(worker)
             self._selector.register(worker.connection, EVENT_READ, worker)

@@ -23,8 +23,8 @@ MAX_LOSSES = 3
 """The run ends when this many workers died on one unit of work, or as many per worker in a row without a result."""
 _TOLD_AT, _REPLACED_AT = 2, 10
 """A silent worker is reported or replaced only after this multiple of the longest silence that ended with a result."""
-_LONGEST_PAUSE_S = 60.0
-"""Longest pause before workers are started again where they die before they are ready."""
+_SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 60.0
+"""Pause before workers are started again, if others died before they were ready; it doubles each time."""
 _PATIENCE = 4
 """Factor of the limit after each loss of the same task, or each loss in a row: maybe the work just takes long."""
 _TICK_S = 1.0
@@ -66,7 +66,7 @@ class PullBackend(Backend):
         self._longest_s = 0.0  # of the silences that ended with a result
         self._deaths_in_a_row = 0
         self._most_workers = 0  # a cluster that has lost a node has fewer
-        self._failed_starts = 0  # in a row, while other workers were ready
+        self._pause_s = _SHORTEST_PAUSE_S
         self._starts_at = 0.0  # when the next workers may start
         self._state: State | None = None  # the last broadcast
         self._beside: list[Job] = []  # to be done beside the next `map`
@@ -76,15 +76,17 @@ class PullBackend(Backend):
 
     @abstractmethod
     def start_workers(self) -> None:
-        """Start the workers that are missing from `workers`: at first, after a loss, and before work.
-
-        None is missing while `pauses`.
-        """
+        """Start the workers that are missing from `workers`: at first, after a loss, and before work."""
 
     @property
     def pauses(self) -> bool:
         """Whether workers have died before they were ready, so that others are started only after a while."""
         return bool(self.workers) and monotonic() < self._starts_at
+
+    def _restart_workers(self) -> None:
+        """Start the workers that are missing, unless it `pauses`."""
+        if not self.pauses:
+            self.start_workers()
 
     @abstractmethod
     def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:
@@ -97,7 +99,7 @@ class PullBackend(Backend):
     def broadcast(self, state: Any) -> None:
         """Send `state` to every worker, and later to those that are in another run or have not started."""
         self._state = State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL))
-        self.start_workers()
+        self._restart_workers()
         for worker in self.workers:
             if worker.job is None and worker.is_started:
                 self.send_state(worker, self._state)
@@ -130,7 +132,7 @@ class PullBackend(Backend):
         self._jobs = list(jobs)
         self._beside = [job for job in self._beside if job not in self._jobs]
         try:
-            self.start_workers()
+            self._restart_workers()
             self._start_runs()
             while not all(job.is_done for job in self._jobs):
                 self._serve()
@@ -183,6 +185,8 @@ class PullBackend(Backend):
         # Time in which this process has been stopped, for example by Ctrl-Z together with its workers, does not count.
         self._clock_s += min(monotonic() - start, self._tick_s)
         for worker in ready:
+            if worker.is_ended:  # meanwhile
+                continue
             try:
                 messages = worker.receive()
             except BlockingIOError:  # it was stopped while it sent a message
@@ -199,7 +203,7 @@ class PullBackend(Backend):
             for worker in [each for each in self.workers if each.job is not None]:
                 self._judge_silence(worker)
             if len(self.workers) < self.num_workers:
-                self.start_workers()
+                self._restart_workers()
         self.look_around()
         self._start_runs()
 
@@ -245,7 +249,7 @@ class PullBackend(Backend):
             at_work = [] if job is None else [repr(job.task(number)) for number in list(worker.numbers)[:3]]
             raise WorkerError(f"a worker failed while at work on {', '.join(at_work) or 'nothing yet'}:\n{content[0]}")
         if kind == "ready":
-            worker.is_ready, self._failed_starts = True, 0
+            worker.is_ready, self._pause_s = True, _SHORTEST_PAUSE_S
         if job is None or kind in ("ready", "started"):
             return
         results = content.pop(0)
@@ -275,6 +279,7 @@ class PullBackend(Backend):
         """Replace a worker that died or is silent, and hand out its tasks before all others."""
         self._most_workers = max(self._most_workers, len(self.workers))
         self.workers.remove(worker)
+        worker.is_ended = True
         self.end_worker(worker)
         lost = tuple(worker.numbers)
         worst = 0
@@ -283,8 +288,9 @@ class PullBackend(Backend):
             worker.job.take_back(lost)
             worst = worker.job.num_losses(lost)
         if not worker.is_ready and any(other.is_ready for other in self.workers):
-            self._failed_starts += 1  # on a node that lacks something, maybe: the others work on
-            self._starts_at = monotonic() + min(2.0**self._failed_starts, _LONGEST_PAUSE_S)
+            if not self.pauses:  # on a node that lacks something, maybe: the others work on
+                self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+                self._starts_at = monotonic() + self._pause_s
         else:
             self._deaths_in_a_row += 1
         silence = f"no answer for {self._silent_s(worker):.0f} s"
@@ -297,7 +303,7 @@ class PullBackend(Backend):
                 f"workers keep {fault} {f'on the same task, {worst} times' if worst else 'at once'}. "
                 f"{advice} Everything up to the last checkpoint is kept."
             )
-        self.start_workers()
+        self._restart_workers()
         self._start_runs()
 
     def end_worker(self, worker: RemoteWorker) -> None:

@@ -114,18 +114,19 @@ class RayBackend(PullBackend):
         self._join()
         self._looked_at = monotonic()
         self.num_workers = max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
-        # Those of a node that was lost, or of CPUs that other work has, would never start.
+        # Those that wait for a CPU of a node that was lost would never start.
         surplus = max(0, len(self.workers) - self.num_workers)
         for worker in [each for each in self.workers if not each.is_started][:surplus]:
             self.workers.remove(worker)
+            worker.is_ended = True
             worker.end()
-        while len(self.workers) < self.num_workers and not self.pauses:
+        while len(self.workers) < self.num_workers:
             actor = self._actor.options(scheduling_strategy="SPREAD").remote(self._put(self._factory), import_path())
             self.workers.append(_RayWorker(self._ray, actor, self._events))
 
     def look_around(self) -> None:
         """Now and then, use the nodes that have joined the cluster. Tell of one that has no CPU for any worker."""
-        if monotonic() >= self._looked_at + _LOOK_S:
+        if monotonic() >= self._looked_at + _LOOK_S and not self.pauses:
             self.start_workers()
         if any(worker.is_started for worker in self.workers):
             self._waits_since = None

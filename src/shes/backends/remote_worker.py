@@ -17,6 +17,8 @@ class RemoteWorker(ABC):
         """Begin without work."""
         self.is_started = True
         """Whether a process for it exists; if not, it waits for a core of the cluster."""
+        self.is_ended = False
+        """Whether it has left the backend's workers."""
         self.is_ready = False
         """Whether it has said that it is ready."""
         self.job: Job | None = None

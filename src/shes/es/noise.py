@@ -158,11 +158,8 @@ class NoiseTable:
         size, seed = int(named[1]), int(named[2])
         if cls._begins_right(path, size, seed):
             return cls.open_file(path)
-        own = _path(size, seed)
-        with _alone(default_cache_dir()):
-            if not (cls._begins_right(own, size, seed) and _checksums(own).exists()):
-                cls.open(size, seed)
-        return cls.open_file(own)
+        with _alone(default_cache_dir()):  # the others wait for the table, which every one of them checks
+            return cls.open(size, seed)
 
     @classmethod
     def open_file(cls, path: Path) -> NoiseTable:

@@ -106,13 +106,14 @@ def _minutes(folder: RunFolder) -> float:
 
 def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> CellResults:
     """Evaluate a finished run and return its summary."""
-    last = folder.load("last")
+    last, workers = folder.load("last"), folder.read_config().workers
+    is_local = workers.backend in ("processes", "serial")
     row: Row = {
         **cell.identity,
         "generations": last.generation,
         "env_steps": last.env_steps,
         "seconds": read_csv(folder.progress)["wall_time_s"][-1],
-        "workers": folder.read_config().workers.count,
+        "workers": workers.count if is_local else workers.num_workers,  # 0 is all of a cluster
     }
     for checkpoint in CHECKPOINTS:
         found = evaluate(folder.path, episodes=episodes, checkpoint=checkpoint, num_workers=1).summary()

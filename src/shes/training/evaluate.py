@@ -13,6 +13,7 @@ from shes.algorithms.contract import Algorithm, AnyState
 from shes.algorithms.roll_out import RollOutBeside
 from shes.backends.backend import Backend
 from shes.checked import checked
+from shes.envs.tasks.task_options import FallOptions
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
@@ -200,7 +201,8 @@ def evaluate(
     check_limits(workload, opened.algorithm.design, {"evaluation_episodes": "episodes"})
     plan = opened.algorithm.plan()
     if targets == "training":
-        plan = replace(plan, evaluation=plan.training)
+        own = {"max_tilt": None} if isinstance(plan.training, FallOptions) else {}  # no target of training
+        plan = replace(plan, evaluation=replace(plan.training, **own))
     with build_backend(opened.config, plan, workload.most_episodes) as backend:
         backend.on_event = logger.warning  # of silent or lost workers; on standard error, unless logging is set up
         found = evaluate_state(opened.algorithm, opened.state, fresh_seeds(opened.state, episodes, seed), backend)

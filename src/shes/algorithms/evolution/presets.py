@@ -72,7 +72,7 @@ _ANT_TO_TARGET = {
     "controller_view": "position",
     "controller_output": "direction",
     "max_tilt": 60.0,
-    "generations": 200,
+    "generations": 100,
 }
 
 _WAYS: Mapping[str, Mapping[str, Any]] = {

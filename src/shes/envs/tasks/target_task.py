@@ -150,24 +150,24 @@ class TargetTask(Task):
         return np.sqrt(total)
 
     @property
-    def terminated(self) -> BoolArray:
-        """Whether the robot has tilted by more than `max_tilt` [N]: in training alone, and never without it."""
-        return self.tilts_too_far() if self.ends_early else super().terminated
-
-    @property
     def ends_early(self) -> bool:
         """Whether a fall ends episodes: in training with `max_tilt`."""
         return self._min_cos_tilt is not None
 
     @property
     def fallen(self) -> BoolArray:
-        """Whether the robot's fall has ended the episode [N]: nothing else ends one."""
-        return self.terminated
+        """Whether the robot has tilted by more than `max_tilt` [N]: in training alone, and never without it."""
+        return self.tilts_too_far() if self.ends_early else self.xp.zeros(self.num_episodes, dtype=np.bool_)
+
+    @property
+    def terminated(self) -> BoolArray:
+        """Whether the episode has ended [N]: by a fall, or never."""
+        return self.fallen
 
     @property
     def reward_after_end(self) -> F64Array:
         """The last reward of a robot that has fallen [N]: it would stay where it is."""
-        return np.where(self.terminated, self.reward, 0.0)
+        return np.where(self.fallen, self.reward, 0.0)
 
     @property
     def success(self) -> BoolArray:

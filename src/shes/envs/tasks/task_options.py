@@ -57,6 +57,6 @@ class FallOptions(TaskOptions):
     """Degrees of tilt of the torso beyond which an episode of training ends as a fall; help for training only. By the
     published rule an ant on its back has not fallen, because its torso is higher than 0.2 m. Evaluation does not use
     it; an environment of Gymnasium always does. In Maze, Push and Fall, where no fall ends an episode and every reward
-    is negative, the evolution strategies count the reward of that step for each of the steps left, so that nothing is
-    gained by a fall.
+    is negative, the evolution strategies count the reward of that step for each of the steps left, so that a
+    controller gains nothing by a fall.
     """
