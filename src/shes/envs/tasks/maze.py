@@ -34,7 +34,7 @@ class MazeOptions(TargetOptions):
         if self.waypoints is not None and self.target is None and not self.evaluation:
             raise ConfigError(
                 f"waypoints {self.waypoints} need a fixed target, but the training target is random. "
-                f"Set --target, e.g. --target {' '.join(f'{x:g}' for x in Maze.own_target)}."
+                f"Set --target, e.g. --target {' '.join(f'{x:g}' for x in Maze.own_target)}, or --waypoints none."
             )
 
 
