@@ -99,7 +99,7 @@ def test_a_waypoint_has_as_many_coordinates_as_the_target(name, wrong):
 
 
 def test_waypoints_need_a_fixed_target_in_training():
-    with pytest.raises(ConfigError, match=r"waypoints \(8.0, 0.0\) need a fixed target.* --target 0 16, or --waypoints none\."):
+    with pytest.raises(ConfigError, match=r"waypoints \(8.0, 0.0\) need a fixed target.* 0 16, or --waypoints none\."):
         MazeOptions(waypoints=(8.0, 0.0))
     MazeOptions(waypoints=(8.0, 0.0), evaluation=True)
 
