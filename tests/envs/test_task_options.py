@@ -129,40 +129,44 @@ def test_the_reward_is_the_way_left_through_the_waypoints_and_evaluation_ignores
     assert evaluated.update_features().tolist() == [-5]
 
 
+TILTS = np.deg2rad([0, 44, 46, 180, -46])
+over_tilt_limits = pytest.mark.parametrize(
+    ("limit", "evaluation", "expected"),
+    [(45.0, False, [False, False, True, True, True]), (45.0, True, [False] * 5), (None, False, [False] * 5)],
+)
+
+
+def tilted(name, limit, evaluation):
+    """Return a task whose robots tilt by `TILTS`."""
+    task = make_task(name, len(TILTS), ENVIRONMENTS[name].options(max_tilt=limit, evaluation=evaluation))
+    task.reset(np.arange(len(TILTS)), range(len(TILTS)))
+    task.sim.qpos[:, 3:7] = np.stack([np.cos(TILTS / 2), 0 * TILTS, np.sin(TILTS / 2), 0 * TILTS], axis=1)
+    return task
+
+
+@over_tilt_limits
 @pytest.mark.parametrize("name", ["ant-flagrun", "ant-gather"])
-def test_a_robot_that_tilts_too_far_has_fallen_in_training_alone(name):
-    kind, tilts = ENVIRONMENTS[name].options, np.deg2rad([0, 44, 46, 180, -46])
-    for limit, evaluation, expected in [
-        (45.0, False, [False, False, True, True, True]),
-        (45.0, True, [False] * 5),
-        (None, False, [False] * 5),
-    ]:
-        task = make_task(name, len(tilts), kind(max_tilt=limit, evaluation=evaluation))
-        task.reset(np.arange(len(tilts)), range(len(tilts)))
-        task.sim.qpos[:, 3:7] = np.stack([np.cos(tilts / 2), 0 * tilts, np.sin(tilts / 2), 0 * tilts], axis=1)
-        assert task.terminated.tolist() == task.fallen.tolist() == expected
-        task.sim.qpos[:, 2] = 0.1  # as specified: the torso lies on the floor
-        assert task.terminated.all()
-    env = gymnasium.make({"ant-flagrun": "shes/AntFlagrun-v0", "ant-gather": "shes/AntGather-v0"}[name], max_tilt=60.0)
-    assert env.unwrapped._adapter.task._min_cos_tilt == pytest.approx(0.5)
+def test_a_robot_that_tilts_too_far_has_fallen_in_training_alone(name, limit, evaluation, expected):
+    task = tilted(name, limit, evaluation)
+    assert task.terminated.tolist() == task.fallen.tolist() == expected
+    task.sim.qpos[:, 2] = 0.1  # as specified: the torso lies on the floor
+    assert task.terminated.all()
 
 
+@pytest.mark.parametrize("env_id", ["shes/AntFlagrun-v0", "shes/AntGather-v0"])
+def test_an_environment_of_gymnasium_has_the_limit_of_the_tilt(env_id):
+    assert gymnasium.make(env_id, max_tilt=60.0).unwrapped._adapter.task._min_cos_tilt == pytest.approx(0.5)
+
+
+@over_tilt_limits
 @pytest.mark.parametrize("name", ["ant-maze", "ant-push", "ant-fall"])
-def test_a_tilt_ends_an_episode_of_a_task_with_a_target_in_training_alone_and_the_robot_stays(name):
-    kind, tilts = ENVIRONMENTS[name].options, np.deg2rad([0, 44, 46, 180, -46])
-    for limit, evaluation, expected in [
-        (45.0, False, [False, False, True, True, True]),
-        (45.0, True, [False] * 5),
-        (None, False, [False] * 5),
-    ]:
-        task = make_task(name, len(tilts), kind(max_tilt=limit, evaluation=evaluation))
-        task.reset(np.arange(len(tilts)), range(len(tilts)))
-        assert task.ends_early == any(expected)
-        task.reward[:] = -7
-        task.sim.qpos[:, 3:7] = np.stack([np.cos(tilts / 2), 0 * tilts, np.sin(tilts / 2), 0 * tilts], axis=1)
-        task.sim.qpos[:, 2] -= 0.5  # in these tasks a height is no fall
-        assert task.terminated.tolist() == task.fallen.tolist() == expected
-        assert task.reward_after_end.tolist() == (-7.0 * np.array(expected)).tolist()
+def test_where_only_a_tilt_ends_an_episode_the_robot_stays_where_it_fell(name, limit, evaluation, expected):
+    task = tilted(name, limit, evaluation)
+    assert task.ends_early == any(expected)
+    task.reward[:] = -7
+    task.sim.qpos[:, 2] -= 0.5  # in these tasks a height is no fall
+    assert task.terminated.tolist() == task.fallen.tolist() == expected
+    assert task.reward_after_end.tolist() == (-7.0 * np.array(expected)).tolist()
 
 
 @pytest.mark.parametrize(("evaluation", "reward"), [(False, -10), (True, 0)])
