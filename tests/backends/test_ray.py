@@ -142,6 +142,16 @@ def test_a_state_is_stored_once_for_all_workers(backend, monkeypatch):
 
 
 @pytest.mark.extras
+def test_the_cluster_keeps_no_record_of_calls(backend):
+    import ray
+
+    list(backend.map([("where", 0.01)] * 20))
+    ray.get(ray.remote(num_cpus=0)(os.getpid).remote())
+    assert wait_until(lambda: "task::getpid" in str(ray.timeline()))  # of other tasks there is one
+    assert "RayActor" not in str(ray.timeline())
+
+
+@pytest.mark.extras
 def test_a_worker_that_dies_is_told_of_and_replaced_and_its_tasks_are_done_again(backend, tmp_path):
     tasks = [("add", 1), ("die_once", tmp_path / "marker"), *[("add", i) for i in range(2, 30)]]
     assert list(backend.map(tasks)) == [101, 100, *range(102, 130)]

@@ -70,7 +70,9 @@ class RayBackend(PullBackend):
         self._factory = State(pickle_factory(factory))
         self._ray = _import_ray()
         self._has_joined = False
-        self._actor = self._ray.remote(num_cpus=1, max_restarts=0, concurrency_groups={"out": 1})(RayActor)
+        # Ray's head node would keep a record of every call, 3 kB each for the last 100,000.
+        options = {"num_cpus": 1, "max_restarts": 0, "concurrency_groups": {"out": 1}, "enable_task_events": False}
+        self._actor = self._ray.remote(**options)(RayActor)
         self._events: SimpleQueue[_RayWorker] = SimpleQueue()
         self._looked_at = 0.0
         self._waits_since: float | None = None
