@@ -1,5 +1,6 @@
 """The ray backend on a cluster of two nodes on this machine: the same numbers, whatever happens to the nodes."""
 
+import os
 import re
 import sys
 import types
@@ -147,7 +148,7 @@ def test_the_cluster_keeps_no_record_of_calls(backend):
 
     list(backend.map([("where", 0.01)] * 20))
     ray.get(ray.remote(num_cpus=0)(os.getpid).remote())
-    assert wait_until(lambda: "task::getpid" in str(ray.timeline()))  # of other tasks there is one
+    runs.wait_until(lambda: "task::getpid" in str(ray.timeline()), "the record of another task")
     assert "RayActor" not in str(ray.timeline())
 
 

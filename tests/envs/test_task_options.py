@@ -160,13 +160,14 @@ def test_an_environment_of_gymnasium_has_the_limit_of_the_tilt(env_id):
 
 @over_tilt_limits
 @pytest.mark.parametrize("name", ["ant-maze", "ant-push", "ant-fall"])
-def test_where_only_a_tilt_ends_an_episode_the_robot_stays_where_it_fell(name, limit, evaluation, expected):
+def test_where_falls_end_episodes_of_training_alone_the_robot_stays_where_it_fell(name, limit, evaluation, expected):
     task = tilted(name, limit, evaluation)
     assert task.ends_early == any(expected)
     task.reward[:] = -7
-    task.sim.qpos[:, 2] -= 0.5  # in these tasks a height is no fall
     assert task.terminated.tolist() == task.fallen.tolist() == expected
     assert task.reward_after_end.tolist() == (-7.0 * np.array(expected)).tolist()
+    task.sim.qpos[:, 2] -= 0.6  # the torso lies on the floor
+    assert task.terminated.tolist() == task.fallen.tolist() == [task.ends_early] * len(TILTS)
 
 
 @pytest.mark.parametrize(("evaluation", "reward"), [(False, -10), (True, 0)])

@@ -25,7 +25,7 @@ LOWER_M = 0.4
 """Extent along x and along y of the ankle's capsule."""
 HIP_RANGE_DEG = (-30.0, 30.0)
 HEALTHY_Z_M = (0.2, 1.0)
-"""The ant has fallen when its torso leaves this range."""
+"""The ant has fallen when its torso leaves this range of heights above the ground."""
 
 # leg: (sign of x, sign of y, ankle axis, ankle range in degrees)
 _LEGS = {
@@ -104,9 +104,9 @@ class Ant(Body):
         """Return the angle [N] in the xy plane of the torso's x axis, in radians."""
         return yaw(qpos[..., 3:7])
 
-    def fallen(self, qpos: F64Array) -> BoolArray:
-        """Return whether the torso's height is outside `HEALTHY_Z_M` [N]."""
-        height = qpos[..., 2]
+    def fallen(self, qpos: F64Array, ground_m: float = 0.0) -> BoolArray:
+        """Return whether the torso's height above the ground is outside `HEALTHY_Z_M` [N]."""
+        height = qpos[..., 2] - ground_m
         return ~((height >= HEALTHY_Z_M[0]) & (height <= HEALTHY_Z_M[1]))
 
     def cos_tilt(self, qpos: F64Array) -> F64Array:

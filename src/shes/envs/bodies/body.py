@@ -73,8 +73,8 @@ class Body(ABC):
         """Return the headings (yaw) [N] in radians of robots at `qpos` [N, num_qpos]."""
 
     @abstractmethod
-    def fallen(self, qpos: F64Array) -> BoolArray:
-        """Return whether robots at `qpos` [N, num_qpos] have fallen over [N]."""
+    def fallen(self, qpos: F64Array, ground_m: float = 0.0) -> BoolArray:
+        """Return whether robots at `qpos` [N, num_qpos], on ground of height `ground_m`, have fallen over [N]."""
 
     def cos_tilt(self, qpos: F64Array) -> F64Array:
         """Return the cosine [N] of the angle between the vertical and the robot's own, at `qpos` [N, num_qpos].

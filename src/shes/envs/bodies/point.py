@@ -60,7 +60,7 @@ class Point(Body):
         """Write the velocity [N, 2]: the heading is always 0."""
         out[:] = qvel
 
-    def fallen(self, qpos: F64Array) -> BoolArray:
+    def fallen(self, qpos: F64Array, ground_m: float = 0.0) -> BoolArray:
         """Return False [N]."""
         return np.zeros_like(qpos[..., 0], dtype=np.bool_)
 

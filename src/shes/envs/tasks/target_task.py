@@ -156,8 +156,8 @@ class TargetTask(Task):
 
     @property
     def fallen(self) -> BoolArray:
-        """Whether the robot has tilted by more than `max_tilt` [N]: in training alone, and never without it."""
-        return self.tilts_too_far() if self.ends_early else self.xp.zeros(self.num_episodes, dtype=np.bool_)
+        """Whether the robot lies [N]: in training with `max_tilt` alone."""
+        return self.is_down() if self.ends_early else self.xp.zeros(self.num_episodes, dtype=np.bool_)
 
     @property
     def terminated(self) -> BoolArray:

@@ -194,13 +194,10 @@ class Task(EpisodeBatch):
 
     def is_down(self) -> BoolArray:
         """Return whether robots lie [N], by the rule of the body or by `max_tilt`, even if that ends no episode."""
-        fallen = self.body.fallen(self.sim.qpos)
-        return fallen if self._min_cos_tilt is None else fallen | self.tilts_too_far()
-
-    def tilts_too_far(self) -> BoolArray:
-        """Return whether robots tilt by more than `max_tilt` [N]; only if it is set, and in training."""
-        assert self._min_cos_tilt is not None
-        return self.body.cos_tilt(self.sim.qpos) < self._min_cos_tilt
+        fallen = self.body.fallen(self.sim.qpos, self.ground_m)
+        if self._min_cos_tilt is None:
+            return fallen
+        return fallen | (self.body.cos_tilt(self.sim.qpos) < self._min_cos_tilt)
 
     @property
     def diverged(self) -> BoolArray:
