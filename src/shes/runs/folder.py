@@ -126,7 +126,15 @@ class RunFolder:
             RunFolderError: `path` already holds a run or parts of one, or is a file.
         """
         folder = cls(path)
-        if folder.config.exists():
+        folder.check_free()
+        with storage_errors(path):
+            folder.checkpoints.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def check_free(self) -> None:
+        """Raise RunFolderError if the path holds a run or parts of one, or is a file."""
+        path = self.path
+        if self.config.exists():
             raise RunFolderError(
                 f"{path} already holds a run. Go on with it by `shes resume {path}`, "
                 "or choose another folder with --out."
@@ -134,16 +142,13 @@ class RunFolder:
         if path.exists() and not path.is_dir():
             raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
         # An interrupted start leaves the lock and first checkpoints; other files come from elsewhere.
-        checkpoints = [] if folder._lock.exists() else folder.checkpoints.glob("*.npz")
-        for taken in (folder.progress, folder.evaluation, *checkpoints):
+        checkpoints = [] if self._lock.exists() else self.checkpoints.glob("*.npz")
+        for taken in (self.progress, self.evaluation, *checkpoints):
             if taken.exists():
                 raise RunFolderError(
                     f"{path} holds {taken.relative_to(path)} but no config.json: parts of a run, or another program's "
                     "files. Choose another folder with --out."
                 )
-        with storage_errors(path):
-            folder.checkpoints.mkdir(parents=True, exist_ok=True)
-        return folder
 
     @classmethod
     def open(cls, run: Path | str) -> RunFolder:

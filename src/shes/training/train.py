@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack, closing
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from shes.algorithms.contract import Algorithm
+from shes.backends.backend import Backend
 from shes.errors import ConfigError, RunFolderError
 from shes.listing import Listing
 from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
@@ -122,15 +123,18 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyL
     check_limits(Workload.of(config), algorithm.design)
     algorithm.plan()  # errors of the noise table or a transfer arise before there is a folder
     state, origins = transfer(algorithm, algorithm.start(config.run.seed))
-    folder = RunFolder.create(new_folder(config) if out is None else _path(out))
-    with folder.lock():
-        checkpoint = Checkpoint(arrays=algorithm.to_arrays(state), best=Best(), numbers=config.numbers())
-        for name in ("0", "best", "last"):
-            save_checkpoint(folder.checkpoint_path(name), checkpoint)
-        # From here on the run can be resumed.
-        folder.record_start(config, origins)
-        with resumable(folder.path):
-            return _go_on(folder, algorithm, state, checkpoint, audience)
+    if out is not None:
+        RunFolder(_path(out)).check_free()
+    with _started(algorithm) as workers:  # nor does a cluster that does not answer leave a folder
+        folder = RunFolder.create(new_folder(config) if out is None else _path(out))
+        with folder.lock():
+            checkpoint = Checkpoint(arrays=algorithm.to_arrays(state), best=Best(), numbers=config.numbers())
+            for name in ("0", "best", "last"):
+                save_checkpoint(folder.checkpoint_path(name), checkpoint)
+            # From here on the run can be resumed.
+            folder.record_start(config, origins)
+            with resumable(folder.path):
+                return _go_on(folder, algorithm, state, checkpoint, workers, audience)
 
 
 def _path(out: Path | str) -> Path:
@@ -183,13 +187,14 @@ def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) 
             )
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
         check_tables(folder, done, owes_evaluation=checkpoint.owes_evaluation)
-        changes = folder.record_resume(done, config)
-        if changes:
-            event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
-            with run_log(folder):
-                logger.warning(event)
-            audience.tell("on_event", event)
-        return _go_on(folder, algorithm, state, checkpoint, audience)
+        with _started(algorithm) as workers:
+            changes = folder.record_resume(done, config)
+            if changes:
+                event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
+                with run_log(folder):
+                    logger.warning(event)
+                audience.tell("on_event", event)
+            return _go_on(folder, algorithm, state, checkpoint, workers, audience)
 
 
 def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) -> Run:
@@ -239,12 +244,30 @@ def check_resumable(names: Iterable[str]) -> None:
             )
 
 
-def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint: Checkpoint, audience: Audience) -> Run:
+@contextmanager
+def _started(algorithm: Algorithm[Any]) -> Iterator[tuple[Backend, Interruption]]:
+    """Yield the started backend of the run, with Ctrl-C and SIGTERM delayed."""
+    config: TrainConfig = algorithm.problem.settings
+    with (
+        Interruption() as interruption,
+        build_backend(config, algorithm.plan(), Workload.of(config).most_episodes) as backend,
+    ):
+        yield backend, interruption
+
+
+def _go_on(
+    folder: RunFolder,
+    algorithm: Algorithm[Any],
+    state: Any,
+    checkpoint: Checkpoint,
+    workers: tuple[Backend, Interruption],
+    audience: Audience,
+) -> Run:
     """Train from `state` until the run is over, its time is up, a listener ends it, or Ctrl-C, which it raises."""
     config: TrainConfig = algorithm.problem.settings
+    backend, interruption = workers
     with ExitStack() as stack:
         stack.enter_context(run_log(folder))
-        interruption = stack.enter_context(Interruption())
         records = Records(
             folder,
             checkpoint.generation,
@@ -254,7 +277,6 @@ def _go_on(folder: RunFolder, algorithm: Algorithm[Any], state: Any, checkpoint:
         )
         stack.enter_context(closing(records))
         writer = stack.enter_context(closing(RunWriter(records)))
-        backend = stack.enter_context(build_backend(config, algorithm.plan(), Workload.of(config).most_episodes))
         session = stack.enter_context(closing(Session(folder, algorithm, checkpoint, writer, backend, audience)))
         generations = stack.enter_context(closing(algorithm.run(state, backend)))
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
