@@ -146,18 +146,18 @@ def test_rows_after_the_last_checkpoint_are_dropped(tmp_path, tiny_run):
 
 
 @pytest.mark.extras
-def test_a_worker_killed_in_the_last_evaluation_is_told_and_changes_no_number(tmp_path, tiny_run, monkeypatch):
+def test_workers_killed_in_the_last_evaluation_are_told_and_change_no_number(tmp_path, tiny_run, monkeypatch):
     def evaluate(algorithm, state, seeds, backend):
         if evaluate.calls == 2:  # of generation 4, the last
-            kill(backend.pids()[0])
+            for pid in backend.pids():  # all: one alone may do the work before the loss of the other is seen
+                kill(pid)
         evaluate.calls += 1
         return original(algorithm, state, seeds, backend)
 
     evaluate.calls, original = 0, session.EvaluationBeside
     monkeypatch.setattr(session, "EvaluationBeside", evaluate)
     path = runs.train_tiny(tmp_path / "run", backend="processes", num_workers=2)
-    ((_, generation, _),) = losses(path)
-    assert generation is None  # after the last one
+    assert {generation for _, generation, _ in losses(path)} == {None}  # after the last one
     assert runs.differences(tiny_run, path) == []
 
 

@@ -158,3 +158,18 @@ def test_a_run_as_long_as_its_schedule_says_nothing_of_it(tmp_path):
     assert heard.events == []
     before, after = (runs.state(path, name).levels[0].theta for name in ("2", "last"))
     assert before.tobytes() == after.tobytes()  # nothing is learnt at a rate of zero
+
+
+def test_a_run_whose_workers_cannot_start_leaves_nothing(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise ConfigError("no cluster")
+
+    old = runs.train_tiny(tmp_path / "old", generations=1)
+    record = RunFolder(old).config.read_bytes()
+    monkeypatch.setattr("shes.training.train.build_backend", refuse)
+    with pytest.raises(ConfigError, match="no cluster"):
+        runs.train_tiny(tmp_path / "new")
+    with pytest.raises(ConfigError, match="no cluster"):
+        resume(old, generations=2)
+    assert [path.name for path in tmp_path.iterdir()] == ["old"]
+    assert RunFolder(old).config.read_bytes() == record
