@@ -299,6 +299,7 @@ def test_bench_speedup_passes_settings_folder_and_network(shes, monkeypatch, tmp
     words = ("--workers", "2", "--out", str(tmp_path), "--latency-us", "20", "--gigabits-per-s", "100", "--json")
     assert json.loads(shes("bench", "speedup", "point-gather", *words)) == {"shes_error": 0.5}
     assert heard == [("point-gather", {"num_workers": 2}, tmp_path, 20.0, 100.0, 0.0)]
+    assert f"{tmp_path}/speedup.csv" in shes("bench", "speedup", "point-gather", *words[:-1])
 
 
 def test_bench_prints_a_table_or_json(shes, monkeypatch):

@@ -12,6 +12,11 @@ from shes.listing import Listing, facts_listing
 from shes.settings import Ge, Gt
 from shes.training.make_config import make_config
 
+_SPEEDUP_NOTE = (
+    "Efficiencies: speed-up / cores. Errors: projected / measured time of a generation, minus 1. Project from "
+    "generations that last seconds. Written: {out}/speedup.csv and speedup.png."
+)
+
 
 @checked
 def bench(
@@ -43,7 +48,8 @@ def bench(
         ConfigError: An argument or a setting is out of range.
     """
     if name == "speedup":
-        return facts_listing(speedup_of(env, settings, out, latency_us, gigabits_per_s, seconds))
+        listing = facts_listing(speedup_of(env, settings, out, latency_us, gigabits_per_s, seconds))
+        return listing._replace(parts=[*listing.parts, _SPEEDUP_NOTE.format(out=out)])
     config = make_config(env, settings.pop("preset", "laptop"), settings)
     measure = bench_rollout if name == "rollout" else bench_update
     return facts_listing(measure(config, seconds=seconds))
