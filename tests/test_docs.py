@@ -294,7 +294,7 @@ def flags():
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
 def test_flags_and_commands_exist(path, flags):
     text = path.read_text(encoding="utf-8")
-    own = {"--logdir", "--head", "--address"}  # of TensorBoard and Ray
+    own = {"--logdir", "--head", "--address", "--oversubscribe"}  # of TensorBoard, Ray and MPI
     own |= {flag(name) for name in re.findall(r"^ +(\w+): Annotated\[", text, flags=re.MULTILINE)}  # of an example
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= flags | own
     commands = re.findall(r"(?:^|`)(?:PYTHONPATH=\. )?shes ([a-z]+)", text, flags=re.MULTILINE)
