@@ -139,7 +139,13 @@ def companions(name, choice):
     return {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {}), **scheduled}
 
 
-CHOICES = {name: each.choices for name, each in known_settings().items() if each.choices}
+OF_HIRO = {"algorithm": {"hiro", "td3"}, "critic_loss": {"huber", "mse"}, "noise_unit": {"range", "raw"}}
+"""Choices of algorithms that have no population: tests/algorithms/hiro compares their runs."""
+CHOICES = {
+    name: tuple(choice for choice in each.choices if choice not in OF_HIRO.get(name, ()))
+    for name, each in known_settings().items()
+    if each.choices
+}
 
 BY_CHOICE = {
     f"{name}={choice}": {**companions(name, choice), name: choice}
@@ -176,7 +182,7 @@ BY_HAND = {
     "branches": {**BRANCHES, "fall_price": 1.5, "hold_tied": False},
     "branches, own rates": {
         **BRANCHES, "primitive_population_size": 6, "primitive_sigma": 0.2, "primitive_learning_rate": 0.05,
-        "intervals": 3, "perturbation": "one_to_many_halves", "novelty": "nsr", "episodes_per_policy": 3,
+        "intervals": 3, "novelty": "nsr", "episodes_per_policy": 3,
     },
     "branches of one that is frozen": {"primitive": SOURCE, "primitive_estimate": "interval"},
     "branches of one that learns on": {
