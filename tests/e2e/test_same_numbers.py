@@ -245,8 +245,13 @@ QUICK = {
     ("ant-flagrun", "walker"), ("ant-gather", "walker"),
 }  # fmt: skip
 """These share enough with the others for every day."""
-SAME_AS_USUAL = {"integrator=euler", "integrator=implicitfast", "controller_output=heading_vector"}
-"""Point Maze is Euler's already, and the point has no damping that an implicit step would treat otherwise.
+SAME_AS_USUAL = {
+    "integrator=default",
+    "integrator=euler",
+    "integrator=implicitfast",
+    "controller_output=heading_vector",
+}
+"""Point Maze is Euler's already by default, and the point has no damping that an implicit step would treat otherwise.
 Its heading is always 0."""
 
 
