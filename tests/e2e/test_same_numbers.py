@@ -140,7 +140,7 @@ def companions(name, choice):
 
 
 OF_HIRO = {"algorithm": {"hiro", "td3"}, "critic_loss": {"huber", "mse"}, "noise_unit": {"range", "raw"}}
-"""Choices of algorithms that have no population: tests/algorithms/hiro compares their runs."""
+"""Choices of algorithms that have no population, and tests of their own in tests/algorithms/hiro."""
 CHOICES = {
     name: tuple(choice for choice in each.choices if choice not in OF_HIRO.get(name, ()))
     for name, each in known_settings().items()
