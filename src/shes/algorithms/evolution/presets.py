@@ -72,7 +72,7 @@ _ANT_TO_TARGET = {
     "controller_view": "position",
     "controller_output": "direction",
     "max_tilt": 60.0,
-    "generations": 100,
+    "generations": 150,
 }
 
 _WAYS: Mapping[str, Mapping[str, Any]] = {
