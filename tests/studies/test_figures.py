@@ -44,7 +44,7 @@ def summaries_of(cells):
             }
             for step in range(6)
         )
-        whole = {"env_steps": 1_500_000, "seconds": 5400.0, **dict.fromkeys(COMPARED, score)}
+        whole = {**dict.fromkeys(COMPARED, score), "env_steps": 1_500_000, "seconds": 5400.0}
         found[cell.name] = CellResults(row={**cell.identity, **whole}, curve=curve)
     return found
 

@@ -189,6 +189,47 @@ def test_a_comparison_has_success_rates_time_and_origin():
     assert compare(study, only)[0].success_error is None
 
 
+PUBLISHED_FIRST = (("methods", "published"), ("methods", "pieces"))
+COMPARED = {
+    "table1": {
+        PUBLISHED_FIRST,
+        (("methods", "published"), ("methods", "hiro")),
+        (("methods", "hiro"), ("methods", "pieces")),
+    },
+    "fig4": {
+        (("workers", "published-1"), ("workers", "published-2")),
+        (("workers", "published-1"), ("workers", "pieces-1")),
+        (("workers", "published-1"), ("workers", "pieces-2")),
+        (("workers", "published-2"), ("workers", "pieces-2")),
+        (("workers", "pieces-1"), ("workers", "pieces-2")),
+    },
+    "fig5": {
+        PUBLISHED_FIRST,
+        (("methods", "published"), ("transfer", "published")),
+        (("methods", "published"), ("transfer", "pieces")),
+        (("transfer", "published"), ("transfer", "pieces")),
+        (("methods", "pieces"), ("transfer", "pieces")),
+    },
+}
+COMPARED["fig3"] = COMPARED["table1"]
+
+
+@pytest.mark.parametrize("name", COMPARED)
+def test_every_question_of_an_experiment_has_one_row(name):
+    study = STUDIES[name]("laptop")
+    summaries = {
+        cell.name: CellResults(row={**cell.identity, "best_score": cell.seed, "seconds": cell.seed}, curve=())
+        for cell in study.cells
+    }
+    for env in study.design.metrics:
+        found = [each for each in compare(study, summaries) if each.env == env and each.against]
+        pairs = [((each.against_group, each.against), (each.group, each.variant)) for each in found]
+        assert len(pairs) == len(set(pairs))
+        assert set(pairs) == COMPARED[name]
+        assert len({each.texts(study.design)[:2] for each in found}) == len(found)
+    assert study.design.metrics["ant-maze"].column == ("seconds" if name == "fig4" else "best_score")
+
+
 # The command.
 
 

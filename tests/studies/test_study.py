@@ -14,6 +14,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
+from shes.algorithms.presets import PRESETS, Preset
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
 from shes.runs.folder import RunFolder
@@ -22,7 +23,7 @@ from shes.studies import paper_scales as papers
 from shes.studies import running, walker_study
 from shes.studies.comparison import compare
 from shes.studies.design import Curves, sweep_name
-from shes.studies.experiment import experiment, with_progress
+from shes.studies.experiment import experiment, forecast, with_progress
 from shes.studies.named_studies import STUDIES
 from shes.studies.running import cells_left, check_study, read_summaries, run_cell, run_study
 from shes.studies.significance import (
@@ -106,7 +107,7 @@ def test_cells_of_one_name_and_primitives_of_no_cell_are_refused():
 
 def test_steps_of_a_cell_are_those_of_training_and_of_every_evaluation():
     # 4 generations of 8 members; after generations 1, 2 and 4 three episodes; then 10 each, thrice.
-    assert cell_steps(cell(), 10) == 20 * (4 * 8 + 3 * 3 + 3 * 10)
+    assert cell_steps(cell(), 10) == (20 * 4 * 8, 20 * (3 * 3 + 3 * 10))
     unfrozen = cell(primitive="other", settings={**TINY, "freeze_primitive": False})
     assert cell_steps(unfrozen, 10) == cell_steps(cell(), 10)  # no run is needed to know
 
@@ -209,12 +210,16 @@ def test_tables_have_a_row_for_every_run_and_every_evaluation(finished, tmp_path
     assert float(curve[2]["return_mean"]) == finished[1].curve[2]["return_mean"]
 
 
-def test_tables_are_read_back_as_they_were_written(finished, tmp_path):
+def test_tables_are_read_back_as_they_were_written(finished, tmp_path, monkeypatch):
     write_tables([cell()], {cell().name: finished[1]}, tmp_path)
     assert read_tables([cell()], tmp_path) == {cell().name: finished[1]}
     assert read_summaries(Study(cells=(cell(),)), tmp_path) == {cell().name: finished[1]}
     for other in (cell(settings={**TINY, "sigma": 0.5}), cell(seed=6), cell(variant="other")):
         assert read_tables([other], tmp_path) == {}
+    monkeypatch.setitem(PRESETS, "smoke", Preset(values={**PRESETS["smoke"].values, "horizon": 123}))
+    assert read_tables([cell()], tmp_path) == {cell().name: finished[1]}  # it sets the horizon itself
+    monkeypatch.setitem(PRESETS, "smoke", Preset(values={**PRESETS["smoke"].values, "sigma": 0.123}))
+    assert read_tables([cell()], tmp_path) == {}
     (tmp_path / "runs.csv").write_text("group\nchoices\n", encoding="utf-8")
     with pytest.raises(RunFolderError, match=r"runs.csv cannot be read as a table of runs"):
         read_tables([cell()], tmp_path)
@@ -404,8 +409,8 @@ def test_the_design_of_a_study_names_what_there_is(name, scale):
     assert design.base in variants
     assert set(design.metrics) == set(design.curves) <= {env for env, _, _ in places}
     assert set(design.labels) <= {variant for _, variant in variants}
-    for group, pairs in design.paired.items():
-        assert {(group, variant) for pair in pairs for variant in pair} <= variants
+    assert {place for pair in design.paired for place in pair} <= variants
+    assert set(design.slower) <= {variant for _, variant in variants}
     for figure in design.figures:
         groups = figure.groups if isinstance(figure, Curves) else (figure.group,)
         assert set(groups) <= set(design.groups)
@@ -446,15 +451,19 @@ def test_every_variant_of_the_ablation_makes_as_many_environment_steps_as_the_ba
             assert number == pytest.approx(steps[env, "base"], rel=tolerance), (scale, env, variant)
 
 
-@pytest.mark.parametrize("name", STUDIES)
-def test_the_laptop_scale_takes_at_most_four_hours_on_two_cores(name):
-    study = MADE[name]()
-    steps, of_variant = 0, {}
-    for found in study.cells:  # the seed does not count
-        place = found.env, found.group, found.variant
-        of_variant[place] = of_variant.get(place) or cell_steps(found, study.episodes)
-        steps += of_variant[place]
-    assert steps / study.design.steps_per_s / 2 <= 4 * 3600
+def test_the_laptop_scale_takes_at_most_four_hours_on_two_cores_without_hiro():
+    for name, make in MADE.items():
+        study = make()
+        seconds = forecast(study, 2)
+        assert sum(seconds[found.name] for found in study.cells if found.variant != "hiro") <= 4 * 3600, name
+        # Of a step of HIRO, which comes with updates, the speed is its own.
+        each = {seconds[found.name] for found in study.cells if found.variant == "hiro"}
+        assert all(300_000 / 250 / 2 < one < 300_000 / 250 for one in each)
+    # Runs with as many workers as they say, one after another.
+    for number in (1, 2):
+        timed = forecast(MADE["fig4"](), 8)[f"ant-push/workers/published-{number}/seed-1"]
+        beside = forecast(MADE["fig5"](), 1)["ant-push/methods/published/seed-1"]
+        assert timed == pytest.approx(beside / number)
 
 
 def test_a_sweep_multiplies_the_base_and_rounds_whole_numbers():
@@ -616,21 +625,28 @@ def test_the_permutation_test_is_symmetric_seeded_and_never_zero():
         ([1, 2, 3], [4, 5, 6], 2 / 20, 1.0),  # the most extreme of the 20 orders, and its opposite
         ([4, 5, 6], [1, 2, 3], 2 / 20, 0.0),
         ([1, 2, 5], [3, 4, 6], 8 / 20, 7 / 9),  # U = 2: 4 of the 20 orders have U <= 2
+        (range(10), range(10, 20), 2 / math.comb(20, 10), 1.0),
         ([1, 1], [1, 1], 1.0, 0.5),
-        ([0, 1], [1, 2], None, 7 / 8),  # three pairs won, one tied
+        # Three pairs won, one tied: U = 0.5 of a mean of 2, with a variance of 2 * 2 / 12 * (5 - (8 - 2) / (4 * 3)).
+        ([0, 1], [1, 2], math.erfc((1.5 - 0.5) / math.sqrt(2 * 1.5)), 7 / 8),
     ],
 )
 def test_mann_whitney_and_superiority_of_orders_counted_by_hand(first, second, p, share):
     first, second = np.array(first, float), np.array(second, float)
     assert superiority(first, second) == pytest.approx(share)
-    if p is not None:
-        assert mann_whitney(first, second) == pytest.approx(p)
+    assert mann_whitney(first, second) == pytest.approx(p)
 
 
 def test_the_interquartile_mean_ignores_a_quarter_at_each_end():
-    mean, low, high = interquartile_mean(np.array([-1000.0, 1, 2, 3, 4, 5, 6, 1e6]))
+    values = np.array([-1000.0, 1, 2, 3, 4, 5, 6, 1e6])
+    mean, low, high = interquartile_mean(values)
     assert mean == 3.5  # of 2, 3, 4, 5
     assert low < mean < high
+    # Percentiles of resampled means, drawn here by other means.
+    values = np.linspace(0, 1, 9) ** 2
+    drawn = np.random.default_rng(1).choice(values, (20_000, 9))
+    expected = np.percentile(np.sort(drawn, axis=1)[:, 2:7].mean(axis=1), [2.5, 97.5])
+    assert interquartile_mean(values)[1:] == pytest.approx(expected, abs=0.02)
     assert interquartile_mean(np.array([0.3])) == (0.3, 0.3, 0.3)
     assert interquartile_mean(np.full(5, 0.1)) == pytest.approx((0.1, 0.1, 0.1))
 
@@ -655,6 +671,7 @@ def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_
         if found.env in ablations.ENVS
     }
     found = {(c.env, c.group, c.variant, c.against): c for c in compare(study, summaries)}
+    assert {c.against_group for c in found.values()} == {None, "choices", "transfer", "horizon"}
     base = found["point-maze", "choices", "base", None]
     assert (base.seeds, base.score_mean, base.p, base.p_holm) == (10, pytest.approx(0.2), None, None)
     assert (base.mann_whitney_p, base.superiority) == (None, None)
@@ -662,7 +679,7 @@ def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_
     worse = found["point-maze", "choices", "mirrored-none", "base"]
     assert worse.difference == pytest.approx(-2)
     assert (worse.p, worse.p_holm) == (pytest.approx(1e-4, rel=2), pytest.approx(9 * worse.p))
-    assert (worse.mann_whitney_p, worse.superiority) == (pytest.approx(2e-4, rel=1), 0)
+    assert (worse.mann_whitney_p, worse.superiority) == (pytest.approx(2e-4, rel=0.3), 0)
     assert found["point-gather", "choices", "mirrored-none", "base"].p_holm == 1
     assert found["point-maze", "transfer", "unfrozen", "frozen"].difference == pytest.approx(2)
     assert found["point-maze", "horizon", "horizon-1000", "horizon-500"].p == 1

@@ -25,6 +25,7 @@ from shes.studies.design import (
     multiplied,
     sweep_name,
     whole,
+    within,
 )
 from shes.studies.study import Study
 from shes.studies.study_tables import Cell
@@ -197,10 +198,10 @@ def _design(horizon: int, size: _AblationScale) -> StudyDesign:
         metrics=_METRICS,
         curves=_CURVES,
         labels={name: variant.words for name, variant in (_CHOICES | _TRANSFERS).items()},
-        paired={
-            "transfer": ((_SCRATCH, "frozen"), (_SCRATCH, "unfrozen"), ("frozen", "unfrozen")),
-            "horizon": ((f"horizon-{size.horizons[0]}", f"horizon-{size.horizons[-1]}"),),
-        },
+        paired=(
+            *within("transfer", (_SCRATCH, "frozen"), (_SCRATCH, "unfrozen"), ("frozen", "unfrozen")),
+            *within("horizon", (f"horizon-{size.horizons[0]}", f"horizon-{size.horizons[-1]}")),
+        ),
         figures=(
             Forest(file="choices.png", group="choices"),
             Sweep(file="sweep.png", group="sweep", settings=SWEPT, factors=FACTORS),

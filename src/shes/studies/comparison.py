@@ -37,6 +37,8 @@ class Comparison:
     score_iqm_low: float
     """Lower end of its 95 % bootstrap interval."""
     score_iqm_high: float
+    against_group: str | None = None
+    """The other variant's group; None for the base itself."""
     against: str | None = None
     """The other variant; None for the base itself."""
     difference: float | None = None
@@ -65,7 +67,10 @@ class Comparison:
 
     def texts(self, design: StudyDesign) -> tuple[str, ...]:
         """Return the cells of its row in the table of a task."""
-        other = "" if self.against in (None, design.base[1]) else f" (to {design.label(self.against)})"
+        other = ""
+        if self.against is not None and (self.against_group, self.against) != design.base:
+            group = "" if self.against_group == self.group else f"{self.against_group}, "
+            other = f" (to {group}{design.label(self.against)})"
         score = f"{self.score_mean:.2f} [{self.score_low:.2f}, {self.score_high:.2f}]"
         p = "-" if self.p_holm is None else f"{self.p_holm:.4f}"
         return self.group, design.label(self.variant) + other, str(self.seeds), score, p
@@ -82,8 +87,8 @@ def compare(study: Study, summaries: Mapping[str, CellResults]) -> list[Comparis
     for env in design.metrics:
         for group in design.groups:
             variants = {variant: np.array(v) for (e, g, variant), v in scores.items() if (e, g) == (env, group)}
-            base = scores.get((env, *design.base))
-            found += _compare_group(design, group, env, variants, None if base is None else np.array(base))
+            others = {place[1:]: np.array(v) for place, v in scores.items() if place[0] == env}
+            found += _compare_group(design, group, env, variants, others)
     return [replace(each, **_facts(rows[each.env, each.group, each.variant])) for each in found]
 
 
@@ -106,21 +111,27 @@ def _standard_error(values: Sequence[float] | F64Array) -> float | None:
 
 
 def _compare_group(
-    design: StudyDesign, group: str, env: str, variants: dict[str, F64Array], base: F64Array | None
+    design: StudyDesign,
+    group: str,
+    env: str,
+    variants: Mapping[str, F64Array],
+    others: Mapping[tuple[str, str], F64Array],
 ) -> list[Comparison]:
-    """Return the comparisons of a group on a task, with Holm's correction."""
-    pairs: list[tuple[str, str | None, F64Array | None]] = []
+    """Return the comparisons of a group's variants with `others` of the same task, with Holm's correction."""
+    pairs: list[tuple[str, tuple[str, str] | None]] = []
     for variant in variants:
-        is_base = (group, variant) == design.base or base is None
-        pairs.append((variant, None, None) if is_base else (variant, design.base[1], base))
-    for first, second in design.paired.get(group, ()):
-        if first in variants and second in variants:
-            pairs.append((second, first, variants[first]))
-    tests = [None if other is None else permutation_test(variants[variant], other) for variant, _, other in pairs]
+        is_alone = (group, variant) == design.base or design.base not in others
+        pairs.append((variant, None if is_alone else design.base))
+    pairs += [
+        (second[1], first)
+        for first, second in design.paired
+        if second[0] == group and second[1] in variants and first in others
+    ]
+    tests = [None if place is None else permutation_test(variants[variant], others[place]) for variant, place in pairs]
     corrected = iter(holm([p for p in tests if p is not None]))
     found: list[Comparison] = []
-    for (variant, against, other), p in zip(pairs, tests, strict=True):
-        values = variants[variant]
+    for (variant, place), p in zip(pairs, tests, strict=True):
+        values, other = variants[variant], None if place is None else others[place]
         low, high = confidence_interval(values[:, None])
         iqm, iqm_low, iqm_high = interquartile_mean(values)
         found.append(
@@ -136,7 +147,8 @@ def _compare_group(
                 score_iqm=iqm,
                 score_iqm_low=iqm_low,
                 score_iqm_high=iqm_high,
-                against=against,
+                against_group=None if place is None else place[0],
+                against=None if place is None else place[1],
                 difference=None if other is None else float(values.mean() - other.mean()),
                 p=p,
                 p_holm=None if p is None else next(corrected),

@@ -112,13 +112,15 @@ class StudyDesign:
     """Column of `curves.csv` that learning curves show, by environment."""
     labels: Mapping[str, str] = field(default_factory=dict)
     """Names of variants in words."""
-    paired: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
-    """Further comparisons within a group: second with first variant."""
+    paired: tuple[tuple[tuple[str, str], tuple[str, str]], ...] = ()
+    """Further comparisons, of the second with the first: groups and variants."""
     figures: tuple[Forest | Sweep | Curves | Speedup, ...] = ()
     formats: tuple[str, ...] = ("png",)
     """File formats of every figure."""
     steps_per_s: int = 30_000
     """Environment steps per second of one core in a whole run, for the forecast."""
+    slower: Mapping[str, int] = field(default_factory=dict)
+    """The same for variants that are slower."""
 
     def label(self, variant: str) -> str:
         """Return the name of a variant in words."""
@@ -127,6 +129,11 @@ class StudyDesign:
     def metric(self, env: str) -> Measure:
         """Return the measure compared on `env`; the score if none is."""
         return self.metrics.get(env, Measure("best_score", "score"))
+
+
+def within(group: str, *pairs: tuple[str, str]) -> tuple[tuple[tuple[str, str], tuple[str, str]], ...]:
+    """Return pairs of variants of one group as `StudyDesign.paired` has them."""
+    return tuple(((group, first), (group, second)) for first, second in pairs)
 
 
 def sweep_name(setting: str, factor: float) -> str:

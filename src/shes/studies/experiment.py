@@ -133,19 +133,32 @@ def _parts(design: StudyDesign, comparisons: Iterable[Comparison]) -> Iterator[T
         yield f"mean: {design.metrics[env].words}, over seeds; p: against the base, permutation test with Holm."
 
 
+def forecast(study: Study, num_workers: int) -> dict[str, float]:
+    """Return the seconds that each cell, by name, should take of the whole study's, with `num_workers` workers."""
+    design, found = study.design, dict[str, float]()
+    for cell in study.cells:
+        # Large runs have all workers one after another, the others one each side by side.
+        workers = cell.settings.get("num_workers", num_workers) if study.has_large_runs else num_workers
+        training, evaluation = cell_steps(cell, study.episodes)
+        speed = design.slower.get(cell.variant, design.steps_per_s)
+        found[cell.name] = (training / speed + evaluation / design.steps_per_s) / min(workers, num_workers)
+    return found
+
+
 def with_progress(
     study: Study, outcomes: Iterable[Outcome], left: Collection[str], num_workers: int, say: Callable[[str], None]
 ) -> Iterator[Outcome]:
     """Yield the outcomes of the cells that are `left`; say a forecast, and after each its result and the time left."""
-    steps = {cell.name: cell_steps(cell, study.episodes) for cell in study.cells}
-    to_make, made, start = {name: steps[name] for name in left}, 0, monotonic()
-    at_once = max(1, min(num_workers, len(left)))
-    expected = format_duration(sum(to_make.values()) / study.design.steps_per_s / at_once)
-    done = f"; {len(steps) - len(left)} are done" if len(left) < len(steps) else ""
+    design, at_once = study.design, max(1, num_workers if study.has_large_runs else min(num_workers, len(left)))
+    steps = sum(sum(cell_steps(cell, study.episodes)) for cell in study.cells)
+    seconds = forecast(study, at_once)
+    to_make, made, start = {name: seconds[name] for name in left}, 0.0, monotonic()
+    done = f"; {len(seconds) - len(left)} are done" if len(left) < len(seconds) else ""
+    slower = "".join(f" ({design.label(name)}: {speed:,})" for name, speed in design.slower.items())
     say(
-        f"{len(steps)} runs, {sum(steps.values()) / 1e6:,.1f} M environment steps{done}. About {expected} at "
-        f"{study.design.steps_per_s:,} steps a second on each of {at_once} core{'s' * (at_once != 1)}; "
-        "Ctrl-C stops, the same command continues."
+        f"{len(seconds)} runs, {steps / 1e6:,.1f} M environment steps{done}. About "
+        f"{format_duration(sum(to_make.values()))} on {at_once} core{'s' * (at_once != 1)} at {design.steps_per_s:,} "
+        f"steps a second and core{slower}; Ctrl-C stops, the same command continues."
     )
     for outcome in outcomes:
         for event in outcome.events:
@@ -156,5 +169,5 @@ def with_progress(
             row, measure = outcome.summary.row, study.design.metric(outcome.cell.env)
             result = f"{measure.words} {row[measure.column]:.2f} in {row['seconds']:.0f} s"
         time_left = format_duration(sum(to_make.values()) * (monotonic() - start) / made)
-        say(f"[{len(steps) - len(to_make)}/{len(steps)}] {outcome.cell.name}: {result}; {time_left} left")
+        say(f"[{len(seconds) - len(to_make)}/{len(seconds)}] {outcome.cell.name}: {result}; {time_left} left")
         yield outcome

@@ -43,7 +43,11 @@ class _Results:
             self.cells[place] = cell
             if cell.name in summaries:
                 self.summaries.setdefault(place, []).append(summaries[cell.name])
-        self._p = {(c.env, c.group, c.variant): c.p_holm for c in comparisons if c.against == study.design.base[1]}
+        self._p = {
+            (c.env, c.group, c.variant): c.p_holm
+            for c in comparisons
+            if (c.against_group, c.against) == study.design.base
+        }
 
     def scores(self, place: _Place) -> F64Array:
         """Return the compared measure of every seed."""

@@ -27,6 +27,7 @@ from shes.studies.design import (
     Reference,
     Speedup,
     StudyDesign,
+    within,
 )
 from shes.studies.paper_scales import OF_PRIMITIVE, PIECES, PUBLISHED, REFERENCES, SCALES, TASKS, Scale
 from shes.studies.speedup_cells import MOST, run_speedup
@@ -45,13 +46,17 @@ _FORMS = (PUBLISHED, PIECES)
 _WORDS = {PUBLISHED: "as published", PIECES: "with the learning changes", HIRO: "HIRO"}
 _SCORE, _TRAINING = Measure("score_mean", "test score"), Measure("training_return_mean", "training reward")
 _BEST = Measure("best_score", "score of the best checkpoint", "score")
+_SECONDS = Measure("seconds", "seconds of a run", "s")
 _STEPS_PER_S = 16_000  # of one core: 10,000 for the ant, 35,000 for the point
+_HIRO_STEPS_PER_S = 250
+_LEVELS = ((METHODS, HIRO), (METHODS, PIECES))
 
 
 def table_1(scale: str = "laptop", seeds: int | None = None) -> Study:
     """Return the runs of Table I, which are those of figure 3; otherwise as `figure_3`."""
     size, groups = _size(scale, seeds), {METHODS: (*_FORMS, HIRO)}
-    return _study(size, _runs(size, groups), _SCORE, figures=(Forest(file="table1.png", group=METHODS),))
+    figures = (Forest(file="table1.png", group=METHODS),)
+    return _study(size, _runs(size, groups), _SCORE, paired=(_LEVELS,), figures=figures)
 
 
 def figure_3(scale: str = "laptop", seeds: int | None = None) -> Study:
@@ -69,6 +74,7 @@ def figure_3(scale: str = "laptop", seeds: int | None = None) -> Study:
         size,
         _runs(size, groups),
         _SCORE,
+        paired=(_LEVELS,),
         figures=(
             _curves("fig3-env-steps", size, curves, _SCORE, "env_steps", REFERENCES),
             _curves("fig3-hours", size, curves, _SCORE, "hours", REFERENCES),
@@ -90,13 +96,16 @@ def figure_4(scale: str = "laptop", seeds: int | None = None) -> Study:
         if form == cell.variant
     ]
     curves = [Curve(WORKERS, variant, f"SHES {words}") for variant, words in labels.items()]
-    pairs = tuple((f"{PUBLISHED}-{number}", f"{PIECES}-{number}") for number in size.num_workers[1:])
+    fewest, *more = size.num_workers
+    pairs = [(f"{PIECES}-{fewest}", f"{PIECES}-{number}") for number in more]
+    pairs += [(f"{PUBLISHED}-{number}", f"{PIECES}-{number}") for number in more]
     return _study(
         size,
         cells,
         _TRAINING,
+        metric=_SECONDS,
         labels=labels,
-        paired={WORKERS: pairs},
+        paired=within(WORKERS, *pairs),
         figures=(_curves("fig4", size, curves, _TRAINING, "hours"),),
         has_large_runs=True,
     )
@@ -114,7 +123,7 @@ def figure_5(scale: str = "laptop", seeds: int | None = None) -> Study:
         size,
         _runs(size, dict.fromkeys(names, _FORMS)),
         _TRAINING,
-        paired={TRANSFER: ((PUBLISHED, PIECES),)},
+        paired=(*within(TRANSFER, (PUBLISHED, PIECES)), ((METHODS, PIECES), (TRANSFER, PIECES))),
         figures=(
             _curves("fig5-env-steps", size, curves, _TRAINING, "env_steps"),
             _curves("fig5-hours", size, curves, _TRAINING, "hours"),
@@ -216,7 +225,7 @@ def _study(
     figures: tuple[Forest | Curves | Speedup, ...],
     metric: Measure = _BEST,
     labels: Mapping[str, str] = _WORDS,
-    paired: Mapping[str, tuple[tuple[str, str], ...]] = MappingProxyType({}),
+    paired: tuple[tuple[tuple[str, str], tuple[str, str]], ...] = (),
     has_large_runs: bool = False,
 ) -> Study:
     """Return the study of `cells`, compared with the variant of the first one."""
@@ -232,6 +241,7 @@ def _study(
         figures=figures,
         formats=("svg", "png"),
         steps_per_s=_STEPS_PER_S,
+        slower=MappingProxyType({HIRO: _HIRO_STEPS_PER_S} if HIRO in variants else {}),
     )
     return Study(
         cells=tuple(cells),

@@ -107,8 +107,8 @@ def cell_config(cell: Cell, out: Path, workers: Mapping[str, Any] = ALONE) -> Tr
     return make_config(cell.env, cell.preset, {**cell.settings, **own})
 
 
-def cell_steps(cell: Cell, episodes: int) -> int:
-    """Return the environment steps of a cell with its evaluations, if no episode ends early."""
+def cell_steps(cell: Cell, episodes: int) -> tuple[int, int]:
+    """Return the environment steps of a cell's training, and those of its evaluations, if no episode ends early."""
     config = make_config(
         cell.env, cell.preset, {name: value for name, value in cell.settings.items() if name not in _TRANSFER}
     )
@@ -118,7 +118,7 @@ def cell_steps(cell: Cell, episodes: int) -> int:
     training = generations * per_generation
     evaluations = 1 + generations // config.evaluation.evaluation_interval
     evaluated = evaluations * config.evaluation.evaluation_episodes + (len(CHECKPOINTS) + 1) * episodes
-    return training + evaluated * config.evaluation_steps
+    return training, evaluated * config.evaluation_steps
 
 
 def generation_steps(config: TrainConfig) -> int:

@@ -14,6 +14,7 @@ from shes.errors import RunFolderError
 from shes.runs.tables import Row, csv_text
 from shes.storage import write_atomically
 from shes.studies.provenance_columns import PROVENANCE
+from shes.training.make_config import preset_values
 
 _SETTINGS = "settings"  # the column with the digest of a row's settings
 _PLACE = ("group", "variant", "env", "seed")
@@ -48,8 +49,9 @@ class Cell:
 
     @property
     def digest(self) -> str:
-        """Digest of its settings: eight hexadecimal digits."""
-        text = json.dumps([self.preset, dict(self.settings), self.primitive], sort_keys=True)
+        """Digest of its settings, those of its preset among them: eight hexadecimal digits."""
+        values = {**preset_values(self.env, self.preset, self.settings), **self.settings}
+        text = json.dumps([values, self.primitive], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 

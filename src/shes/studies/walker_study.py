@@ -26,6 +26,7 @@ from shes.studies.design import (
     multiplied,
     sweep_name,
     whole,
+    within,
 )
 from shes.studies.study import Study, generation_steps
 from shes.studies.study_tables import Cell
@@ -246,10 +247,10 @@ def _design(labels: Mapping[str, str]) -> StudyDesign:
         metrics={ENV: Measure("last_return", "return of the last policy over 500 steps", "return")},
         curves={ENV: Measure("return_mean", "evaluation return")},
         labels=labels,
-        paired={
-            "pieces": (("episodes", "episodes-unmirrored"),),
-            "form": tuple(("form", name) for name in pieces_of_form),
-        },
+        paired=(
+            *within("pieces", ("episodes", "episodes-unmirrored")),
+            *within("form", *(("form", name) for name in pieces_of_form)),
+        ),
         figures=(
             Forest(file="pieces.png", group="pieces"),
             Forest(file="form.png", group="form"),

@@ -39,7 +39,7 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
         if isinstance(asked.get(name), Path):
             asked[name] = run_text(asked[name])
     identity = {"env": env, "preset": preset}
-    values = {**identity, **_preset_values(env, preset, asked), **asked}
+    values = {**identity, **preset_values(env, preset, asked), **asked}
     known = settings_in(check_names(values).values())
     asked = {name: known[name].checked(value) for name, value in asked.items()}
     values |= asked
@@ -53,8 +53,12 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
     return config
 
 
-def _preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that `preset` gives to settings of a run of `env`."""
+def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that `preset` gives to settings of a run of `env`, by the algorithm in `asked` if it has one.
+
+    Raises:
+        ConfigError: The preset is for other algorithms.
+    """
     known = [name for name, cls in ALGORITHMS.items() if preset in PRESETS or preset in cls.presets]
     default = RunSettings.algorithm if RunSettings.algorithm in known else known[0]
     run = RunSettings.of({"env": env, "algorithm": asked.get("algorithm", default)})

@@ -67,7 +67,7 @@ def _cells(row: Mapping[str, str]) -> tuple[str, ...]:
         estimate("score"),
         f"{text('score_iqm')} [{text('score_iqm_low')}, {text('score_iqm_high')}]",
         estimate("success"),
-        row.get("against") or "-",
+        ", ".join(filter(None, (row.get("against_group"), row.get("against")))) or "-",
         *(text(name, digits) for name, digits in (("p_holm", 4), ("mann_whitney_p", 4), ("superiority", 2))),
         text("hours", 3),
     )
