@@ -168,6 +168,11 @@ class EpisodeBatch(ABC):
         """Whether the environment has ended the episode [N]. The horizon of training is not part of it."""
 
     @property
+    def truncated(self) -> BoolArray:
+        """Whether a time limit of the environment's own has ended the episode [N]: its state is not a terminal one."""
+        return self.xp.zeros(self.num_episodes, bool)
+
+    @property
     @abstractmethod
     def fallen(self) -> BoolArray:
         """Whether the episode has ended by a fall [N]; in an external environment, by a termination without success."""

@@ -6,7 +6,7 @@ import os
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -186,6 +186,7 @@ def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) 
                 f"To go on: shes resume {shlex.quote(str(path))} {limit} {2 * made}"
             )
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
+        checkpoint = replace(checkpoint, arrays=algorithm.to_arrays(state))  # what was read need not stay in memory
         check_tables(folder, done, owes_evaluation=checkpoint.owes_evaluation)
         with _started(algorithm) as workers:
             changes = folder.record_resume(done, config)

@@ -2,10 +2,12 @@
 
 from itertools import count
 
+import gymnasium
 import numpy as np
 import pytest
 
 from shes.algorithms.hiro.collector import Actor
+from shes.envs.registry import register_external
 from shes.training.build import build_algorithm
 from shes.training.make_config import make_config
 
@@ -176,3 +178,10 @@ def test_exploration_is_within_the_range_and_as_wide_as_asked():
     assert raw.exploration_std == (1.0,) * 8
     controller = algorithm("hiro", "ant-maze", goal_noise=0.1).levels[0]
     assert controller.exploration_std == pytest.approx(0.1 * np.array(controller.hyperparameters.half_range))
+
+
+def test_a_time_limit_of_the_environments_own_does_not_cut_the_return():
+    register_external("pendulum-of-7-steps", lambda: gymnasium.make("Pendulum-v1", max_episode_steps=7))
+    rows, collector = collect(algorithm("td3", "pendulum-of-7-steps", horizon=50), num_steps=14)
+    assert rows["policy"]["goes_on"].tolist() == [1] * 14
+    assert [(each["steps"], each["terminated"]) for each in collector.summary.episodes] == [(7, 0), (7, 0)]

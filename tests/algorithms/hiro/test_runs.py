@@ -1,5 +1,6 @@
 """Runs of HIRO and TD3: equal numbers, checkpoints, errors, and agents that act without JAX."""
 
+import itertools
 import shutil
 import signal
 import sys
@@ -10,6 +11,7 @@ import pytest
 
 import shes
 from shes.algorithms.hiro import algorithm as hiro
+from shes.algorithms.hiro.collector import Actor
 from shes.cli import main
 from shes.errors import CheckpointError, ConfigError, DivergenceError, MissingExtraError
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
@@ -115,6 +117,30 @@ def test_the_goal_of_an_agent_is_held_at_a_place(untrained):
     env.close()
 
 
+@pytest.mark.parametrize("env", ["point-push", "ant-gather"])
+def test_an_agent_acts_as_in_training_without_noise(untrained, env):
+    """The agent holds a goal as a place, the collector moves it by the goal transition: one policy."""
+    noise = {"exploration_noise": 0.0, "goal_noise": 0.0}
+    path = untrained("hiro", env, controller_interval=3, normalise_inputs=False, **noise)
+    learner, agent = build_algorithm(RunFolder(path).read_config()), shes.load(path)
+    state = learner.from_arrays(RunFolder(path).load("last").arrays)
+    actors = {level.name: Actor(level, learner.design.input_clip) for level in learner.levels}
+    for actor, own in zip(actors.values(), state.learners, strict=True):
+        actor.use(own.parameters)
+    batch = learner.problem.env.make(1, learner.problem.training)
+    played = []
+    for block in learner.make_collector(batch, actors).run(1, itertools.count(7), np.random.default_rng(0)):
+        played.append(block["primitive"]["action"][0])
+    task, one = learner.problem.env.make(1, learner.problem.training), np.array([0])
+    task.reset(one, [7])
+    for expected in played:
+        action = agent.act(task.observe()[0]).astype(float) * task.control_limit
+        np.testing.assert_allclose(action, expected, atol=1e-4 * task.control_limit)
+        task.step(one, action[None])
+    assert len(played) == 20
+    assert np.ptp(played, axis=0).min() > 0.01
+
+
 @pytest.mark.parametrize("name", ["hiro", "td3"])
 def test_without_jax_the_error_names_the_extra_and_no_folder_is_made(tmp_path, monkeypatch, name):
     monkeypatch.setitem(sys.modules, "jax", None)
@@ -143,6 +169,8 @@ def test_a_level_of_hiro_is_not_transferred(untrained):
         ("td3", "point-maze", {"sigma": 0.1}, "sigma is not a setting of a run of point-maze with algorithm 'td3'"),
         ("hiro", "ant-push", {"max_tilt": 60.0}, r"max_tilt ends episodes of ant-push that .*Omit --max-tilt"),
         ("hiro", "point-maze", {"discount": 1.0}, r"discount must be .*less than 1"),
+        ("td3", "point-maze", {"batch_size": 101}, r"batch_size is 101, more than the 100 transitions of replay_size"),
+        ("hiro", "point-maze", {"controller_interval": 21}, r"controller_interval is 21, but episodes have 20 steps"),
     ],
 )
 def test_what_cannot_be_served_is_refused_before_there_is_a_folder(tmp_path, monkeypatch, name, env, settings, message):

@@ -40,7 +40,7 @@ ROWS = {
     "critic_learning_rate": (0.6, hyper("critic_learning_rate"), [0.6, 0.6]),
     "discount": (0.7, lambda a: a._learning()[0], 0.7),
     "batch_size": (33, lambda a: a._learning()[1], 33),
-    "replay_size": (77, lambda a: [level.replay.capacity for level in a.levels], [77, 77]),
+    "replay_size": (777, lambda a: [level.replay.capacity for level in a.levels], [777, 777]),
     "target_rate": (0.25, hyper("target_rate"), [0.25, 0.25]),
     "policy_delay": (5, hyper("policy_delay"), [5, 5]),
     "critic_loss": ("mse", hyper("has_huber_loss"), [False, False]),

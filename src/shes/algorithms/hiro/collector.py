@@ -135,8 +135,9 @@ class Collector:
         self._steps[rows] += 1
         self.observe()
         is_sound = ~batch.diverged[rows]
-        terminated = batch.terminated[rows] & is_sound
-        ended = terminated | ~is_sound | (self._steps[rows] >= self._horizon)
+        has_ended = batch.terminated[rows] & is_sound
+        terminated = has_ended & ~batch.truncated[rows]
+        ended = has_ended | ~is_sound | (self._steps[rows] >= self._horizon)
         return _Step(
             rows=rows, observation=before, control=control, is_sound=is_sound, terminated=terminated, ended=ended
         )
@@ -153,7 +154,7 @@ class Collector:
                     "score": float(batch.score[row]),
                     "success": float(batch.success[row]),
                     "steps": float(self._steps[row]),
-                    "terminated": float(batch.terminated[row] and not has_diverged),
+                    "terminated": float(batch.terminated[row] and not (batch.truncated[row] or has_diverged)),
                     "diverged": float(has_diverged),
                 }
             )

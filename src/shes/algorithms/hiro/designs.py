@@ -31,6 +31,12 @@ def check_problem(problem: Problem) -> EpisodeBatch:
         raise ConfigError(
             "hidden must be at least one layer, because a linear critic cannot rank actions. Set --hidden."
         )
+    learner = problem.settings.learner
+    if learner.batch_size > learner.replay_size:
+        raise ConfigError(
+            f"batch_size is {learner.batch_size:,}, more than the {learner.replay_size:,} transitions of replay_size: "
+            "nothing would ever be learned. Set --batch-size lower, or --replay-size higher."
+        )
     task = problem.sample()
     if task.ends_early:
         raise ConfigError(
@@ -58,6 +64,11 @@ def hiro_design(problem: Problem) -> HiroDesign:
         ConfigError: TD3 cannot learn in this problem, or the robot's position is unknown.
     """
     task, own, goals = check_problem(problem), problem.settings.learner, problem.settings.goals
+    if goals.controller_interval > problem.horizon:
+        raise ConfigError(
+            f"controller_interval is {goals.controller_interval}, but episodes have {problem.horizon} steps (horizon): "
+            "the controller would never learn. Set --controller-interval lower, or --horizon higher."
+        )
     space, view = GoalSpace.of(task, goals.goal_distance), ColumnsView(primitive_columns(task))
     return HiroDesign(
         controller=RectifiedMLP(task.observation_size, own.hidden, space.size),

@@ -141,7 +141,8 @@ class ExternalTask(EpisodeBatch):
     observation_size = property(attrgetter("_reader.observation_size"))
     primitive_view = proprioception = property(attrgetter("_reader.primitive_view"))
     position, heading = property(attrgetter("_position")), property(attrgetter("_heading"))
-    terminated, fallen = property(attrgetter("_terminated")), property(attrgetter("_fallen"))
+    terminated, truncated = property(attrgetter("_terminated")), property(attrgetter("_truncated"))
+    fallen = property(attrgetter("_fallen"))
     diverged, physics_s = property(attrgetter("_diverged")), property(attrgetter("_physics_s"))
     score, success = property(attrgetter("_score")), property(attrgetter("_success"))
 
@@ -158,7 +159,8 @@ class ExternalTask(EpisodeBatch):
         self._physics_s = 0.0
         self.time: IntArray = np.zeros(num_episodes, np.int64)
         self.reward, self.running_return, self._score, self._heading = np.zeros((4, num_episodes))
-        self._terminated, self._fallen, self._diverged, self._success = np.zeros((4, num_episodes), np.bool_)
+        self._terminated, self._truncated, self._fallen = np.zeros((3, num_episodes), np.bool_)
+        self._diverged, self._success = np.zeros((2, num_episodes), np.bool_)
         self._position, self._rows = np.zeros((num_episodes, 2)), np.zeros((num_episodes, self.observation_size))
 
     @property
@@ -182,8 +184,10 @@ class ExternalTask(EpisodeBatch):
         """Start new episodes in rows `ids`; see `EpisodeBatch.reset`."""
         if any(state is not None for state in states):
             self.states(ids)  # raises
-        for values in (self.time, self.running_return, self._score, self._terminated, self._fallen, self._diverged):
+        for values in (self.time, self.running_return, self._score):
             values[ids] = 0
+        for flags in (self._terminated, self._truncated, self._fallen, self._diverged):
+            flags[ids] = False
         for i, seed in zip(ids.tolist(), seeds, strict=True):
             env = self._env(i)
             with self.environment.explained("reset"):
@@ -202,6 +206,7 @@ class ExternalTask(EpisodeBatch):
                 observation, reward, terminated, truncated, info = env.step(actions[i])
                 self._physics_s += perf_counter() - start
                 self._terminated[i] = terminated or truncated
+                self._truncated[i] = truncated and not terminated
                 self._record(i, env, observation, float(reward), info)
                 self._fallen[i] = terminated and not self._success[i]
         self.time[ids] += 1
