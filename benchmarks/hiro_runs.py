@@ -1,9 +1,9 @@
 """Runs of HIRO and flat TD3, to stand beside those of SHES: `python benchmarks/hiro_runs.py --out runs/hiro`.
 
 Every run can be interrupted at any time: the same command goes on. A run ends after its environment steps or minutes,
-whichever are first; the minutes of earlier calls count. `--only td3-point-maze` makes some of the groups, `--results
-FOLDER` also writes the tables: `runs.csv` (best checkpoint of each run on fresh episodes) and `curves.csv` (every
-evaluation). One process per run; two at a time suit two cores.
+whichever are first, or when it diverges; the minutes of earlier calls count. `--only td3-point-maze` makes some of the
+groups, `--results FOLDER` also writes the tables of all runs in `--out`: `runs.csv` (best checkpoint of each run on
+fresh episodes) and `curves.csv` (every evaluation). One process per run; two at a time suit two cores.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from run import write_csv
 
 import shes
+from shes.errors import DivergenceError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv, read_wall_time
 from shes.training.make_config import make_config
@@ -51,7 +52,10 @@ def train(group: Group, seed: int, path: Path) -> None:
         if left <= 0:
             return
         config = config.having(minutes=left)
-    finish_run(config, path)
+    try:
+        finish_run(config, path)
+    except DivergenceError as error:
+        print(f"{path}: {error}", flush=True)  # up to there it counts
 
 
 def results(name: str, seed: int, path: Path) -> tuple[dict[str, Any], Iterator[dict[str, Any]]]:
@@ -79,16 +83,14 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, help="seeds, of those of the group")
     parser.add_argument("--results", type=Path, help="folder of the tables")
     asked = parser.parse_args()
-    made = []
+    places = {(name, seed): asked.out / name / f"seed_{seed}" for name, group in GROUPS.items() for seed in group.seeds}
     for name in asked.only:
         for seed in asked.seeds or GROUPS[name].seeds:
-            path = asked.out / name / f"seed_{seed}"
-            train(GROUPS[name], seed, path)
-            made.append((name, seed, path))
+            train(GROUPS[name], seed, places[name, seed])
             print(f"{name}, seed {seed}: ended", flush=True)
     if asked.results is not None:
         asked.results.mkdir(parents=True, exist_ok=True)
-        rows = [results(*each) for each in made]
+        rows = [results(*place, path) for place, path in places.items() if RunFolder(path).evaluation.is_file()]
         write_csv(asked.results / "runs.csv", [row for row, _ in rows])
         write_csv(asked.results / "curves.csv", [row for _, curve in rows for row in curve])
 

@@ -22,10 +22,16 @@ from run import write_csv
 ENV, BATCH, WARMUP, STEPS = "ant-maze", 100, 1000, 4000
 SIZES = {"64 64": (64, 64), "300 300": (300, 300)}
 """Hidden layers of actor and critics."""
+CASES = (("td3", 1, 10), ("td3", 1, 1), ("td3", 4, 10), ("hiro", 1, 10), ("sb3", 1, 1))
+"""Learner, environments, and steps after which as many updates follow: ten by default, one in SB3 and in HIRO."""
 
 
-def ours(algorithm: str, hidden: tuple[int, ...], num_envs: int) -> dict[str, float]:
-    """Return the speeds of a run of this package, without the first generations, which compile."""
+def ours(algorithm: str, hidden: tuple[int, ...], num_envs: int, update_interval: int) -> dict[str, float]:
+    """Return the speeds of a run of this package, without the first generations, which compile.
+
+    Updates are those of the acting level; the time of HIRO's includes the controller's, one for two steps, and the
+    correction of its goals.
+    """
     import shes
 
     with tempfile.TemporaryDirectory() as folder:
@@ -34,6 +40,7 @@ def ours(algorithm: str, hidden: tuple[int, ...], num_envs: int) -> dict[str, fl
             algorithm=algorithm,
             hidden=hidden,
             num_envs=num_envs,
+            update_interval=update_interval,
             batch_size=BATCH,
             warmup_steps=WARMUP,
             generation_steps=STEPS,
@@ -81,12 +88,12 @@ def sb3(hidden: tuple[int, ...]) -> dict[str, float]:
 
 
 def measure(python: str, *words: str) -> dict[str, float]:
-    """Return what a process of its own measures, with one thread of BLAS, MKL and XLA for each of two cores."""
+    """Return what a process of its own measures."""
     source = str(Path(__file__).resolve().parents[1] / "src")
     done = subprocess.run(
         [python, __file__, "--measure", *words],
         check=True,
-        capture_output=True,
+        stdout=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": source},
     )
@@ -102,21 +109,23 @@ def main() -> None:
     parser.add_argument("--measure", nargs="+", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.measure:
-        kind, size, num_envs = asked.measure
-        found = sb3(SIZES[size]) if kind == "sb3" else ours(kind, SIZES[size], int(num_envs))
+        kind, size, *numbers = asked.measure
+        found = sb3(SIZES[size]) if kind == "sb3" else ours(kind, SIZES[size], *map(int, numbers))
         print(json.dumps(found))
         return
     rows: list[dict[str, Any]] = []
     for size in SIZES:
-        cases = [("td3", 1), ("td3", 4), ("hiro", 1), *([("sb3", 1)] if asked.sb3_python else [])]
-        speeds: dict[tuple[str, int], list[dict[str, float]]] = {case: [] for case in cases}
+        speeds: dict[tuple[str, int, int], list[dict[str, float]]] = {
+            case: [] for case in CASES if case[0] != "sb3" or asked.sb3_python
+        }
         for _ in range(asked.repeats):
-            for kind, num_envs in cases:
+            for (kind, *numbers), found in speeds.items():
                 python = asked.sb3_python if kind == "sb3" else sys.executable
-                speeds[kind, num_envs].append(measure(python, kind, size, str(num_envs)))
-        for (kind, num_envs), found in speeds.items():
+                found.append(measure(python, kind, size, *map(str, numbers)))
+        for (kind, num_envs, update_interval), found in speeds.items():
             medians = {name: round(statistics.median(each[name] for each in found), 1) for name in found[0]}
-            rows.append({"hidden": size, "learner": kind, "num_envs": num_envs, **medians})
+            case = {"hidden": size, "learner": kind, "num_envs": num_envs, "update_interval": update_interval}
+            rows.append({**case, **medians})
             print(rows[-1], flush=True)
     if asked.out is not None:
         write_csv(asked.out, rows)

@@ -34,7 +34,7 @@ _NOISE = {env: {"exploration_noise": 0.1} if env.startswith("point-") else {} fo
 HIRO_PRESETS: Mapping[str, Preset] = {
     "laptop": Preset(values={"controller_update_interval": 2}),
     "smoke": Preset(values={"warmup_steps": 1000, "generation_steps": 500}),
-    # The values of the HIRO paper, and of its code where it says nothing.
+    # The values of the HIRO paper and, where it says nothing, of its code; docs/differences.md has the exceptions.
     "hiro-paper": Preset(
         values=_HIRO, per_environment={env: {"spec": "hiro", **noise} for env, noise in _NOISE.items()}
     ),
