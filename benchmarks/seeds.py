@@ -7,7 +7,10 @@
 Every run can be interrupted at any time: the same command goes on. `--results FOLDER` also writes the tables:
 `gather_runs.csv` (best checkpoint of each run over 200 fresh episodes of the task as specified; environment steps and
 wall-clock include the walker's) and `gather_curves.csv` (every evaluation). In Gather five to ten minutes of two cores
-for each seed and way, in the others ten to twenty.
+for each seed and way, in the others up to half an hour.
+
+`--spec hiro` trains and evaluates on the tasks of the HIRO authors; the tables are then `gather_hiro_runs.csv` and
+`gather_hiro_curves.csv`.
 """
 
 from __future__ import annotations
@@ -37,12 +40,13 @@ def finished(env: str, path: Path, **settings: Any) -> Path:
     return path
 
 
-def runs(task: str, way: str, seed: int, out: Path) -> list[Path]:
+def runs(task: str, spec: str, way: str, seed: int, out: Path) -> list[Path]:
     """Return the runs of a seed, which are finished first; that of the task is last."""
+    env, path, settings = f"ant-{task}", out / way / f"seed_{seed}", {"spec": spec, "seed": seed}
     if way == "coevolved":
-        return [finished(f"ant-{task}", out / way / f"seed_{seed}", seed=seed)]
+        return [finished(env, path, **settings)]
     walker = finished("ant-flagrun", out / "walker" / f"seed_{seed}", seed=seed, **WALKERS[task])
-    return [walker, finished(f"ant-{task}", out / way / f"seed_{seed}", seed=seed, primitive=walker, generations=60)]
+    return [walker, finished(env, path, **settings, primitive=walker, generations=60)]
 
 
 def results(way: str, seed: int, paths: list[Path]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -79,22 +83,25 @@ def main() -> None:
     """Train what is left of the runs asked for, then write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("task", choices=tuple(WALKERS))
-    parser.add_argument("--out", type=Path, help="folder of the runs; by default runs/TASK")
+    parser.add_argument("--spec", choices=("shes", "hiro"), default="shes", help="specification of the task")
+    parser.add_argument("--out", type=Path, help="folder of the runs; by default runs/TASK, or runs/TASK_hiro")
     parser.add_argument("--only", nargs="+", choices=WAYS, default=list(WAYS), help="ways to train")
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(1, 6)), help="seeds")
     parser.add_argument("--results", type=Path, help="folder of the tables")
     asked = parser.parse_args()
+    name = asked.task if asked.spec == "shes" else f"{asked.task}_{asked.spec}"
+    out = asked.out or Path("runs") / name
     rows, curves = [], []
     for way in asked.only:
         for seed in asked.seeds:
-            row, curve = results(way, seed, runs(asked.task, way, seed, asked.out or Path("runs") / asked.task))
+            row, curve = results(way, seed, runs(asked.task, asked.spec, way, seed, out))
             print(f"{way}, seed {seed}: score {row['score_mean']:.2f} after {row['wall_time_s']} s", flush=True)
             rows.append(row)
             curves += curve
     if asked.results is not None:
         asked.results.mkdir(parents=True, exist_ok=True)
-        write_csv(asked.results / f"{asked.task}_runs.csv", rows)
-        write_csv(asked.results / f"{asked.task}_curves.csv", curves)
+        write_csv(asked.results / f"{name}_runs.csv", rows)
+        write_csv(asked.results / f"{name}_curves.csv", curves)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""MkDocs hooks: add the pages and tables that are made from the code, and the pictures of `results/`.
+"""MkDocs hooks: add the pages and tables that are made from the code, and the files of the repository that pages show.
 
-A page that is named in `_GENERATED` holds `<!-- generated -->` on a line of its own, which its table replaces.
+A page that is named in `_GENERATED` holds `<!-- generated -->` on a line of its own, which its table replaces. A link
+to a CSV or JSON file outside `docs`, such as `../results/speed.csv`, leads to a copy of the file in the site.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from mkdocs.structure.pages import Page
 
 from shes.envs.registry import ENVIRONMENTS
 
-_RESULTS = Path(__file__).parents[1] / "results"
+_REPOSITORY = Path(__file__).parents[1]
+_RESULTS = _REPOSITORY / "results"
 _GENERATED = {
     "differences.md": deviations,
     "environments/index.md": environment_table,
@@ -26,6 +28,10 @@ _GENERATED = {
     "reference/settings.md": settings,
     "reference/shes.md": public_names,
 }
+
+_COPIES = "repository"
+"""Folder of the site with copies of linked files."""
+_FILE = re.compile(r"\]\((?P<up>(?:\.\./)*)\.\./(?P<path>[\w/.-]+\.(?:csv|json))\)")
 
 _CELL = re.compile(r"<t[dh]\b.*?</t[dh]>", flags=re.DOTALL)
 _CODE = re.compile(r"(?<=<code>)[^<]+(?=</code>)")
@@ -39,11 +45,15 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
         files.append(add(f"environments/{name}.png", content=picture(name)))
     for path in _RESULTS.rglob("*.png"):  # relative to results.md as to results/README.md, which it includes
         files.append(add(path.relative_to(_RESULTS).as_posix(), abs_src_path=str(path)))
+    linked = {found["path"] for page in files.documentation_pages() for found in _FILE.finditer(page.content_string)}
+    for path in sorted(linked):
+        files.append(add(f"{_COPIES}/{path}", abs_src_path=str(_REPOSITORY / path)))
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Put its generated table into a page."""
+    """Put its generated table into a page, and lead its links to files of the repository to their copies."""
     uri = page.file.src_uri
+    markdown = _FILE.sub(rf"](\g<up>{_COPIES}/\g<path>)", markdown)
     return markdown.replace("<!-- generated -->", _GENERATED[uri]()) if uri in _GENERATED else markdown
 
 

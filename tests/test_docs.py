@@ -307,6 +307,13 @@ def test_code_that_a_page_links_to_exists(path):
         pkgutil.resolve_name(name)
 
 
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
+def test_tables_that_a_page_links_to_are_in_the_repository(path):
+    links = re.findall(r"\]\(([\w/.-]+\.(?:csv|json))\)", path.read_text(encoding="utf-8"))
+    assert not [link for link in links if not (path.parent / link).is_file()]
+    assert links or path.name != "paper.md"
+
+
 def test_the_home_page_and_the_readme_name_every_guide():
     guides = {path.relative_to(DOCS).as_posix() for path in PAGES if path.parent.name != "reference"} - {"index.md"}
     guides |= {"reference/index.md", "reference/command-line.md", "reference/settings.md"}

@@ -139,10 +139,11 @@ def test_budget_workers_backend_and_parts_arrive_at_the_runs(monkeypatch, tmp_pa
 
     monkeypatch.setattr(experiment, "run_study", run)
     monkeypatch.setattr(experiment, "time", lambda: 1000.0)
-    flags = ["--budget", "2", "--workers", "3", "--backend", "serial", "--only", "point-maze"]
+    flags = ["--budget", "2", "--workers", "3", "--backend", "serial", "--only", "point-maze", "point-push"]
     assert main(["experiment", "fig3", "--scale", "smoke", "--out", str(tmp_path), *flags, "--json"]) == 0
-    assert heard == [({"point-maze"}, tmp_path, {"num_workers": 3, "backend": "serial", "until": 1000 + 2 * 3600})]
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["cells"] == 6
+    options = {"num_workers": 3, "backend": "serial", "until": 1000 + 2 * 3600}
+    assert heard == [({"point-maze", "point-push"}, tmp_path, options)]
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["cells"] == 12
 
 
 def test_a_folder_that_is_a_file_or_a_run_is_refused(tmp_path, tiny_run, capsys):

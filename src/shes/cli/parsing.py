@@ -52,7 +52,9 @@ def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
             found = function(**values, **steps)
         return show(found, _WRITES.get(name, ""), as_json=is_json)
 
-    env, words = _environment_first(words)
+    env = DEFAULT_ENV
+    if "env" in inspect.signature(function).parameters:
+        env, words = _environment_first(words)
     shows_help = not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
     parameters = _parameters(function)
     if not shows_help:
