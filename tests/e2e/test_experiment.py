@@ -89,6 +89,8 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
             ["ablation", "--only", "sweeps"],
             r"unknown group or environment 'sweeps'\. Did you mean 'sweep'\? Known: sweep, choices, hor",
         ),
+        (["fig3", "--backend", "ray"], "--backend ray is for runs that have all workers: those of scale paper"),
+        (["fig3", "--no-run"], "a has no finished run of fig3, and no row of one in runs.csv"),
         (["learning", "--only"], "--only needs at least one of pieces, form, alternatives, sweep, grid, ant-flagrun"),
         (
             ["ablation", "--only"],
@@ -140,10 +142,31 @@ def test_budget_workers_backend_and_parts_arrive_at_the_runs(monkeypatch, tmp_pa
     monkeypatch.setattr(experiment, "run_study", run)
     monkeypatch.setattr(experiment, "time", lambda: 1000.0)
     flags = ["--budget", "2", "--workers", "3", "--backend", "serial", "--only", "point-maze", "point-push"]
-    assert main(["experiment", "fig3", "--scale", "smoke", "--out", str(tmp_path), *flags, "--json"]) == 0
+    assert main(["experiment", "fig4", "--scale", "smoke", "--out", str(tmp_path), *flags, "--json"]) == 0
     options = {"num_workers": 3, "backend": "serial", "until": 1000 + 2 * 3600}
     assert heard == [({"point-maze", "point-push"}, tmp_path, options)]
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["cells"] == 12
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["cells"] == 8
+
+
+def test_what_is_there_is_drawn_without_a_run_and_nothing_is_lost(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(experiment, "run_study", lambda *_, **__: pytest.fail("runs"))
+    kept = Path(__file__).parents[2] / "results" / "ablation"
+    lines = {name: (kept / name).read_text().splitlines(keepends=True) for name in ("runs.csv", "curves.csv")}
+    settings = lines["runs.csv"][0].strip().split(",").index("settings")
+    gone, *rows = csv.reader(lines["runs.csv"][1:])
+    others = [[*row[:settings], "of another study", *row[settings + 1 :]] for row in rows[-1:]]
+    with (tmp_path / "runs.csv").open("w", newline="") as file:
+        file.write(lines["runs.csv"][0])
+        csv.writer(file, lineterminator="\n").writerows([*rows[:-1], *others])
+    (tmp_path / "curves.csv").write_text("".join(lines["curves.csv"]))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert main(["experiment", "ablation", "--out", str(tmp_path), "--no-run", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    missing = {f"{row[2]}/{row[0]}/{row[1]}/seed-{row[3]}" for row in (gone, rows[-1])}
+    assert set(found["missing"]) == missing
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name in before} == before
+    assert len(table(tmp_path / "comparison.csv")) == COMPARISONS["ablation"]
+    assert all(Path(path).stat().st_size for path in found["figures"])
 
 
 def test_a_folder_that_is_a_file_or_a_run_is_refused(tmp_path, tiny_run, capsys):

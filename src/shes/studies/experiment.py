@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 from shes.checked import checked
 from shes.console import LineConsole
+from shes.errors import ConfigError
 from shes.listing import Listing, Table
 from shes.runs.sections import WorkerSettings
 from shes.settings import Gt
@@ -41,6 +42,7 @@ def experiment(
     seeds: int | None = None,
     only: Sequence[str] | None = None,
     budget: Annotated[float, Gt(0)] | None = None,
+    run: bool = True,
 ) -> Listing:
     """Run a study of many runs and draw its figures. The same command continues a study that was stopped.
 
@@ -55,7 +57,7 @@ def experiment(
             experiments share runs/paper.
         num_workers: Runs at a time, or the workers of each run of scale paper; 0 is one for every core. fig4 sets its
             own worker counts; fig6 measures every count up to this one.
-        backend: Backend of the runs of scale paper, such as ray.
+        backend: Backend of runs that have all workers, those of scale paper, fig4 and fig6: for example ray.
         scale: paper: Table I, ten runs of up to ten hours, for experiments of the paper only; laptop: hours on two
             cores; smoke: minutes, as a test.
         seeds: Number of seeds per variant. Default: 10; at scale laptop, 5 for sweeps, the learning study and the ant,
@@ -64,16 +66,26 @@ def experiment(
             transfer; learning: alternatives, form, grid, pieces, sweep; table1: methods; fig3: methods; fig4:
             workers; fig5: methods, transfer; fig6: speedup.
         budget: Hours after which all runs stop; the same command continues them.
+        run: Whether to run what is missing. --no-run draws figures and comparisons of the finished runs and of the rows
+            in runs.csv and curves.csv.
 
     Raises:
+        ConfigError: The backend would not be used, or there is nothing to draw.
         ShesError: Raised by `choose` or `run_study`.
     """
     study = STUDIES[name](scale, seeds)
     out = out or Path("runs") / ("paper" if name in _OF_THE_PAPER else name)
+    if backend != "processes" and not study.has_large_runs:
+        raise ConfigError(
+            f"--backend {backend} is for runs that have all workers: those of scale paper, fig4 and fig6. Every run of "
+            f"{name} at scale {scale} has one core of this machine. Omit --backend."
+        )
     until = math.inf if budget is None else time() + 3600 * budget
     at_once = WorkerSettings(num_workers=num_workers).count
     chosen = choose(study, only)
     check_study(study, out)
+    if not run:
+        return _drawn(name, study, chosen, out)
     left = {cell.name for cell in cells_left(chosen, out)}
     failed: dict[str, str] = {}
     stopped: list[str] = []
@@ -93,17 +105,32 @@ def experiment(
     if failed:
         errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
     facts = {"out": str(out), "cells": len(chosen.cells), "failed": failed, "stopped": stopped}
+    write_tables(study.ordered(), read_summaries(study, out), out)
     found, parts = _write_results(name, study, out, stopped)
     return Listing({**facts, **found}, parts, errors)
+
+
+def _drawn(name: str, study: Study, chosen: Study, out: Path) -> Listing:
+    """Draw what is finished in `out`; rows of runs.csv that are not of this experiment stay there."""
+    summaries = read_summaries(study, out)
+    if not summaries:
+        raise ConfigError(
+            f"{out} has no finished run of {name}, and no row of one in runs.csv and curves.csv. Choose another folder "
+            "with --out, or omit --no-run."
+        )
+    missing = [cell.name for cell in chosen.cells if cell.name not in summaries]
+    found, parts = _write_results(name, study, out, ())
+    if missing:
+        parts.append(f"{len(missing)} of {len(chosen.cells)} runs are missing; without --no-run they are made.")
+    return Listing({"out": str(out), "cells": len(chosen.cells), "missing": missing, **found}, parts)
 
 
 def _write_results(
     name: str, study: Study, out: Path, stopped: Sequence[str]
 ) -> tuple[dict[str, Any], list[Table | str]]:
-    """Write the tables and figures of all finished runs in `out`; return what they hold, as facts and as text."""
+    """Write comparisons and figures of all finished runs in `out`; return what they hold, as facts and as text."""
     summaries = read_summaries(study, out)
     comparisons = compare(study, summaries)
-    write_tables(study.ordered(), summaries, out)
     rows = [each.row() for each in comparisons]
     table = f"{name}.csv" if name in _OF_THE_PAPER else "comparison.csv"  # the paper's experiments share their folder
     write_csv(out / table, rows)

@@ -15,15 +15,24 @@ PUBLISHED, PIECES = "published", "pieces"
 REFERENCES: dict[str, tuple[Reference, ...]] = {
     "ant-gather": (
         Reference("SHES (paper)", 3.74),
-        Reference("HIRO (Nachum)", 3.02),
-        Reference("SNN4HRL", 1.92),
-        Reference("VIME", 1.42),
-        Reference("FuN", 0.85),
+        Reference("HIRO (Nachum 2018)", 3.02),
+        Reference("SNN4HRL (Nachum 2018)", 1.92),
+        Reference("VIME (Nachum 2018)", 1.42),
+        Reference("FuN (Nachum 2018)", 0.85),
     ),
-    "ant-maze": (Reference("HIRO (Nachum)", 0.99), Reference("FuN", 0.16), Reference("SNN4HRL, VIME", 0.0)),
-    "ant-push": (Reference("HIRO (Nachum)", 0.92), Reference("FuN", 0.06), Reference("SNN4HRL, VIME", 0.02)),
+    "ant-maze": (
+        Reference("HIRO (Nachum 2018)", 0.99),
+        Reference("FuN (Nachum 2018)", 0.16),
+        Reference("SNN4HRL, VIME (Nachum 2018)", 0.0),
+    ),
+    "ant-push": (
+        Reference("HIRO (Nachum 2018)", 0.92),
+        Reference("FuN (Nachum 2018)", 0.06),
+        Reference("SNN4HRL, VIME (Nachum 2018)", 0.02),
+    ),
 }
-"""Published scores: Nachum et al. 2018, Table 1 (FuN with cosine similarity); SHES paper, 1.24 times HIRO's."""
+"""Published scores, with their source: Nachum et al. 2018, Table 1 (FuN with cosine similarity); SHES paper, 1.24 times
+HIRO's."""
 
 _BRANCHES = {"primitive_estimate": "interval", "intervals": 2}
 _VIEWS = {"primitive_view": "egocentric", "goal_encoding": "angle_metres"}
