@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from scipy import stats
 
 from shes.errors import ConfigError, RunFolderError, StorageError, UnknownNameError
 from shes.runs.folder import RunFolder
@@ -236,10 +237,12 @@ def test_runs_that_agree_have_no_width():
     assert low.tolist() == high.tolist() == [1.5, 1.5]
 
 
-def test_an_interval_is_about_two_standard_errors_wide():
-    values = np.random.default_rng(1).normal(size=(50, 1))
-    low, high = confidence_interval(values)
-    assert (high - low)[0] == pytest.approx(2 * 1.96 * values.std() / np.sqrt(50), rel=0.15)
+def test_an_interval_is_scipys_percentile_bootstrap():
+    values = np.random.default_rng(1).lognormal(size=(12, 3))
+    found = stats.bootstrap((values,), np.mean, axis=0, method="percentile", rng=1).confidence_interval
+    width = found.high - found.low
+    for bound, expected in zip(confidence_interval(values), found, strict=True):
+        assert np.abs(bound - expected).max() < 0.05 * width.min()
 
 
 def test_wrong_arguments_are_refused(seeds, tmp_path):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
+from shes.envs.markers import FRAME, GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.training.build import open_run
 from shes.training.evaluate import fresh_seeds
 from shes.training.loaded_agent import Agent
@@ -22,6 +22,7 @@ _TRAIL_STEPS = 150
 _GOAL_RADIUS_M = 0.45
 _ABOVE_GROUND_M = 0.03
 _LINE_RADIUS_M = 0.05
+_FRAME_LENGTH_M = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +32,8 @@ class Moment:
     pose: Any
     """The pose to draw: qpos [nq] or a picture."""
     markers: list[Marker]
-    """The task's markers, those of the sensors if asked for, the goal, and the robot's trail."""
+    """The task's markers, those of the sensors and of the controller's frame if asked for, the goal, and the robot's
+    trail."""
     caption: str
     """Training so far, time, score, and how the episode ended."""
 
@@ -58,6 +60,8 @@ class Playback:
         self.task = opened.algorithm.problem.make_task(is_evaluation=True)
         """The environment; whoever plays it closes it."""
         self._state, self._seed, self._has_sensors = state, seed, sensors
+        view = getattr(opened.algorithm.design, "controller_view", None)
+        self._frame = view if sensors and view is not None and view.turns_outputs else None
 
     def seed_of(self, episode: int) -> int:
         """Return the seed of episode `episode` of those that `evaluate` runs."""
@@ -81,13 +85,23 @@ class Playback:
 
     def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
         task = self.task
-        sensed = task.sensor_markers(0) if self._has_sensors else []
+        sensed = [*task.sensor_markers(0), *self._frame_marker()] if self._has_sensors else []
         parts = [self.name, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending]
         return Moment(
             pose=task.pose(0),
             markers=[*task.markers(0), *sensed, *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
             caption=" · ".join(part for part in parts if part),
         )
+
+    def _frame_marker(self) -> list[Marker]:
+        """Return a line along the frame in which the controller sees now, if that is not the robot's own."""
+        if self._frame is None:
+            return []
+        task, seen = self.task, np.empty((1, self._frame.size(self.task.observation_size)))
+        angle = float(self._frame.write(task.observe(), task.heading, seen)[0])
+        (x, y), height = task.position[0], task.ground_m + _ABOVE_GROUND_M
+        end = (x + _FRAME_LENGTH_M * np.cos(angle), y + _FRAME_LENGTH_M * np.sin(angle), height)
+        return [line((x, y, height), end, _LINE_RADIUS_M, FRAME)]
 
 
 def _age(generation: int) -> str:

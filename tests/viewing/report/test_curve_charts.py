@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from shes.runs.tables import read_csv
+from shes.viewing.report import page_sections
 from shes.viewing.report.curve_charts import SECTIONS, X_AXES, Panel, constants, curve_figure, numbers, panels_of
 from shes.viewing.report.reading import read_runs
 from shes.viewing.report.timing import time_figures, wall_parts, worker_parts
@@ -130,3 +131,19 @@ def test_the_shares_of_a_group_make_up_its_bar(kinds):
         np.testing.assert_allclose(np.sum([trace["x"] for trace in figure["data"]], axis=0), 1, atol=1e-3)
         assert len(figure["layout"]["yaxis"]["ticktext"]) == 2
     assert time_figures([]) == []
+
+
+def test_each_environment_has_panels_of_its_own_and_comes_into_the_pictures(monkeypatch):
+    sections = page_sections.Sections(read_runs(["ant-gather", "ant-gather-coevolved", "ant-maze"]), lambda: None)
+    sections.curves()
+    labels = {group.runs[0].name: group.label for group in sections.read.groups}
+    for env, runs in {"ant-gather": ["ant-gather", "ant-gather-coevolved"], "ant-maze": ["ant-maze"]}.items():
+        for x in X_AXES:
+            figure = sections.figures[f"{env} evaluation score_mean"][x]
+            assert figure["layout"]["title"]["text"] == f"{env}: score, evaluation"
+            assert {trace["meta"] for trace in figure["data"]} == {labels[run] for run in runs}
+    shown = []
+    monkeypatch.setattr(page_sections, "_MOST_SHOWN", 2)
+    monkeypatch.setattr(page_sections, "play_episodes", lambda path, *_: shown.append(path.name))
+    sections.pictures(1, None, has_videos=False)
+    assert shown == ["ant-gather", "ant-maze"]

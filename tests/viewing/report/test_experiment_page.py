@@ -42,7 +42,7 @@ def stand_in(monkeypatch):
 
 
 def test_the_section_has_each_figure_and_each_comparison(tables):
-    text = experiment_section(tables)
+    text, _ = experiment_section(tables)
     assert text.count("<img ") == 1
     assert 'alt="fig3-hours" src="data:image/png;base64,iVBORyBvZiBmaWd1cmUgMw=="' in text
     assert text.count("<table") == 1
@@ -54,11 +54,76 @@ def test_the_section_has_each_figure_and_each_comparison(tables):
 
 def test_the_comparisons_of_a_study_are_in_its_one_table(tables):
     (tables / "fig3.csv").rename(tables / "comparison.csv")
-    assert "<h3>comparison</h3>" in experiment_section(tables)
+    assert "<h3>comparison</h3>" in experiment_section(tables)[0]
+
+
+def test_the_settings_of_table_1_are_shown(tables):
+    (tables / "table1-settings.csv").write_text("Table_I,scale paper\npopulation size,1000\n", encoding="utf-8")
+    text, _ = experiment_section(tables)
+    assert '<th scope="col">Table I</th>' in text
+    assert "<td>1000</td>" in text
+
+
+def write_curves(folder, columns, rows):
+    lines = [",".join(columns), *(",".join(map(str, row)) for row in rows)]
+    (folder / "curves.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def named(figure):
+    return {trace["name"]: trace for trace in figure["data"] if "name" in trace}
+
+
+def test_curves_are_drawn_from_the_table_alone(tables):
+    columns = ("group", "variant", "env", "seed", "env_steps", "score_mean", "training_return_mean", "seconds")
+    rows = [
+        ("methods", "published", env, seed, steps, seed * steps, "" if variant == "published" else 1.0, 60 * seed)
+        for env in ("ant-gather", "ant-maze")
+        for variant in ("published",)
+        for seed in (1, 2)
+        for steps in (100, 200)
+    ]
+    rows += [("transfer", "<b>pieces</b>", "ant-maze", 1, steps, 5.0, 1.0, steps) for steps in (100, 200)]
+    write_curves(tables, columns, rows)
+    text, figures = experiment_section(tables)
+    titles = [name.removeprefix(f"{tables} ") for name in figures]
+    assert titles == ["ant-gather: test score", "ant-maze: test score", "ant-maze: training reward"]
+    assert text.count("data-figure=") == 3
+    assert "<b>" not in text
+    by_x = figures[f"{tables} ant-maze: test score"]
+    curves = named(by_x["env_steps"])
+    assert list(curves) == ["methods, published (2 seeds)", "transfer, &lt;b&gt;pieces&lt;/b&gt; (1 seed)"]
+    mean, one = curves.values()
+    assert (mean["x"], mean["y"]) == ([100, 200], [150, 300])
+    assert one["line"]["color"] != mean["line"]["color"]
+    assert len(by_x["env_steps"]["data"]) == 4  # the mean has a band
+    assert named(by_x["wall_time_s"])["transfer, &lt;b&gt;pieces&lt;/b&gt; (1 seed)"]["x"] == [1.66667, 3.33333]
+    assert by_x["generation"]["layout"]["xaxis"]["title"]["text"] == "environment steps"
+    assert list(named(figures[f"{tables} ant-maze: training reward"]["env_steps"])) == list(curves)[1:]
+
+
+def test_each_group_of_many_variants_has_a_figure_and_time_is_shown_where_it_is_known(tables):
+    columns = ("group", "variant", "env", "seed", "env_steps", "score_mean")
+    places = [("choices", f"c{number}") for number in range(8)] + [("sweep", f"s{number}") for number in range(8)]
+    write_curves(tables, columns, [(*place, "point-maze", 1, steps, 0.5) for place in places for steps in (1, 2)])
+    _, figures = experiment_section(tables)
+    assert [name.removeprefix(f"{tables} ") for name in figures] == [
+        "point-maze, choices: test score",
+        "point-maze, sweep: test score",
+    ]
+    figure = next(iter(figures.values()))
+    assert figure["wall_time_s"] == figure["env_steps"]
+    assert list(named(figure["env_steps"])) == [f"c{number} (1 seed)" for number in range(8)]
+
+
+@pytest.mark.parametrize("bad", ["much", "\0"])
+def test_curves_that_cannot_be_read_are_named(tables, bad):
+    write_curves(tables, ("group", "variant", "env", "seed", "env_steps", "score_mean"), [("g", "v", "e", 1, 1, bad)])
+    with pytest.raises(RunFolderError, match=r"the experiment in .*paper cannot be read"):
+        experiment_section(tables)
 
 
 def test_a_folder_of_runs_alone_has_no_section(tmp_path):
-    assert experiment_section(tmp_path) == ""
+    assert experiment_section(tmp_path) == ("", {})
 
 
 @pytest.mark.parametrize("bad", [ROWS[0].replace("1.5", "much"), "\0\udcff"])

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from shes.types import F64Array, FloatArray, IntArray
+from shes.types import F64Array, FloatArray
 from shes.viewing.curves import confidence_interval, interpolate
 from shes.viewing.report.reading import ReportedGroup, ReportedRun, Table
 
@@ -27,6 +27,7 @@ SECTIONS = ("Returns and scores", "Goals", "Diagnostics", "Speed")
 _MOST_POINTS = 1000
 """Of a longer curve every k-th point is drawn: a screen has no more pixels."""
 _DASHES = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
+_COLORS = 10
 _SIGNIFICANT = 6
 _BAND_OPACITY = 0.18
 
@@ -96,15 +97,18 @@ def _changes(values: F64Array) -> bool:
     return len(finite) > 0 and (finite.min() < finite.max() or len(values) == 1)
 
 
-def curve_figure(panel: Panel, groups: Sequence[ReportedGroup], x: str) -> Figure:
-    """Return the figure of a panel: a curve for each group, with its band, over the column `x`."""
+def curve_figure(panel: Panel, groups: Sequence[ReportedGroup], x: str, env: str = "") -> Figure:
+    """Return the figure of a panel: a curve for each group, with its band, over the column `x`.
+
+    `env` is the environment to be named beside the quantity, if the report has several.
+    """
     label, factor, ticks = X_AXES[x]
     data: list[dict[str, Any]] = []
     for group in groups:
         tables = [run.tables[panel.table] for run in group.runs]
         data += _traces(panel, group, [table for table in tables if panel.column in table and x in table], x, factor)
     layout = {
-        "title": {"text": escape(panel.title)},
+        "title": {"text": escape(f"{env}: {panel.title}" if env else panel.title)},
         "xaxis": {"title": {"text": label}, "tickformat": ticks},
     }
     return {"data": data, "layout": layout}
@@ -112,29 +116,54 @@ def curve_figure(panel: Panel, groups: Sequence[ReportedGroup], x: str) -> Figur
 
 def _traces(panel: Panel, group: ReportedGroup, tables: list[Table], x: str, factor: float) -> Iterator[dict[str, Any]]:
     """Yield the band and the curve of a group, from the `tables` of its runs."""
-    if not tables:
-        return
-    xs, ys = [table[x] * factor for table in tables], [table[panel.column] for table in tables]
-    grid, values = (xs[0], np.stack(ys)) if len(tables) == 1 else interpolate(xs, ys)
+    if tables:
+        xs, ys = [table[x] * factor for table in tables], [table[panel.column] for table in tables]
+        band = _error_band(tables[0], panel.column) if len(tables) == 1 else None
+        for trace in mean_traces(group.label, line_look(group), xs, ys, band):
+            yield {**trace, "meta": group.label}
+
+
+def mean_traces(
+    label: str,
+    look: tuple[str, str],
+    xs: Sequence[F64Array],
+    ys: Sequence[F64Array],
+    band: tuple[F64Array, F64Array] | None = None,
+) -> Iterator[dict[str, Any]]:
+    """Yield the band and the curve of runs, as traces of plotly.
+
+    Args:
+        label: Name of the curve.
+        look: Its colour and dash.
+        xs: Ascending abscissae of each run.
+        ys: Values of each run. Of several, the mean is drawn where all have values, with a 95 % bootstrap interval.
+        band: Lower and upper bound of the values of a single run; no band if None.
+    """
+    grid, values = (xs[0], np.stack(ys)) if len(xs) == 1 else interpolate(xs, ys)
     kept = np.arange(0, len(grid), max(1, -(-len(grid) // _MOST_POINTS)))
     grid, values = grid[kept], values[:, kept]
-    mean = values.mean(axis=0)
-    color, dash = line_look(group)
-    common = {"type": "scatter", "meta": group.label}
-    band = (
-        confidence_interval(values) if len(tables) > 1 and len(grid) else _errors(tables[0], panel.column, mean, kept)
-    )
-    if band is not None:
-        low, high = band
-        edge = {"mode": "lines", "line": {"width": 0, "color": color}, "hoverinfo": "skip", "showlegend": False}
-        yield {**common, **edge, "x": numbers(grid), "y": numbers(low)}
-        fill = {"fill": "tonexty", "fillcolor": f"{color}/{_BAND_OPACITY}"}
-        yield {**common, **edge, **fill, "x": numbers(grid), "y": numbers(high)}
+    color, dash = look
+    if len(xs) > 1 and len(grid):
+        bounds = confidence_interval(values)
+    else:
+        bounds = None if band is None else (band[0][kept], band[1][kept])
+    if bounds is not None:
+        low, high = bounds
+        edge = {
+            "type": "scatter",
+            "x": numbers(grid),
+            "mode": "lines",
+            "line": {"width": 0, "color": color},
+            "hoverinfo": "skip",
+            "showlegend": False,
+        }
+        yield {**edge, "y": numbers(low)}
+        yield {**edge, "y": numbers(high), "fill": "tonexty", "fillcolor": f"{color}/{_BAND_OPACITY}"}
     yield {
-        **common,
-        "name": escape(group.label),
+        "type": "scatter",
+        "name": escape(label),
         "x": numbers(grid),
-        "y": numbers(mean),
+        "y": numbers(values.mean(axis=0)),
         "mode": "lines+markers" if len(grid) < 30 else "lines",
         "marker": {"size": 5},
         "line": {"color": color, "dash": dash, "width": 2},
@@ -147,13 +176,19 @@ def line_look(group: ReportedGroup) -> tuple[str, str]:
     return f"--curve-{group.group.color[1:]}", _DASHES[group.group.style]
 
 
-def _errors(table: Table, column: str, mean: F64Array, kept: IntArray) -> tuple[F64Array, F64Array] | None:
-    """Return mean minus and plus two standard errors over the episodes of each evaluation, if the table has them."""
+def numbered_look(number: int) -> tuple[str, str]:
+    """Return colour and dash of the curve with this number; after ten, colours begin anew with another dash."""
+    dashes = list(_DASHES.values())
+    return f"--curve-{number % _COLORS}", dashes[number // _COLORS % len(dashes)]
+
+
+def _error_band(table: Table, column: str) -> tuple[F64Array, F64Array] | None:
+    """Return a column minus and plus two standard errors over the episodes of each evaluation, if they are known."""
     spread = column.replace("_mean", "_std")
     if spread == column or not {spread, "episodes"} <= table.keys():
         return None
-    error = 2 * table[spread][kept] / np.sqrt(table["episodes"][kept])
-    return mean - error, mean + error
+    error = 2 * table[spread] / np.sqrt(table["episodes"])
+    return table[column] - error, table[column] + error
 
 
 def numbers(values: FloatArray) -> list[float | None]:

@@ -1,4 +1,4 @@
-"""The section of an experiment: the figures and comparisons that `shes experiment` has written beside its runs."""
+"""The section of an experiment: the curves, figures and comparisons that `shes experiment` has written."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from html import escape
 from pathlib import Path
 
 from shes.errors import RunFolderError
-from shes.viewing.report.page import cards, image_card, paragraph, section, table
+from shes.viewing.report.curve_charts import Figure
+from shes.viewing.report.experiment_charts import experiment_charts
+from shes.viewing.report.page import cards, details, image_card, paragraph, plots, section, table
 from shes.viewing.report.reading import RUNS_OF_STUDY
 
 _HEADINGS = (
@@ -22,27 +24,48 @@ _HINT = (
     "permutation test, corrected by Holm's method, and of a Mann-Whitney U test; superiority: the probability that a "
     "seed exceeds one of the variant it is compared with; hours: mean of the runs."
 )
+_CURVES_HINT = (
+    "Mean over seeds with a 95 % bootstrap interval, as far as all seeds reach. Curves with a transferred primitive "
+    "begin after its training; the figures below add the time of that."
+)
 _ORIGIN = ("hardware", "versions", "commit")
+_SETTINGS = "table1-settings"
+"""Table of the settings in Table I, beside those of scale paper."""
 
 
-def experiment_section(folder: Path) -> str:
-    """Return the figures and comparisons of the experiment in `folder`; empty if it holds none.
+def experiment_section(folder: Path) -> tuple[str, dict[str, dict[str, Figure]]]:
+    """Return the section of the experiment in `folder`, and the figures of plotly in it by name; empty without one.
 
     Raises:
         RunFolderError: A file cannot be read.
     """
     if not (folder / RUNS_OF_STUDY).is_file():
-        return ""
+        return "", {}
     try:
+        charts = {f"{folder} {title}": figures for title, figures in experiment_charts(folder).items()}
         tables = {path.stem: rows for path in sorted(folder.glob("*.csv")) if (rows := _read(path))}
         figures = {path.stem: b64encode(path.read_bytes()).decode() for path in sorted(folder.glob("*.png"))}
-        parts = [cards(image_card(name, f"data:image/png;base64,{data}") for name, data in figures.items())]
+        parts = [paragraph(_CURVES_HINT, "hint") if charts else "", plots(charts)]
+        parts += [cards(image_card(name, f"data:image/png;base64,{data}") for name, data in figures.items())]
         for name, rows in tables.items():
             parts += [f"<h3>{escape(name)}</h3>", table(_HEADINGS, map(_cells, rows), "figures")]
             parts += [paragraph(_origin(rows), "hint")]
-    except (OSError, ValueError, csv.Error) as error:
+        parts += [_settings_of_table_1(folder)]
+    except (OSError, ValueError, KeyError, csv.Error) as error:
         raise RunFolderError(f"the experiment in {folder} cannot be read: {error}.") from error
-    return section(f"Experiment {folder}", paragraph(_HINT, "hint"), *parts)
+    return section(f"Experiment {folder}", paragraph(_HINT, "hint"), *parts), charts
+
+
+def _settings_of_table_1(folder: Path) -> str:
+    """Return the settings that `shes experiment table1` has written, shown on demand; empty without them."""
+    file = folder / f"{_SETTINGS}.csv"
+    if not file.is_file():
+        return ""
+    with file.open(newline="", encoding="utf-8") as lines:
+        headings, *rows = csv.reader(lines)
+    return details(
+        "Settings of Table I, and of scale paper", table([name.replace("_", " ") for name in headings], rows)
+    )
 
 
 def _read(path: Path) -> list[dict[str, str]]:

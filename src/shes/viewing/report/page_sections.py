@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +19,7 @@ from shes.viewing.report.experiment_page import experiment_section
 from shes.viewing.report.fresh_episodes import HEADINGS, evaluate_runs, result_rows
 from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes
 from shes.viewing.report.page import cards, details, map_card, paragraph, plots, section, table, video_card
-from shes.viewing.report.reading import ReportedRun, ReportedRuns
+from shes.viewing.report.reading import ReportedGroup, ReportedRun, ReportedRuns
 from shes.viewing.report.timing import time_figures
 from shes.viewing.report.videos import video_uri
 
@@ -58,10 +60,14 @@ class Sections:
     def curves(self) -> list[str]:
         """Return a section for each of `SECTIONS`."""
         names: dict[int, list[str]] = {number: [] for number in range(len(SECTIONS))}
-        for panel in panels_of(self.read.runs):
-            name = f"{panel.table} {panel.column}"
-            names[panel.section].append(name)
-            self.figures[name] = {x: curve_figure(panel, self.read.groups_over(x), x) for x in X_AXES}
+        envs = dict.fromkeys(run.config.run.env for run in self.read.runs)
+        for env in envs:
+            groups = {x: _groups_in(env, self.read.groups_over(x)) for x in X_AXES}
+            beside = env if len(envs) > 1 else ""
+            for panel in panels_of([run for run in self.read.runs if run.config.run.env == env]):
+                name = f"{beside} {panel.table} {panel.column}".strip()
+                names[panel.section].append(name)
+                self.figures[name] = {x: curve_figure(panel, own, x, beside) for x, own in groups.items()}
         shares = {f"time {number}": figure for number, figure in enumerate(time_figures(self.read.groups))}
         self.figures.update(shares)
         fixed = ", ".join(f"{name} {' or '.join(values)}" for name, values in constants(self.read.runs).items())
@@ -80,7 +86,7 @@ class Sections:
         """Return maps and videos of the first run of each group that could be evaluated, as far as they can be made."""
         maps: list[str] = []
         videos: list[str] = []
-        for number, group in enumerate(self.read.groups[:_MOST_SHOWN]):
+        for number, group in enumerate(_first_of_each_env(self.read.groups)[:_MOST_SHOWN]):
             run = next((run for run in group.runs if run.name in self._evaluated), group.runs[0])
             subtitle = group.label if len(self.read.groups) > 1 else ""
             self._on_part()
@@ -93,7 +99,11 @@ class Sections:
                 self._on_part()
                 uri = _attempt(run, "video", lambda run=run: video_uri(run, seed))
                 videos += [] if uri is None else [video_card(run.name, subtitle, uri)]
-        some = f" Shown are the first {_MOST_SHOWN} groups." if len(self.read.groups) > _MOST_SHOWN else ""
+        some = (
+            f" Shown are {_MOST_SHOWN} groups, the first of each environment."
+            if len(self.read.groups) > _MOST_SHOWN
+            else ""
+        )
         where = (
             f"Paths and goals of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of "
             f"one run of each group.{some} A dot is the end of a path, a cross a goal. "
@@ -140,7 +150,9 @@ class Sections:
         found: list[str] = []
         for folder in dict.fromkeys(given):
             try:
-                found.append(experiment_section(folder))
+                text, figures = experiment_section(folder)
+                found.append(text)
+                self.figures.update(figures)
             except ShesError as error:
                 self.read.left_out.append(f"An experiment is left out: {error}")
         return "\n".join(filter(None, found))
@@ -184,6 +196,23 @@ def _state(run: ReportedRun) -> tuple[Any, ...]:
     origin = (state.env, state.algorithm, state.preset, state.seed)
     score = "-" if state.best_score is None else f"{state.best_score:.2f}"
     return (*origin, made, f"{state.env_steps:,}", end, score, state.state)
+
+
+def _groups_in(env: str, groups: Sequence[ReportedGroup]) -> list[ReportedGroup]:
+    """Return the groups with their runs in environment `env`, without those that have none."""
+    own = [replace(group, runs=[run for run in group.runs if run.config.run.env == env]) for group in groups]
+    return [group for group in own if group.runs]
+
+
+def _first_of_each_env(groups: Sequence[ReportedGroup]) -> list[ReportedGroup]:
+    """Return the groups in an order in which the first one of every environment comes before all second ones."""
+    seen = Counter[str]()
+    place: dict[int, int] = {}
+    for number, group in enumerate(groups):
+        env = group.runs[0].config.run.env
+        place[number] = seen[env]
+        seen[env] += 1
+    return [groups[number] for number in sorted(place, key=place.__getitem__)]
 
 
 def _duration(seconds: float) -> str:

@@ -76,9 +76,9 @@ def report(
     runs_and_notes = sections.runs()  # after all that may add a note
     body = [
         runs_and_notes,
-        experiments,
         results,
         toolbar(),
+        experiments,
         learning,
         goals,
         pictures,

@@ -1,0 +1,78 @@
+"""Learning curves of an experiment from its table `curves.csv` alone, as figures of plotly."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shes.viewing.report.curve_charts import X_AXES, Figure, mean_traces, numbered_look
+
+_CURVES = "curves.csv"
+_MEASURES = {"score_mean": "test score", "training_return_mean": "training reward"}
+_COLUMNS = {"env_steps": "env_steps", "wall_time_s": "seconds"}
+"""Columns of `curves.csv` by those of a run's tables."""
+_MOST_CURVES = 10
+"""Curves of a figure: with more variants, each group has figures of its own."""
+_LEGEND_PIXELS, _FRAME_PIXELS = 20, 300
+
+_Rows = Mapping[tuple[str, str], Mapping[str, Sequence[Mapping[str, str]]]]
+"""Rows of an environment by group and variant, then by seed."""
+
+
+def experiment_charts(folder: Path) -> dict[str, dict[str, Figure]]:
+    """Return the figures of the curves in `folder` by title, each over all of `X_AXES`; none without `curves.csv`.
+
+    Raises:
+        ValueError: A number cannot be read.
+        OSError: The table cannot be read.
+    """
+    file = folder / _CURVES
+    if not file.is_file():
+        return {}
+    envs: dict[str, dict[tuple[str, str], dict[str, list[dict[str, str]]]]] = {}
+    with file.open(newline="", encoding="utf-8") as lines:
+        for row in csv.DictReader(lines):
+            variants = envs.setdefault(row["env"], {})
+            variants.setdefault((row["group"], row["variant"]), {}).setdefault(row["seed"], []).append(row)
+    found: dict[str, dict[str, Figure]] = {}
+    for env, variants in envs.items():
+        groups = {"": variants}
+        if len(variants) > _MOST_CURVES:
+            names = dict.fromkeys(group for group, _ in variants)
+            groups = {name: {place: variants[place] for place in variants if place[0] == name} for name in names}
+        for group, rows in groups.items():
+            for column, words in _MEASURES.items():
+                title = f"{env}, {group}: {words}" if group else f"{env}: {words}"
+                figures = {x: _figure(title, rows, column, x) for x in X_AXES}
+                if any(figure["data"] for figure in figures.values()):
+                    found[title] = figures
+    return found
+
+
+def _figure(title: str, rows: _Rows, column: str, x: str) -> Figure:
+    """Return a figure of `column` over `x`; over environment steps where the table does not have `x`."""
+    has_time = all(row.get("seconds") for runs in rows.values() for run in runs.values() for row in run)
+    x = x if x == "wall_time_s" and has_time else "env_steps"
+    label, factor, ticks = X_AXES[x]
+    data: list[dict[str, Any]] = []
+    several = len({group for group, _ in rows}) > 1
+    for number, ((group, variant), runs) in enumerate(rows.items()):
+        full = [run for run in runs.values() if all(row.get(column) for row in run)]
+        if full:
+            xs = [np.array([float(row[_COLUMNS[x]]) for row in run]) * factor for run in full]
+            ys = [np.array([float(row[column]) for row in run]) for run in full]
+            words = f"{group}, {variant}" if several else variant
+            label_of = f"{words} ({len(full)} seed{'s' * (len(full) != 1)})"
+            data += mean_traces(label_of, numbered_look(number), xs, ys)
+    layout = {
+        "title": {"text": escape(title)},
+        "height": _FRAME_PIXELS + _LEGEND_PIXELS * sum("name" in trace for trace in data),
+        "showlegend": True,
+        "xaxis": {"title": {"text": label}, "tickformat": ticks},
+    }
+    return {"data": data, "layout": layout}
