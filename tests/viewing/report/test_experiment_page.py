@@ -104,7 +104,7 @@ def test_curves_are_drawn_from_the_table_alone(tables):
 def test_each_group_of_many_variants_has_a_figure_and_time_is_shown_where_it_is_known(tables):
     columns = ("group", "variant", "env", "seed", "env_steps", "score_mean")
     places = [("choices", f"c{number}") for number in range(8)] + [("sweep", f"s{number}") for number in range(8)]
-    write_curves(tables, columns, [(*place, "point-maze", 1, steps, 0.5) for place in places for steps in (1, 2)])
+    write_curves(tables, columns, [(*place, "point-maze", seed, 9, 0.5) for place in places for seed in (1, 2)])
     _, figures = experiment_section(tables)
     assert [name.removeprefix(f"{tables} ") for name in figures] == [
         "point-maze, choices: test score",
@@ -112,7 +112,9 @@ def test_each_group_of_many_variants_has_a_figure_and_time_is_shown_where_it_is_
     ]
     figure = next(iter(figures.values()))
     assert figure["wall_time_s"] == figure["env_steps"]
-    assert list(named(figure["env_steps"])) == [f"c{number} (1 seed)" for number in range(8)]
+    assert [trace.get("name") for trace in figure["env_steps"]["data"]] == [
+        f"c{number} (2 seeds)" for number in range(8)
+    ]
 
 
 @pytest.mark.parametrize("bad", ["much", "\0"])

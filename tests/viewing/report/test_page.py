@@ -7,6 +7,7 @@ import re
 import shutil
 import sys
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
@@ -244,6 +245,26 @@ def test_the_horizontal_axis_the_curves_and_the_episode_can_be_chosen(whole, bro
     choice = "document.querySelector('select[data-map=\"map 0\"]')"
     browser.evaluate(f"{choice}.value = '2'; {choice}.dispatchEvent(new Event('change'))")
     assert browser.wait_for(f"{place}.data.some((trace) => trace.meta.alone) && {numbers}") == [2]
+    assert browser.errors == []
+
+
+@needs_plotly
+@pytest.mark.extras
+def test_the_curves_of_an_experiment_are_read_below_the_mouse(browser, tmp_path):
+    folder = Path(__file__).parents[3] / "results" / "ablation"
+    browser.open(report([folder], tmp_path / "report.html", video=False))
+    left, top, right, bottom = first_plot(browser)
+    browser.mouse("Moved", left + 10, (top + bottom) / 2)
+    browser.mouse("Moved", right - 10, (top + bottom) / 2)
+    assert "base (10 seeds)" in browser.wait_for(f"{FIRST}.querySelector('.hoverlayer').textContent")
+    transfer = (
+        "[...document.querySelectorAll('[data-figure]')].find((box) => /gather, transfer/.test(box.dataset.figure))"
+    )
+    browser.evaluate(f"void draw({transfer})")
+    names = f"[...{transfer}.querySelectorAll('.legendtext')].map((text) => text.textContent)"
+    assert browser.wait_for(f"{names}.length && {names}") == [
+        f"{name} (10 seeds)" for name in ("scratch", "frozen", "unfrozen")
+    ]
     assert browser.errors == []
 
 

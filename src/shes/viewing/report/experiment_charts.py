@@ -18,6 +18,8 @@ _COLUMNS = {"env_steps": "env_steps", "wall_time_s": "seconds"}
 """Columns of `curves.csv` by those of a run's tables."""
 _MOST_CURVES = 10
 """Curves of a figure: with more variants, each group has figures of its own."""
+_MOST_BANDS = 6
+"""Curves of a figure that have a band: more could not be told apart."""
 _LEGEND_PIXELS, _FRAME_PIXELS = 20, 300
 
 _Rows = Mapping[tuple[str, str], Mapping[str, Sequence[Mapping[str, str]]]]
@@ -68,7 +70,8 @@ def _figure(title: str, rows: _Rows, column: str, x: str) -> Figure:
             ys = [np.array([float(row[column]) for row in run]) for run in full]
             words = f"{group}, {variant}" if several else variant
             label_of = f"{words} ({len(full)} seed{'s' * (len(full) != 1)})"
-            data += mean_traces(label_of, numbered_look(number), xs, ys)
+            traces = mean_traces(label_of, numbered_look(number), xs, ys)
+            data += [trace for trace in traces if "name" in trace or len(rows) <= _MOST_BANDS]
     layout = {
         "title": {"text": escape(title)},
         "height": _FRAME_PIXELS + _LEGEND_PIXELS * sum("name" in trace for trace in data),

@@ -30,7 +30,7 @@ function layout(own) {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
     font: {color: "--ink", size: 12, family: "system-ui, sans-serif"},
     hoverlabel: {bgcolor: "--surface", bordercolor: "--edge", font: {color: "--ink"}, namelength: 40},
-    legend: {orientation: "h", yref: "container", y: 0, yanchor: "bottom"},
+    legend: {orientation: "h", yref: "container", y: 0, yanchor: "bottom", traceorder: "normal"},
     margin: {l: 52, r: 14, t: own.title ? 40 : 14, b: 52},
     modebar: {bgcolor: "rgba(0,0,0,0)", color: "--faint", activecolor: "--accent"},
     dragmode: matchMedia("(pointer: coarse)").matches ? false : "zoom",  // else a finger could not scroll the page
