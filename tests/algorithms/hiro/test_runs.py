@@ -13,12 +13,14 @@ import shes
 from shes.algorithms.hiro import algorithm as hiro
 from shes.algorithms.hiro.collector import Actor
 from shes.cli import main
+from shes.envs.markers import GOAL
 from shes.errors import CheckpointError, ConfigError, DivergenceError, MissingExtraError
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.training.build import build_algorithm, open_run
 from shes.training.make_config import make_config
+from shes.viewing.playback import Playback
 from tests.e2e import runs
 from tests.training.test_export import OnnxAgent, episode, run_exported
 
@@ -256,6 +258,16 @@ def test_the_buffer_is_in_the_last_checkpoint_alone_and_is_filled_anew_from_anot
 
 
 @needs_jax
+def test_nothing_is_learned_in_the_steps_of_the_warm_up(tmp_path):
+    pytest.importorskip("jax")
+    path = train(tmp_path / "run", warmup_steps=130, generation_steps=70, generations=3, controller_update_interval=10)
+    table = read_csv(path / "progress.csv")
+    assert table["env_steps"] == [140, 220, 300]  # whole episodes of 20 steps
+    for level, updates in (("primitive", [0, 80, 160]), ("controller", [0, 8, 16])):
+        assert table[f"{level}_updates"] == updates
+
+
+@needs_jax
 def test_each_environment_step_has_its_update_however_many_environments_there_are(tmp_path):
     pytest.importorskip("jax")
     for num_envs in (1, 4):
@@ -280,11 +292,17 @@ def test_networks_that_diverge_end_the_run_and_leave_the_last_good_checkpoint(tm
 
 
 @needs_jax
-def test_a_run_is_drawn_plotted_and_compared_as_any_other(tmp_path):
+def test_a_run_is_rendered_plotted_and_compared_as_any_other(tmp_path, capsys):
     pytest.importorskip("jax")
     one, other = train(tmp_path / "hiro"), train(tmp_path / "td3", "td3")
     shes.plot([one, other], out=tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 1000
+    shes.render([one, other], out=tmp_path / "both.gif", steps=3, size=64)
+    assert (tmp_path / "both.gif").stat().st_size > 1000
+    *_, shown = Playback(one, "best", steps=3).play(3)
+    assert any(marker.color == GOAL for marker in shown.markers)
+    assert main(["compare", str(one), str(other), "--episodes", "2", "--workers", "1"]) == 0
+    assert "p " in capsys.readouterr().out
     columns = read_csv(one / "progress.csv").keys()
     levels = ("controller", "primitive")
     assert {f"{name}_return_mean" for name in levels} | {f"{name}_replay_size" for name in levels} <= columns

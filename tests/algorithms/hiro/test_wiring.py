@@ -1,7 +1,11 @@
 """Where every setting of HIRO and TD3 arrives. A setting without a row fails."""
 
+from types import SimpleNamespace
+from unittest import mock
+
 import pytest
 
+from shes.algorithms.hiro import algorithm
 from shes.algorithms.hiro.sections import HIRO_SECTIONS
 from shes.settings import setting_fields
 from shes.training.build import build_algorithm
@@ -33,6 +37,13 @@ def collected(name):
     return read
 
 
+def _controller_learner(a):
+    """Return the arguments of the controller's learner."""
+    made = SimpleNamespace(LevelLearner=lambda *_: None, ControllerLearner=lambda *arguments: arguments)
+    with mock.patch.object(algorithm, "import_learning", return_value=made):
+        return a.make_learners(SimpleNamespace(learners=(None, None)))["controller"]
+
+
 ROWS = {
     # setting: (value, what reads it, what that finds)
     "hidden": ((9, 8), lambda a: [level.actor.sizes[1:-1] for level in a.levels], [(9, 8)] * 2),
@@ -59,7 +70,7 @@ ROWS = {
     "controller_update_interval": (30, due("controller"), [1, 1]),
     "controller_interval": (4, lambda a: a.design.controller_interval, 4),
     "goal_distance": (3.0, lambda a: a.design.goals.half_range, (3.0, 3.0)),
-    "goal_candidates": (6, lambda a: a.problem.settings.goals.goal_candidates, 6),
+    "goal_candidates": (6, lambda a: _controller_learner(a)[-1], 6),
 }
 
 
