@@ -35,10 +35,11 @@ class Group(NamedTuple):
     preset: str = "laptop"
 
 
+_PUBLISHED = {"algorithm": "hiro", "controller_update_interval": 10}
 GROUPS = {
-    "td3-point-maze": Group("point-maze", range(1, 6), {"algorithm": "td3", "env_steps": 300_000}),
-    "hiro-point-maze": Group("point-maze", range(1, 6), {"algorithm": "hiro", "env_steps": 500_000}),
-    "hiro-point-push": Group("point-push", range(1, 6), {"algorithm": "hiro", "env_steps": 1_000_000}),
+    "td3-point-maze": Group("point-maze", range(1, 6), {"algorithm": "td3", "env_steps": 500_000}),
+    "hiro-point-maze": Group("point-maze", range(1, 6), {**_PUBLISHED, "env_steps": 500_000}),
+    "hiro-point-push": Group("point-push", range(1, 6), {**_PUBLISHED, "env_steps": 500_000}),
     "hiro-ant-gather": Group("ant-gather", range(1, 4), {"minutes": 120.0}, "hiro-paper"),
     "hiro-ant-maze": Group("ant-maze", range(1, 4), {"minutes": 120.0}, "hiro-paper"),
 }
