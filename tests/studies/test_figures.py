@@ -157,7 +157,7 @@ def test_curves_are_means_over_seeds_of_transfer_and_horizon(drawn):
 def test_figure_3_has_published_scores_and_a_running_best_that_never_falls(all_drawn):
     gather = all_drawn["fig3"][0]["fig3-hours"].axes[3]
     lines = {line.get_label(): line for line in gather.lines}
-    assert lines["HIRO (Nachum)"].get_ydata()[0] == 3.02
+    assert lines["HIRO (Nachum 2018)"].get_ydata()[0] == 3.02
     assert lines["SHES (paper)"].get_ydata()[0] == 3.74
     measured, best = gather.lines[0], gather.lines[1]
     assert (measured.get_label(), best.get_linestyle()) == ("SHES as published (3 seeds)", "--")
