@@ -78,6 +78,12 @@ def test_training_shows_every_method_the_way_at_scale_laptop_only(scale, has_way
         assert (values["target"], values["waypoints"]) == (((0, 16), (16, 0, 16, 16)) if has_way else (None, None))
 
 
+@pytest.mark.parametrize("scale", SCALES)
+def test_hiro_has_one_update_of_its_controller_for_ten_steps_as_published(scale, tmp_path):
+    cells = [cell for cell in STUDIES["fig3"](scale, 1).cells if cell.variant == "hiro"]
+    assert {cell_config(cell, tmp_path).values["controller_update_interval"] for cell in cells} == {10}
+
+
 # Runs.
 
 

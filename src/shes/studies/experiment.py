@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from itertools import groupby
 from operator import attrgetter
@@ -24,7 +24,7 @@ from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
 from shes.studies.running import Outcome, cells_left, check_study, read_summaries, run_study
 from shes.studies.study import Study, cell_steps, choose
-from shes.studies.study_tables import write_csv, write_tables
+from shes.studies.study_tables import CellResults, write_csv, write_tables
 from shes.studies.table1 import settings_beside
 from shes.training.progress_display import format_duration
 
@@ -80,12 +80,43 @@ def experiment(
             f"--backend {backend} is for runs that have all workers: those of scale paper, fig4 and fig6. Every run of "
             f"{name} at scale {scale} has one core of this machine. Omit --backend."
         )
-    until = math.inf if budget is None else time() + 3600 * budget
-    at_once = WorkerSettings(num_workers=num_workers).count
     chosen = choose(study, only)
     check_study(study, out)
-    if not run:
-        return _drawn(name, study, chosen, out)
+    facts: dict[str, Any] = {"out": str(out), "cells": len(chosen.cells)}
+    lines: list[str] = []
+    errors: list[str] = []
+    if run:
+        until = math.inf if budget is None else time() + 3600 * budget
+        failed, stopped = _run(study, chosen, out, num_workers, backend, until)
+        facts |= {"failed": failed, "stopped": stopped}
+        errors = [f"{cell} failed: {error}" for cell, error in failed.items()]
+        if failed:
+            errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
+        if stopped:
+            lines = [f"The time is over: {len(stopped)} runs are left. The same command continues them."]
+    summaries = read_summaries(study, out)
+    if run:
+        write_tables(study.ordered(), summaries, out)
+    else:  # the tables stay as they are: a row of other settings would be lost
+        facts["missing"] = [cell.name for cell in chosen.cells if cell.name not in summaries]
+        if not summaries:
+            raise ConfigError(
+                f"{out} has no finished run of {name}, and no row of one in runs.csv and curves.csv. Choose another "
+                "folder with --out, or omit --no-run."
+            )
+        if facts["missing"]:
+            lines = [
+                f"{len(facts['missing'])} of {len(chosen.cells)} runs are missing; without --no-run they are made."
+            ]
+    found, parts = _write_results(name, study, out, summaries)
+    return Listing({**facts, **found}, [*parts, *lines], errors)
+
+
+def _run(
+    study: Study, chosen: Study, out: Path, num_workers: int, backend: str, until: float
+) -> tuple[dict[str, str], list[str]]:
+    """Run what is left of `chosen`, a part of `study`; return the errors of failed runs, and the runs stopped."""
+    at_once = WorkerSettings(num_workers=num_workers).count
     left = {cell.name for cell in cells_left(chosen, out)}
     failed: dict[str, str] = {}
     stopped: list[str] = []
@@ -101,35 +132,13 @@ def experiment(
     except KeyboardInterrupt as stop:
         stop.add_note("Stopped; finished runs are kept. Continue with the same command.")
         raise
-    errors = [f"{cell} failed: {error}" for cell, error in failed.items()]
-    if failed:
-        errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
-    facts = {"out": str(out), "cells": len(chosen.cells), "failed": failed, "stopped": stopped}
-    write_tables(study.ordered(), read_summaries(study, out), out)
-    found, parts = _write_results(name, study, out, stopped)
-    return Listing({**facts, **found}, parts, errors)
-
-
-def _drawn(name: str, study: Study, chosen: Study, out: Path) -> Listing:
-    """Draw what is finished in `out`; rows of runs.csv that are not of this experiment stay there."""
-    summaries = read_summaries(study, out)
-    if not summaries:
-        raise ConfigError(
-            f"{out} has no finished run of {name}, and no row of one in runs.csv and curves.csv. Choose another folder "
-            "with --out, or omit --no-run."
-        )
-    missing = [cell.name for cell in chosen.cells if cell.name not in summaries]
-    found, parts = _write_results(name, study, out, ())
-    if missing:
-        parts.append(f"{len(missing)} of {len(chosen.cells)} runs are missing; without --no-run they are made.")
-    return Listing({"out": str(out), "cells": len(chosen.cells), "missing": missing, **found}, parts)
+    return failed, stopped
 
 
 def _write_results(
-    name: str, study: Study, out: Path, stopped: Sequence[str]
+    name: str, study: Study, out: Path, summaries: Mapping[str, CellResults]
 ) -> tuple[dict[str, Any], list[Table | str]]:
-    """Write comparisons and figures of all finished runs in `out`; return what they hold, as facts and as text."""
-    summaries = read_summaries(study, out)
+    """Write comparisons and figures of finished runs into `out`; return what they hold, as facts and as text."""
     comparisons = compare(study, summaries)
     rows = [each.row() for each in comparisons]
     table = f"{name}.csv" if name in _OF_THE_PAPER else "comparison.csv"  # the paper's experiments share their folder
@@ -138,7 +147,6 @@ def _write_results(
     facts: dict[str, Any] = {"figures": figures, "comparisons": rows}
     parts = [
         *_parts(study.design, comparisons),
-        *([f"The time is over: {len(stopped)} runs are left. The same command continues them."] if stopped else ()),
         f"Tables: runs.csv, curves.csv, {table} in {quote(str(out))}",
         f"Figures: {' '.join(map(quote, figures)) or 'none'}",
     ]

@@ -100,7 +100,7 @@ class Sections:
                 uri = _attempt(run, "video", lambda run=run: video_uri(run, seed))
                 videos += [] if uri is None else [video_card(run.name, subtitle, uri)]
         some = (
-            f" Shown are {_MOST_SHOWN} groups, the first of each environment."
+            f" Shown are {_MOST_SHOWN} groups, beginning with one of each environment."
             if len(self.read.groups) > _MOST_SHOWN
             else ""
         )
