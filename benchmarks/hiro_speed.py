@@ -34,7 +34,6 @@ def ours(algorithm: str, hidden: tuple[int, ...], num_envs: int, update_interval
     """
     import shes
 
-    goals = {"controller_update_interval": 10} if algorithm == "hiro" else {}
     with tempfile.TemporaryDirectory() as folder:
         run = shes.train(
             ENV,
@@ -51,7 +50,6 @@ def ours(algorithm: str, hidden: tuple[int, ...], num_envs: int, update_interval
             evaluation_episodes=1,
             num_workers=1,
             out=Path(folder) / "run",
-            **goals,
         )
         rows = run.progress
         level = "primitive" if algorithm == "hiro" else "policy"

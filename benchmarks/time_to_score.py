@@ -22,9 +22,9 @@ SCORES = (1.0, 2.0, 3.0)
 LABELS = {
     "coevolved": "SHES, both levels from scratch",
     "transfer": "SHES, on a walker (its time counts)",
-    "hiro": "HIRO",
+    "hiro-ant-gather": "HIRO, as published",
+    "hiro-ant-gather-64": "HIRO, networks of 64 × 64 units",
 }
-HIRO_GROUP = "hiro-ant-gather"
 Curve = list[tuple[float, int, float]]
 """Seconds, environment steps and score of every evaluation."""
 
@@ -35,7 +35,7 @@ def curves(folder: Path) -> dict[tuple[str, int], Curve]:
     for file, column in (("gather_hiro_curves.csv", "way"), ("curves.csv", "group")):
         with (folder / file).open(newline="", encoding="utf-8") as lines:
             for row in csv.DictReader(lines):
-                method = {HIRO_GROUP: "hiro"}.get(row[column], row[column])
+                method = row[column]
                 if method in LABELS:
                     point = float(row["wall_time_s"]), int(row["env_steps"]), float(row["score_mean"])
                     found[method, int(row["seed"])].append(point)
@@ -72,7 +72,7 @@ def draw(found: dict[tuple[str, int], Curve], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     figure, axis = plt.subplots(figsize=(8, 4.5))
-    colours = dict(zip(LABELS, ("C0", "C2", "C3"), strict=True))
+    colours = dict(zip(LABELS, ("C0", "C2", "C3", "C1"), strict=True))
     for (method, seed), curve in found.items():
         is_first = seed == min(other for name, other in found if name == method)
         x, y = [seconds / 60 for seconds, _, _ in curve], [score for _, _, score in curve]

@@ -203,3 +203,14 @@ def test_only_what_is_finished_is_drawn(tmp_path, monkeypatch):
     one = [cell for cell in STUDY.cells if cell.seed == 1 and cell.variant in ("sigma-x2", "mirrored-none")]
     assert [path.name for path in draw(one, tmp_path)] == ["choices.png", "sweep.png"]
     assert plt.get_fignums() == before
+
+
+def test_curves_have_no_panel_of_an_environment_without_results(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr(figures, "write_atomically", lambda *_: None)
+    monkeypatch.setattr(plt, "close", opened.append)
+    some = [cell for cell in MADE["fig4"].cells if cell.env in ("point-maze", "ant-maze")]
+    draw(some, tmp_path, MADE["fig4"])
+    assert [axis.get_title() for axis in opened[0].axes] == ["Point Maze", "Ant Maze"]
+    monkeypatch.undo()
+    plt.close(opened[0])

@@ -112,6 +112,16 @@ def test_a_run_of_figure_4_has_its_own_number_of_workers(tmp_path):
     assert summary.row["workers"] == 2
 
 
+def test_runs_that_have_the_machine_to_themselves_have_fewer_steps_at_scale_laptop():
+    timed, trained = (
+        {cell.env: cell.settings["env_steps"] for cell in STUDIES[name]("laptop", 1).cells if cell.variant != "hiro"}
+        for name in ("fig4", "fig3")
+    )
+    fewer = {"ant-gather": 2_000_000, "ant-maze": 1_000_000, "ant-push": 1_000_000}
+    assert timed == {**trained, **fewer}
+    assert {env for env in trained if trained[env] != timed[env]} == set(fewer)
+
+
 def test_figure_6_measures_the_settings_of_the_runs_and_flat_es(tmp_path):
     study, runs_of = STUDIES["fig6"]("laptop", seeds=1), STUDIES["fig3"]("laptop", seeds=1)
     trained = {cell.variant: cell_config(cell, tmp_path) for cell in runs_of.cells if cell.env == "ant-maze"}

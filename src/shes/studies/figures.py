@@ -191,9 +191,9 @@ def _sensitivity(axis: Axes, results: _Results, env: str, figure_of: Sweep, sett
 
 
 def _draw_curves(results: _Results, figure_of: Curves) -> Figure:
-    """Return a figure with panels of measures over environment steps or hours."""
-    panels = figure_of.panels
-    columns = figure_of.columns or len(panels)
+    """Return a figure with panels of measures over environment steps or hours: those of which there are results."""
+    panels = [each for each in figure_of.panels if _has_results(results, each)] or figure_of.panels
+    columns = min(figure_of.columns or len(panels), len(panels))
     rows = -(-len(panels) // columns)
     lines = max(len(panel.curves) + len(panel.references) for panel in panels)
     figure, axes = plt.subplots(
@@ -215,6 +215,11 @@ def _draw_curves(results: _Results, figure_of: Curves) -> Figure:
     for axis in axes.ravel()[len(panels) :]:
         axis.set_axis_off()
     return figure
+
+
+def _has_results(results: _Results, panel: CurvePanel) -> bool:
+    """Return whether a curve of the panel has a finished run."""
+    return any((panel.env, curve.group, curve.variant) in results.summaries for curve in panel.curves)
 
 
 def _draw_curve(

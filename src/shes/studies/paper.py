@@ -48,7 +48,7 @@ _SCORE, _TRAINING = Measure("score_mean", "test score"), Measure("training_retur
 _BEST = Measure("best_score", "score of the best checkpoint", "score")
 _SECONDS = Measure("seconds", "seconds of a run", "s")
 _STEPS_PER_S = 16_000  # of one core: 10,000 for the ant, 35,000 for the point
-_HIRO_STEPS_PER_S = 250
+_HIRO_STEPS_PER_S = 500
 _LEVELS = ((METHODS, HIRO), (METHODS, PIECES))
 
 
@@ -162,8 +162,9 @@ def _size(
 ) -> Scale:
     """Return the scale of this name, with `seeds` seeds."""
     size = SCALES[scale]
-    own = size.timed_seeds if is_timed else size.seeds
-    return replace(size, seeds=own if seeds is None else dict.fromkeys(own, seeds))
+    if is_timed:
+        size = replace(size, seeds=size.timed_seeds, env_steps={**size.env_steps, **size.timed_env_steps})
+    return size if seeds is None else replace(size, seeds=dict.fromkeys(size.seeds, seeds))
 
 
 def _runs(size: Scale, groups: Mapping[str, tuple[str, ...]]) -> list[Cell]:

@@ -32,7 +32,7 @@ _HIRO: dict[str, Any] = {
 _NOISE = {env: {"exploration_noise": 0.1} if env.startswith("point-") else {} for env in BUILTIN_ENVIRONMENTS}
 
 HIRO_PRESETS: Mapping[str, Preset] = {
-    "laptop": Preset(values={"controller_update_interval": 2}),
+    "laptop": Preset(),
     "smoke": Preset(values={"warmup_steps": 1000, "generation_steps": 500}),
     # The values of the HIRO paper and, where it says nothing, of its code; docs/differences.md has the exceptions.
     "hiro-paper": Preset(
