@@ -10,7 +10,7 @@ wall-clock include the walker's) and `gather_curves.csv` (every evaluation). In 
 for each seed and way, in the others up to half an hour.
 
 `--spec hiro` trains and evaluates on the tasks of the HIRO authors; the tables are then `gather_hiro_runs.csv` and
-`gather_hiro_curves.csv`.
+`gather_hiro_curves.csv`. Their integrator is RK4, unless `--integrator euler` is given.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ def finished(env: str, path: Path, **settings: Any) -> Path:
     return path
 
 
-def runs(task: str, spec: str, way: str, seed: int, out: Path) -> list[Path]:
-    """Return the runs of a seed, which are finished first; that of the task is last."""
-    env, path, settings = f"ant-{task}", out / way / f"seed_{seed}", {"spec": spec, "seed": seed}
+def runs(task: str, settings: dict[str, Any], way: str, seed: int, out: Path) -> list[Path]:
+    """Return the runs of a seed, which are finished first; that of the task, which has `settings`, is last."""
+    env, path, settings = f"ant-{task}", out / way / f"seed_{seed}", {**settings, "seed": seed}
     if way == "coevolved":
         return [finished(env, path, **settings)]
-    walker = finished("ant-flagrun", out / "walker" / f"seed_{seed}", seed=seed, **WALKERS[task])
+    walker = finished("ant-flagrun", out / "walker" / f"seed_{seed}", **settings, **WALKERS[task])
     return [walker, finished(env, path, **settings, primitive=walker, generations=60)]
 
 
@@ -84,6 +84,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("task", choices=tuple(WALKERS))
     parser.add_argument("--spec", choices=("shes", "hiro"), default="shes", help="specification of the task")
+    parser.add_argument("--integrator", choices=("euler", "implicitfast", "rk4"), help="instead of the task's own")
     parser.add_argument("--out", type=Path, help="folder of the runs; by default runs/TASK, or runs/TASK_hiro")
     parser.add_argument("--only", nargs="+", choices=WAYS, default=list(WAYS), help="ways to train")
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(1, 6)), help="seeds")
@@ -91,10 +92,11 @@ def main() -> None:
     asked = parser.parse_args()
     name = asked.task if asked.spec == "shes" else f"{asked.task}_{asked.spec}"
     out = asked.out or Path("runs") / name
+    settings = {"spec": asked.spec} | ({"integrator": asked.integrator} if asked.integrator else {})
     rows, curves = [], []
     for way in asked.only:
         for seed in asked.seeds:
-            row, curve = results(way, seed, runs(asked.task, asked.spec, way, seed, out))
+            row, curve = results(way, seed, runs(asked.task, settings, way, seed, out))
             print(f"{way}, seed {seed}: score {row['score_mean']:.2f} after {row['wall_time_s']} s", flush=True)
             rows.append(row)
             curves += curve

@@ -22,8 +22,7 @@ SCORES = (1.0, 2.0, 3.0)
 LABELS = {
     "coevolved": "SHES, both levels from scratch",
     "transfer": "SHES, on a walker (its time counts)",
-    "hiro-ant-gather": "HIRO, as published",
-    "hiro-ant-gather-64": "HIRO, networks of 64 × 64 units",
+    "hiro-ant-gather": "HIRO",
 }
 Curve = list[tuple[float, int, float]]
 """Seconds, environment steps and score of every evaluation."""
@@ -72,7 +71,7 @@ def draw(found: dict[tuple[str, int], Curve], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     figure, axis = plt.subplots(figsize=(8, 4.5))
-    colours = dict(zip(LABELS, ("C0", "C2", "C3", "C1"), strict=True))
+    colours = dict(zip(LABELS, ("C0", "C2", "C3"), strict=True))
     for (method, seed), curve in found.items():
         is_first = seed == min(other for name, other in found if name == method)
         x, y = [seconds / 60 for seconds, _, _ in curve], [score for _, _, score in curve]

@@ -270,6 +270,30 @@ def test_a_worker_that_is_stopped_between_two_maps_delays_nothing_and_works_agai
         assert {state for _, state in done} == {9}
 
 
+def test_a_worker_that_is_stopped_after_it_asked_for_tasks_too_late_delays_nothing(tmp_path):
+    class Deaf(ProcessesBackend):
+        unheard = None
+
+        def ready_workers(self, timeout_s):
+            return [worker for worker in super().ready_workers(timeout_s) if worker is not self.unheard]
+
+    with Deaf(Worker, 2, worker_timeout_s=600) as backend:
+        list(backend.map([("meet", tmp_path)] * 4))  # both are ready
+        late = backend.unheard = backend.workers[0]
+        backend.broadcast(7)
+        assert list(backend.map([("add", i) for i in range(4)])) == [7, 8, 9, 10]
+        assert late.connection.poll(60)  # its question, which the next `map` answers
+        os.kill(late.popen.pid, signal.SIGSTOP)
+        backend.unheard = None
+        for state in (8, 9):
+            backend.broadcast(state)
+            assert list(backend.map([("add", i) for i in range(4)])) == [state + i for i in range(4)]
+        os.kill(late.popen.pid, signal.SIGCONT)
+        again = tmp_path / "again"
+        again.mkdir()
+        assert {pid for pid, _ in backend.map([("meet", again)] * 4)} == set(backend.pids())
+
+
 def test_work_that_is_lost_does_not_wait_for_a_worker_that_never_asks(tmp_path):
     with noted(ProcessesBackend(Worker, 2, worker_timeout_s=5)) as backend:
         list(backend.map([("meet", tmp_path)] * 4))

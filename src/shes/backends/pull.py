@@ -146,11 +146,12 @@ class PullBackend(Backend):
                 self.close()
 
     def waits_for(self, worker: RemoteWorker) -> bool:
-        """Return whether a `map` whose work is done waits for this worker, which is in one of its runs.
+        """Return whether a `map` whose work is done waits for this worker, which is in a run.
 
-        It does not for one that was ready and never asked for tasks, since it may have been stopped.
+        It does not for one that was ready and never asked for tasks, since it may have been stopped; nor, later, for
+        one whose run belongs to an earlier `map`.
         """
-        return not (worker.is_ready and worker.is_expected)
+        return worker.job in self._jobs and not (worker.is_ready and worker.is_expected)
 
     def _start_runs(self) -> None:
         """Tell the workers without work of the first job that wants them."""

@@ -4,6 +4,7 @@ import itertools
 import shutil
 import signal
 import sys
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 import shes
 from shes.algorithms.hiro import algorithm as hiro
+from shes.algorithms.hiro import designs
 from shes.algorithms.hiro.collector import Actor
 from shes.cli import main
 from shes.envs.markers import GOAL
@@ -279,9 +281,20 @@ def test_each_environment_step_has_its_update_however_many_environments_there_ar
 
 
 @needs_jax
-def test_networks_that_diverge_end_the_run_and_leave_the_last_good_checkpoint(tmp_path):
+@pytest.mark.parametrize("loss", ["mse", "huber"])
+def test_networks_that_diverge_end_the_run_before_they_act_and_leave_the_last_good_checkpoint(
+    loss, tmp_path, monkeypatch
+):
     pytest.importorskip("jax")
-    path = train(tmp_path / "run", generations=1, critic_learning_rate=1e30, critic_loss="mse")
+    use = Actor.use
+
+    def checked(actor, parameters):
+        assert np.isfinite(parameters.theta).all()
+        use(actor, parameters)
+
+    monkeypatch.setattr(Actor, "use", checked)
+    rates = {"critic_learning_rate": 1e30, "actor_learning_rate": 1e30}
+    path = train(tmp_path / "run", generations=1, critic_loss=loss, **rates)
     with pytest.raises(DivergenceError, match=r"the networks of the .* have diverged after .*last checkpoint is kept"):
         shes.resume(path, generations=4)
     state = runs.state(path)
@@ -289,6 +302,26 @@ def test_networks_that_diverge_end_the_run_and_leave_the_last_good_checkpoint(tm
     assert all(np.isfinite(array).all() for array in state.learners[0].learner.values())
     assert np.isfinite(shes.load(path).act(np.zeros(shes.load(path).observation_size))).all()
     assert main(["resume", str(path), "--generations", "4"]) == 1
+
+
+def test_replay_buffers_that_do_not_fit_the_memory_twice_are_not_read(untrained, monkeypatch):
+    path = untrained("hiro", "point-gather", replay_size=1000)
+    folder = RunFolder(path)
+    learner, last = build_algorithm(folder.read_config()), folder.load("last")
+    state = learner.from_arrays(last.arrays)
+    rows = {name: np.zeros((1000, *shape), np.float32) for name, shape in state.learners[1].replay.shapes.items()}
+    full = replace(state.learners[1], replay=state.learners[1].replay.append(rows))
+    arrays = learner.to_arrays(replace(state, learners=(state.learners[0], full)))
+    with folder.lock():
+        save_checkpoint(folder.checkpoint_path("last"), replace(last, arrays=arrays))
+    size = sum(array.nbytes for array in rows.values())
+    monkeypatch.setattr(designs, "free_memory", lambda: 2 * size + 1000)
+    shes.evaluate(path, checkpoint="last", episodes=1, num_workers=1)
+    monkeypatch.setattr(designs, "free_memory", lambda: 2 * size - 1)
+    message = r"last\.npz has replay buffers that take .* while they are restored, but .* are free\. Resume on a machine"
+    with pytest.raises(CheckpointError, match=message):
+        shes.resume(path, generations=1)
+    shes.evaluate(path, checkpoint="best", episodes=1, num_workers=1)
 
 
 @needs_jax

@@ -53,6 +53,24 @@ def state_of(own_level, seed=0):
     return replace(state, learner=learner)
 
 
+def test_networks_start_as_in_the_published_code():
+    own = level(hidden=(50, 40))
+    state = own.start(np.random.default_rng(0))
+    actor = network(state.learner["actor"], own.actor_shapes)
+    critics = network(state.learner["critics"], own.critic_shapes)
+    assert [np.shape(weights) for weights, _ in actor] == [(INPUTS, 50), (50, 40), (40, ACTIONS)]
+    assert [np.shape(weights) for weights, _ in critics] == [(2, INPUTS + ACTIONS, 50), (2, 50 + ACTIONS, 40), (2, 40, 1)]
+    for (*hidden, last), fans in ((actor, (INPUTS, 50)), (critics, (INPUTS + ACTIONS, 50 + ACTIONS))):
+        for (weights, biases), fan_in in zip(hidden, fans, strict=True):
+            assert 0.95 * fan_in**-0.5 < np.abs(weights).max() <= fan_in**-0.5
+            assert not np.any(biases)
+        assert 0.0027 < np.abs(last[0]).max() <= 0.003
+        assert 0 < np.abs(last[1]).max() <= 0.003
+    assert not np.array_equal(*state.learner["critics"])
+    for name in ("actor", "critics"):
+        np.testing.assert_array_equal(state.learner[f"target_{name}"], state.learner[name])
+
+
 def batches(count, seed=1):
     rng = np.random.default_rng(seed)
     return {

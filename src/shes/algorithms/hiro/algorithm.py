@@ -22,7 +22,14 @@ from shes.algorithms.contract import Algorithm, Report
 from shes.algorithms.hiro.agent import HiroDesign
 from shes.algorithms.hiro.collector import Actor, Collector, HiroCollector
 from shes.algorithms.hiro.columns import columns
-from shes.algorithms.hiro.designs import check_memory, flat_design, flat_levels, hiro_design, hiro_levels
+from shes.algorithms.hiro.designs import (
+    check_memory,
+    check_restoring,
+    flat_design,
+    flat_levels,
+    hiro_design,
+    hiro_levels,
+)
 from shes.algorithms.hiro.levels import LearnerState, Level, within
 from shes.algorithms.hiro.presets import HIRO_PRESETS
 from shes.algorithms.hiro.sections import HIRO_SECTIONS, TD3_SECTIONS
@@ -128,7 +135,10 @@ class TD3(Algorithm[TD3State]):
             for name, count in () if is_random else self.updates_due(before, env_steps):
                 if learners[name].can_learn:
                     learners[name].update(count, drawing)
-                    actors[name].use(learners[name].parameters)
+                    parameters = learners[name].parameters
+                    if not np.isfinite(parameters.theta).all():
+                        raise _diverged(name, learners[name].num_updates)
+                    actors[name].use(parameters)
         finished = {name: learner.finish(normalises=own.normalise_inputs) for name, learner in learners.items()}
         for name, (level, losses) in finished.items():
             _check_finite(name, level, losses)
@@ -177,13 +187,14 @@ class TD3(Algorithm[TD3State]):
         return TD3State(**{name: int(arrays[name]) for name in _COUNTS}, learners=learners)
 
     def check_headers(self, headers: Mapping[str, ArrayHeader]) -> None:
-        """Raise CheckpointError unless names, shapes and types of arrays are those of a state of this run."""
+        """Raise CheckpointError unless names, shapes and types of arrays are those of a state of this run, and fit."""
         try:
             for level in self.levels:
                 level.check(within(level.name, headers))
         except (KeyError, ValueError) as error:
             fault = f"lacks {error.args[0]}" if isinstance(error, KeyError) else str(error)
             raise CheckpointError(f"is not of this run: {fault}. Put back the checkpoint of this run.") from error
+        check_restoring(headers)
 
     def parameters(self, state: TD3State) -> tuple[LevelParameters, ...]:
         """Return the parameters and the normalisation of the actors."""
@@ -259,8 +270,12 @@ def _check_finite(name: str, level: LearnerState, losses: Mapping[str, float]) -
     # A generation that makes no update of a network has no loss.
     has_nan = level.num_updates and np.isinf(losses["critic_loss"])
     if has_nan or not all(np.isfinite(array).all() for array in level.learner.values()):
-        raise DivergenceError(
-            f"the networks of the {name} have diverged after {level.num_updates:,} updates (NaN or infinity; mean loss "
-            f"of the critics {losses['critic_loss']:g}). Everything up to the last checkpoint is kept. Start another "
-            "run with a lower --critic-learning-rate, --actor-learning-rate or --reward-scale."
-        )
+        raise _diverged(name, level.num_updates)
+
+
+def _diverged(name: str, num_updates: int) -> DivergenceError:
+    return DivergenceError(
+        f"the networks of the {name} have diverged after {num_updates:,} updates (NaN or infinity). Everything up to "
+        "the last checkpoint is kept. Start another run with a lower --critic-learning-rate, --actor-learning-rate or "
+        "--reward-scale."
+    )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -12,12 +14,13 @@ from shes.algorithms.hiro.levels import Level, UpdateHyperparameters
 from shes.algorithms.hiro.replay import Replay
 from shes.algorithms.problem import Problem
 from shes.envs.episode_batch import EpisodeBatch
-from shes.errors import ConfigError
+from shes.errors import CheckpointError, ConfigError
 from shes.es.statistics import CLIP
 from shes.free_space import free_memory
 from shes.hierarchy.flat import FlatDesign
 from shes.hierarchy.views import ColumnsView
 from shes.policies.mlp import MLP, RectifiedMLP
+from shes.types import ArrayHeader
 
 
 def check_problem(problem: Problem) -> EpisodeBatch:
@@ -170,3 +173,15 @@ def check_memory(levels: tuple[Level, ...], replay_size: int) -> None:
         f"replay_size is {replay_size:,}, which takes {need / 1e9:,.1f} GB of memory, but {free / 1e9:,.1f} GB are "
         f"free. {fix}"
     )
+
+
+def check_restoring(headers: Mapping[str, ArrayHeader]) -> None:
+    """Raise CheckpointError unless the memory holds a checkpoint's replay buffers twice: as read, and as restored."""
+    replays = [header for name, header in headers.items() if "/replay/" in name]
+    need, free = 2 * sum(prod(each.shape) * each.dtype.itemsize for each in replays), free_memory()
+    if need > free:
+        raise CheckpointError(
+            f"has replay buffers that take {need / 1e9:,.1f} GB of memory while they are restored, but "
+            f"{free / 1e9:,.1f} GB are free. Resume on a machine with more memory, or copy best.npz over last.npz: it "
+            "has no transitions, and the buffers fill again."
+        )

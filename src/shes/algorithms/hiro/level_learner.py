@@ -43,6 +43,11 @@ class LevelLearner:
         return LevelParameters.of(flat(self.learner.actor), self._statistics)
 
     @property
+    def num_updates(self) -> int:
+        """Number of updates of the critics."""
+        return int(self.learner.num_updates)
+
+    @property
     def can_learn(self) -> bool:
         """Whether the buffer holds a batch."""
         return self.replay.size >= self._batch_size
@@ -88,7 +93,7 @@ class LevelLearner:
         state = replace(
             self._state,
             learner=to_arrays(self.learner),
-            num_updates=int(self.learner.num_updates),
+            num_updates=self.num_updates,
             statistics=self._observed if normalises else self._statistics,
             replay=self.replay,
         )
