@@ -22,10 +22,12 @@ import psutil
 LAPTOP = "--hidden 64 64 --horizon 500 --population-size 240"
 PAPER = "--preset paper --population-size 40 --noise-table-size 25000000"
 SECONDS = "--seconds 60"
+TARGETS = ("maze", "push", "fall")
 ROLLOUTS = [
     ("Ant Gather, 64 x 64, 1 worker", 0.90, f"ant-gather --workers 1 {LAPTOP}"),
     ("Ant Gather, 64 x 64, 2 workers", None, f"ant-gather --workers 2 {LAPTOP}"),
     ("Ant Flagrun, 64 x 64, 1 worker", 0.90, "ant-flagrun --workers 1 --hidden 64 64"),
+    *((f"Ant {task.title()}, 64 x 64, 1 worker", 0.90, f"ant-{task} --workers 1 {LAPTOP}") for task in TARGETS),
     ("Ant Gather, 3 x 256, 1 worker", 0.75, f"ant-gather --workers 1 {PAPER}"),
     ("Point Gather, 64 x 64, 1 worker", None, f"point-gather --workers 1 {LAPTOP}"),
 ]

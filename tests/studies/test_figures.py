@@ -93,6 +93,17 @@ def test_every_figure_is_a_picture_as_wide_as_a_page(all_drawn, name):
             assert len(np.unique(np.asarray(picture.convert("L")))) > 20  # something is drawn
 
 
+def test_the_same_results_are_drawn_as_the_same_bytes(tmp_path):
+    study = MADE["fig6"]
+    drawn = []
+    for folder in (tmp_path / "first", tmp_path / "second"):
+        folder.mkdir()
+        drawn.append({path.name: path.read_bytes() for path in draw(study.cells, folder, study)})
+    assert list(drawn[0]) == ["fig6.svg", "fig6.png"]
+    for name, content in drawn[0].items():
+        assert drawn[1][name] == content, name
+
+
 @pytest.mark.parametrize(("study", "name"), DRAWN)
 def test_no_text_lies_over_another_or_leaves_the_picture(all_drawn, study, name):
     figure = all_drawn[study][0][name]
@@ -159,11 +170,30 @@ def test_figure_3_has_published_scores_and_a_running_best_that_never_falls(all_d
     lines = {line.get_label(): line for line in gather.lines}
     assert lines["HIRO (Nachum 2018)"].get_ydata()[0] == 3.02
     assert lines["SHES (paper)"].get_ydata()[0] == 3.74
+    assert lines["FuN, cosine (Nachum 2018)"].get_ydata()[0] == 0.85
     measured, best = gather.lines[0], gather.lines[1]
     assert (measured.get_label(), best.get_linestyle()) == ("SHES as published (3 seeds)", "--")
     assert np.diff(measured.get_ydata()).min() < 0 <= np.diff(best.get_ydata()).min()
     assert "HIRO (3 seeds)" in lines
     assert measured.get_xdata()[[0, -1]] == pytest.approx([0.25, 1.5], rel=0.01)
+
+
+def dashes_of(line):
+    return line._unscaled_dash_pattern  # `get_linestyle` is "--" for every pattern
+
+
+def test_the_legend_of_figure_3_says_what_dashed_curves_are(all_drawn):
+    words = "dashed: running best, as the authors plot it"
+    for name in ("fig3-env-steps", "fig3-hours"):
+        for axis in all_drawn["fig3"][0][name].axes:
+            legend = axis.get_legend()
+            dashes = dict(
+                zip([text.get_text() for text in legend.texts], map(dashes_of, legend.get_lines()), strict=True)
+            )
+            alike = [text for text, found in dashes.items() if found == dashes_of(axis.lines[1])]
+            assert alike == [words]  # no reference has the dashes of the running best
+    (other, *_) = all_drawn["fig5"][0]["fig5-hours"].axes
+    assert words not in [text.get_text() for text in other.get_legend().texts]
 
 
 @pytest.mark.parametrize(("name", "of_primitive"), [("fig5-env-steps", 1500), ("fig5-hours", 1.5)])
@@ -172,6 +202,16 @@ def test_figure_5_begins_a_transferred_run_where_its_primitive_ended(all_drawn, 
         starts = {line.get_label().split(" (")[0]: line.get_xdata()[0] for line in axis.lines}
         for form in FORMS:
             assert starts[f"SHES-TL {form}"] - starts[f"SHES {form}"] == pytest.approx(of_primitive, rel=0.01)
+
+
+def test_figure_5_leaves_out_transferred_runs_whose_primitive_is_unknown(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(plt, "close", figures.append)
+    study = MADE["fig5"]
+    draw([cell for cell in study.cells if cell.env != "point-flagrun"], tmp_path, study)
+    labels = [{line.get_label() for line in axis.lines} for axis in figures[0].axes]
+    assert [any("SHES-TL" in label for label in found) for found in labels] == [False] * 3 + [True] * 3  # points, ants
+    assert all(any(label.startswith("SHES as") for label in found) for found in labels)
 
 
 def test_figure_4_has_a_curve_for_every_number_of_workers_over_hours(all_drawn):

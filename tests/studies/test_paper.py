@@ -266,10 +266,12 @@ def test_each_experiment_has_a_table_of_its_own_in_the_shared_folder(tmp_path, m
     for name in NAMES:
         assert main(["experiment", name, "--scale", "smoke"]) == 0
     assert main(["experiment", "learning", "--scale", "smoke"]) == 0
-    assert {path.name for path in (tmp_path / "runs" / "paper").glob("*.csv")} >= {f"{name}.csv" for name in NAMES}
-    assert not (tmp_path / "runs" / "paper" / "comparison.csv").exists()
-    assert (tmp_path / "runs" / "learning" / "comparison.csv").exists()
-    assert "curves.csv, fig6.csv in runs/paper" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "runs" / "paper-smoke").glob("*.csv")} >= {
+        f"{name}.csv" for name in NAMES
+    }
+    assert not (tmp_path / "runs" / "paper-smoke" / "comparison.csv").exists()
+    assert (tmp_path / "runs" / "learning-smoke" / "comparison.csv").exists()
+    assert "curves.csv, fig6.csv in runs/paper-smoke" in capsys.readouterr().out
 
 
 def test_table_1_is_printed_beside_the_settings_here(tmp_path, done, capsys):

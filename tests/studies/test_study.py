@@ -17,15 +17,24 @@ import pytest
 from shes.algorithms.presets import PRESETS, Preset
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
+from shes.runs.checkpoint import save_checkpoint
 from shes.runs.folder import RunFolder
 from shes.studies import ablation as ablations
 from shes.studies import paper_scales as papers
 from shes.studies import running, walker_study
 from shes.studies.comparison import compare
-from shes.studies.design import Curves, sweep_name
+from shes.studies.design import Curves, Measure, StudyDesign, sweep_name
 from shes.studies.experiment import experiment, forecast, with_progress
 from shes.studies.named_studies import STUDIES
-from shes.studies.running import cells_left, check_study, read_summaries, run_cell, run_study
+from shes.studies.running import (
+    cells_left,
+    check_study,
+    read_summaries,
+    read_summary,
+    run_cell,
+    run_study,
+    write_summary,
+)
 from shes.studies.significance import (
     check_scipy,
     holm,
@@ -83,7 +92,7 @@ def finished(tmp_path_factory):
 def test_seeds_come_first_and_a_primitive_before_what_begins_with_it():
     alone = [cell("a", seed) for seed in (1, 2)] + [cell("b", seed) for seed in (1, 2)]
     first = [cell("primitive", seed) for seed in (1, 2)]
-    after = [cell("after", seed, primitive=first[seed - 1].name) for seed in (1, 2)]
+    after = [cell("after", seed, primitive=first[seed - 1]) for seed in (1, 2)]
     stages = Study(cells=(*alone, *after, *first)).stages()
     assert [[(c.variant, c.seed) for c in stage] for stage in stages] == [
         [("primitive", 1), ("primitive", 2)],
@@ -93,22 +102,24 @@ def test_seeds_come_first_and_a_primitive_before_what_begins_with_it():
 
 def test_a_chain_of_primitives_has_a_stage_for_every_link():
     first = cell("first")
-    second = cell("second", primitive=first.name)
-    third = cell("third", primitive=second.name)
+    second = cell("second", primitive=first)
+    third = cell("third", primitive=second)
     assert Study(cells=(third, second, first)).stages() == ((first,), (second,), (third,))
 
 
 def test_cells_of_one_name_and_primitives_of_no_cell_are_refused():
     with pytest.raises(ConfigError, match="two cells of the study are called point-gather/choices/base/seed-5"):
         Study(cells=(cell(), cell(settings={})))
-    with pytest.raises(ConfigError, match="begins with the primitive of nowhere, which is no cell"):
-        Study(cells=(cell(primitive="nowhere"),))
+    with pytest.raises(
+        ConfigError, match="begins with the primitive of point-gather/choices/nowhere/seed-5, which is no cell"
+    ):
+        Study(cells=(cell(primitive=cell("nowhere")),))
 
 
 def test_steps_of_a_cell_are_those_of_training_and_of_every_evaluation():
     # 4 generations of 8 members; after generations 1, 2 and 4 three episodes; then 10 each, thrice.
     assert cell_steps(cell(), 10) == (20 * 4 * 8, 20 * (3 * 3 + 3 * 10))
-    unfrozen = cell(primitive="other", settings={**TINY, "freeze_primitive": False})
+    unfrozen = cell(primitive=cell("other"), settings={**TINY, "freeze_primitive": False})
     assert cell_steps(unfrozen, 10) == cell_steps(cell(), 10)  # no run is needed to know
 
 
@@ -169,11 +180,49 @@ def test_a_cell_whose_evaluation_alone_is_missing_is_not_trained_again(finished,
 )
 def test_a_folder_with_a_run_of_other_settings_is_refused_and_named(finished, other, what):
     changed = cell(settings={**TINY, **other})
-    match = f"seed-5 holds a run of other settings than cell point-gather/choices/base/seed-5: {what}"
+    match = rf"seed-5 holds a run of other settings than cell \S+/seed-5, such as another --scale: {what}"
     with pytest.raises(RunFolderError, match=match):
         check_study(Study(cells=(changed,)), finished[0])
     with pytest.raises(RunFolderError, match="of other settings"):
         next(run_study(Study(cells=(changed,)), finished[0], num_workers=1))
+
+
+def test_results_of_other_settings_are_refused_and_named(finished, tmp_path):
+    """Those of figure 6 have no run folder."""
+    write_summary(cell(), tmp_path, finished[1])
+    assert read_summary(cell(), tmp_path) == finished[1]
+    primitive = cell("primitive")
+    for other in (cell(settings={**TINY, "sigma": 0.5}), cell(primitive=primitive)):
+        with pytest.raises(
+            RunFolderError, match=r"seed-5 holds results of other settings than cell .* another --scale"
+        ):
+            read_summaries(Study(cells=(other, primitive)), tmp_path)
+
+
+def test_a_row_does_not_stand_for_a_run_on_a_primitive_of_other_settings(finished, tmp_path):
+    begun, other = (cell(primitive=cell("primitive", settings={**TINY, "sigma": sigma})) for sigma in (0.07, 0.5))
+    write_tables([begun], {begun.name: finished[1]}, tmp_path)
+    assert list(read_tables([begun], tmp_path)) == [begun.name]
+    assert read_tables([other], tmp_path) == {}
+    assert (
+        cell(seed=1, primitive=cell("primitive", seed=1)).digest
+        == cell(seed=2, primitive=cell("primitive", seed=2)).digest
+    )
+
+
+@pytest.mark.parametrize("limit", [{}, {"minutes": 1e-3, "generations": 100_000, "evaluation_interval": 1}])
+def test_the_last_evaluation_is_made_if_the_run_was_killed_in_it(finished, tmp_path, limit):
+    wanted = cell(settings={**TINY, **limit})
+    whole = run_cell(wanted, tmp_path, 3) if limit else finished[1]
+    if not limit:
+        shutil.copytree(finished[0] / cell().name, tmp_path / cell().name)
+    folder = RunFolder(tmp_path / wanted.name)
+    (folder.path / "summary.json").unlink()
+    *before, _ = folder.evaluation.read_text().splitlines(keepends=True)
+    folder.evaluation.write_text("".join(before))
+    save_checkpoint(folder.checkpoint_path("last"), replace(folder.load("last"), owes_evaluation=True))
+    again = run_cell(wanted, tmp_path, 3)
+    assert without_seconds(again) == without_seconds(whole)
 
 
 def test_the_folder_of_a_run_is_no_place_for_a_study(finished):
@@ -220,9 +269,43 @@ def test_tables_are_read_back_as_they_were_written(finished, tmp_path, monkeypat
     assert read_tables([cell()], tmp_path) == {cell().name: finished[1]}  # it sets the horizon itself
     monkeypatch.setitem(PRESETS, "smoke", Preset(values={**PRESETS["smoke"].values, "sigma": 0.123}))
     assert read_tables([cell()], tmp_path) == {}
-    (tmp_path / "runs.csv").write_text("group\nchoices\n", encoding="utf-8")
-    with pytest.raises(RunFolderError, match=r"runs.csv cannot be read as a table of runs"):
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda _: "group\nchoices\n", "it has no column env, seed, settings, variant"),
+        (lambda text: text.rstrip("\n") + ",1\n", "line 2 does not have a value for each column"),
+        (lambda text: text.rstrip("\n").rpartition(",")[0], "line 2 does not have a value for each column"),
+        (lambda text: text.replace(",640,", ",nan,"), "line 2: env_steps is nan"),
+        (lambda text: text.replace(",640,", ",many,"), "line 2: could not convert string to float: 'many'"),
+    ],
+)
+def test_a_damaged_table_is_named_with_the_line(finished, tmp_path, damage, message):
+    write_tables([cell()], {cell().name: finished[1]}, tmp_path)
+    table = tmp_path / "runs.csv"
+    table.write_text(damage(table.read_text(encoding="utf-8")), encoding="utf-8")
+    with pytest.raises(RunFolderError, match=rf"runs.csv cannot be read as a table of runs: .*{message}"):
         read_tables([cell()], tmp_path)
+
+
+@pytest.mark.parametrize(("table", "column"), [("runs.csv", "best_score"), ("curves.csv", "score_mean")])
+def test_rows_without_what_is_compared_are_named(finished, tmp_path, table, column):
+    study = Study(
+        cells=(cell(),),
+        design=StudyDesign(
+            metrics={"point-gather": Measure("best_score", "score")},
+            curves={"point-gather": Measure("score_mean", "score")},
+        ),
+    )
+    write_tables([cell()], {cell().name: finished[1]}, tmp_path)
+    assert list(read_summaries(study, tmp_path)) == [cell().name]
+    text = (tmp_path / table).read_text(encoding="utf-8")
+    (tmp_path / table).write_text(text.replace(f",{column},", ",other,"), encoding="utf-8")
+    with pytest.raises(
+        RunFolderError, match=rf"{table} has no {column} for {cell().name}\. Remove the rows of this run"
+    ):
+        read_summaries(study, tmp_path)
 
 
 # All cells.
@@ -237,7 +320,7 @@ def in_this_process(monkeypatch):
 
 def test_a_cell_that_fails_is_named_and_stops_only_what_begins_with_it(tmp_path, finished, in_this_process):
     bad, good = cell("bad", settings=FAILING), cell()
-    follower = cell("follower", primitive=bad.name)
+    follower = cell("follower", primitive=bad)
     study = Study(cells=(follower, good, bad), episodes=3)
     outcomes = {outcome.cell.name: outcome for outcome in run_study(study, tmp_path, num_workers=2)}
     assert list(outcomes) == [bad.name, follower.name, good.name]
@@ -251,7 +334,7 @@ def test_a_study_whose_time_is_over_stops_and_goes_on_as_if_it_had_not(
     tmp_path, finished, in_this_process, monkeypatch
 ):
     monkeypatch.setattr(running, "time", lambda: 1000.0)
-    follower = cell("follower", primitive=cell().name, settings={**TINY, "freeze_primitive": True})
+    follower = cell("follower", primitive=cell(), settings={**TINY, "freeze_primitive": True})
     study = Study(cells=(cell(), follower), episodes=3)
     outcomes = list(run_study(study, tmp_path, num_workers=1, until=1000.0))
     assert [(outcome.cell.name, outcome.summary, outcome.error) for outcome in outcomes] == [
@@ -291,7 +374,7 @@ def test_an_error_nobody_expected_is_an_outcome_with_its_traceback(monkeypatch, 
 
 def test_a_transferred_primitive_comes_from_its_cell_wherever_the_study_lies(tmp_path, monkeypatch, in_this_process):
     source = cell("base", env="point-flagrun", group="transfer")
-    frozen = cell("frozen", primitive=source.name, settings={**TINY, "freeze_primitive": True})
+    frozen = cell("frozen", primitive=source, settings={**TINY, "freeze_primitive": True})
     study = Study(cells=(frozen, source), episodes=3)
     assert [outcome.error for outcome in run_study(study, tmp_path / "a", num_workers=2)] == ["", ""]
     one = runs.state(tmp_path / "a" / source.name, "best").levels[0]
@@ -309,9 +392,7 @@ def test_a_transferred_primitive_comes_from_its_cell_wherever_the_study_lies(tmp
 
 def test_a_study_goes_on_from_its_tables_alone(tmp_path, in_this_process):
     trained = cell(env="point-flagrun", group="transfer", settings={**TINY})
-    begun = cell(
-        group="transfer", variant="frozen", primitive=trained.name, settings={**TINY, "freeze_primitive": True}
-    )
+    begun = cell(group="transfer", variant="frozen", primitive=trained, settings={**TINY, "freeze_primitive": True})
     study = Study(cells=(trained, cell(), begun), episodes=2)
     first, second = tmp_path / "first", tmp_path / "second"
     assert all(outcome.summary for outcome in run_study(study, first, num_workers=1))
@@ -331,7 +412,7 @@ def test_a_study_goes_on_from_its_tables_alone(tmp_path, in_this_process):
 def test_a_row_does_not_stand_for_a_primitive_that_is_not_finished(tmp_path, in_this_process):
     trained = cell(env="point-flagrun", group="transfer")
     followers = [
-        cell(group="transfer", variant=name, primitive=trained.name, settings={**TINY, "freeze_primitive": frozen})
+        cell(group="transfer", variant=name, primitive=trained, settings={**TINY, "freeze_primitive": frozen})
         for name, frozen in (("frozen", True), ("unfrozen", False))
     ]
     study = Study(cells=(trained, *followers), episodes=2)
@@ -627,14 +708,38 @@ def test_the_permutation_test_is_symmetric_seeded_and_never_zero():
         ([1, 2, 5], [3, 4, 6], 8 / 20, 7 / 9),  # U = 2: 4 of the 20 orders have U <= 2
         (range(10), range(10, 20), 2 / math.comb(20, 10), 1.0),
         ([1, 1], [1, 1], 1.0, 0.5),
-        # Three pairs won, one tied: U = 0.5 of a mean of 2, with a variance of 2 * 2 / 12 * (5 - (8 - 2) / (4 * 3)).
-        ([0, 1], [1, 2], math.erfc((1.5 - 0.5) / math.sqrt(2 * 1.5)), 7 / 8),
+        ([0] * 5, [1] * 5, 2 / 252, 1.0),  # ties within the samples: 2 of the 252 divisions part all from all
+        ([0, 1], [1, 2], 4 / 6, 7 / 8),  # a tie between them: U = 0.5, as in 2 of the 6 divisions, and none is less
+        ([1, 2, 2, 3], [2, 3, 3], 2 * 10 / 35, 9 / 12),  # U = 3: 10 of the 35 divisions have U <= 3
+        # 184,756 divisions: the normal approximation. U = 0 of a mean of 50, with a variance of 100 / 12 *
+        # (21 - 2 * (10^3 - 10) / (20 * 19)), and 0.5 for continuity.
+        ([0] * 10, [1] * 10, math.erfc(49.5 / math.sqrt(2 * 100 / 12 * (21 - 1980 / 380))), 1.0),
     ],
 )
 def test_mann_whitney_and_superiority_of_orders_counted_by_hand(first, second, p, share):
     first, second = np.array(first, float), np.array(second, float)
     assert superiority(first, second) == pytest.approx(share)
     assert mann_whitney(first, second) == pytest.approx(p)
+
+
+def test_mann_whitney_agrees_with_the_help_of_r():
+    # The example of R's wilcox.test has the one-sided p 0.1272. Source: Hollander and Wolfe (1973), page 69.
+    first = np.array([0.80, 0.83, 1.89, 1.04, 1.45, 1.38, 1.91, 1.64, 0.73, 1.46])
+    second = np.array([1.15, 0.88, 0.90, 0.74, 1.21])
+    assert mann_whitney(first, second) == pytest.approx(2 * 0.1272, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([100, 0, 1, 2, 6], 3.0),  # of 1, 2, 6: one value is left out at each end
+        ([81, 64, 49, 36, 25, 16, 9, 4, 1, 0], 139 / 6),  # of 4, 9, 16, 25, 36, 49: two at each end
+    ],
+)
+def test_the_interquartile_mean_of_5_and_10_values_agrees_with_a_hand_value_and_scipy(values, expected):
+    values = np.array(values, float)
+    assert interquartile_mean(values)[0] == pytest.approx(expected)
+    assert interquartile_mean(values)[0] == pytest.approx(check_scipy().trim_mean(values, 0.25))
 
 
 def test_the_interquartile_mean_ignores_a_quarter_at_each_end():

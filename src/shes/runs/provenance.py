@@ -6,6 +6,7 @@ import os
 import platform
 import subprocess
 import sys
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
@@ -15,11 +16,19 @@ from typing import Any
 from shes.runs.device import device_facts
 
 _PACKAGES = ("shes", "mujoco", "numpy")
+_OF_ALGORITHM = {"hiro": ("jax", "optax"), "td3": ("jax", "optax")}
+"""Packages on which the numbers of an algorithm depend, beside `_PACKAGES`."""
 
 
-def provenance(device: str) -> dict[str, Any]:
-    """Return the provenance of a run of this process on `device`, as JSON types."""
+def provenance(device: str, algorithm: str = "") -> dict[str, Any]:
+    """Return the provenance of a run of this process on `device`, as JSON types.
+
+    Its versions are those of the packages that every run uses, and of those of `algorithm` that are installed.
+    """
     versions = {name: _version(name) for name in _PACKAGES}
+    for name in _OF_ALGORITHM.get(algorithm, ()):
+        with suppress(metadata.PackageNotFoundError):
+            versions[name] = _version(name)
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],

@@ -153,6 +153,10 @@ def ablation(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated
     """
     size = SCALES[scale]
     bases = {env: _base(env, size) for env in _BASES}
+    primitives = [
+        Cell(group="transfer", variant=BASE, env=_PRIMITIVE_ENV, seed=seed, settings=bases[_PRIMITIVE_ENV])
+        for seed in range(1, 1 + (seeds or size.seeds))
+    ]
     cells = [
         Cell(
             group=group,
@@ -160,19 +164,20 @@ def ablation(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated
             env=env,
             seed=seed,
             settings={**bases[env], **settings},
-            primitive=f"{_PRIMITIVE_ENV}/transfer/{BASE}/seed-{seed}" if name in _TRANSFERRED else None,
+            primitive=primitives[seed - 1] if name in _TRANSFERRED else None,
         )
         for env, group, name, settings in _variants(bases, size)
         for seed in range(1, 1 + (seeds or (size.sweep_seeds if group == "sweep" else size.seeds)))
     ]
-    return Study(cells=tuple(cells), episodes=size.episodes, design=_design(bases["point-maze"]["horizon"], size))
+    return Study(
+        cells=(*primitives, *cells), episodes=size.episodes, design=_design(bases["point-maze"]["horizon"], size)
+    )
 
 
 def _variants(
     bases: Mapping[str, Mapping[str, Any]], size: _AblationScale
 ) -> Iterator[tuple[str, str, str, Mapping[str, Any]]]:
     """Yield environment, group, name and changed settings of every variant."""
-    yield _PRIMITIVE_ENV, "transfer", BASE, {}
     for env in ENVS:
         yield env, "choices", BASE, {}
         for name, variant in _CHOICES.items():

@@ -25,6 +25,8 @@ class Comparison:
     group: str
     variant: str
     env: str
+    measure: str
+    """Column of `runs.csv` that is compared."""
     seeds: int
     score_mean: float
     score_low: float
@@ -139,6 +141,7 @@ def _compare_group(
                 group=group,
                 variant=variant,
                 env=env,
+                measure=design.metrics[env].column,
                 seeds=len(values),
                 score_mean=float(values.mean()),
                 score_low=float(low[0]),

@@ -53,10 +53,10 @@ def experiment(
             learning: an ablation of the walker's training method, on Ant Flagrun; the others: Table I and the figures
             of the paper, with SHES as published and with the changes of the learning study; table1 and fig3 also
             with HIRO, which needs the extra hiro.
-        out: Folder of its runs, tables and figures; finished runs in it are kept. Default: runs/NAME; the paper's
-            experiments share runs/paper.
+        out: Folder of its runs, tables and figures; finished runs in it are kept. Default: runs/NAME, with -SCALE
+            unless that is laptop; the paper's experiments share runs/paper.
         num_workers: Runs at a time, or the workers of each run of scale paper; 0 is one for every core. fig4 sets its
-            own worker counts; fig6 measures every count up to this one.
+            own worker counts; fig6 measures every count up to this one, once.
         backend: Backend of runs that have all workers, those of scale paper, fig4 and fig6: for example ray.
         scale: paper: Table I, ten runs of up to ten hours, for experiments of the paper only; laptop: hours on two
             cores; smoke: minutes, as a test.
@@ -74,7 +74,9 @@ def experiment(
         ShesError: Raised by `choose` or `run_study`.
     """
     study = STUDIES[name](scale, seeds)
-    out = out or Path("runs") / ("paper" if name in _OF_THE_PAPER else name)
+    out = out or Path("runs") / (
+        ("paper" if name in _OF_THE_PAPER else name) + ("" if scale == "laptop" else f"-{scale}")
+    )
     if backend != "processes" and not study.has_large_runs:
         raise ConfigError(
             f"--backend {backend} is for runs that have all workers: those of scale paper, fig4 and fig6. Every run of "
@@ -101,8 +103,8 @@ def experiment(
         facts["missing"] = [cell.name for cell in chosen.cells if cell.name not in summaries]
         if not summaries:
             raise ConfigError(
-                f"{out} has no finished run of {name}, and no row of one in runs.csv and curves.csv. Choose another "
-                "folder with --out, or omit --no-run."
+                f"{out} has no finished run of {name} at scale {scale}, and no row of one in runs.csv and curves.csv. "
+                "Choose another folder with --out or another --scale, or omit --no-run."
             )
         if facts["missing"]:
             lines = [

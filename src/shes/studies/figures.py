@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,17 @@ from shes.viewing.curves import confidence_interval, interpolate
 
 _WIDTH = 10.0
 """Width in inches."""
-_STYLE: dict[Any, Any] = {"axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150, "font.size": 10}
+_STYLE: dict[Any, Any] = {
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.dpi": 150,
+    "font.size": 10,
+    "svg.hashsalt": "shes",  # the same ids in every drawing of the same results
+}
 _BASE_COLOR, _COLOR = "#1f77b4", "#c44e00"
-_DASHES = ("-", "--", ":", "-.", (0, (1, 4)))
+_DASHES = ("-", (0, (8, 3)), ":", "-.", (0, (1, 4)))
+"""Dashes of references, other than those of the running best."""
+_RUNNING_BEST = "dashed: running best, as the authors plot it"
 _Place = tuple[str, str, str]
 """Environment, group, variant."""
 
@@ -54,11 +63,13 @@ class _Results:
         column = self.design.metrics[place[0]].column
         return np.array([summary.row[column] for summary in self.summaries.get(place, ())], dtype=np.float64)
 
-    def of_primitive(self, run: CellResults, column: str) -> float:
-        """Return a number of the run whose primitive `run` has; 0 if that run is unknown."""
-        name = next(cell.primitive for cell in self._study.cells if cell.identity.items() <= run.row.items())
-        found = self._by_name.get(name or "")
-        return 0.0 if found is None else float(found.row[column])
+    def of_primitive(self, run: CellResults, column: str) -> float | None:
+        """Return a number of the run whose primitive `run` has; 0 if it has none, None if that run is unknown."""
+        primitive = next(cell.primitive for cell in self._study.cells if cell.identity.items() <= run.row.items())
+        if primitive is None:
+            return 0.0
+        found = self._by_name.get(primitive.name)
+        return None if found is None else float(found.row[column])
 
     def p(self, place: _Place) -> str:
         """Return the corrected p against the base as text; beside the base itself, the heading."""
@@ -86,15 +97,21 @@ def draw_figures(
     for asked in study.design.figures:
         if results.has(*(asked.groups if isinstance(asked, Curves) else (asked.group,))):
             with plt.rc_context(_STYLE):
-                figure = _DRAW[type(asked)](results, asked)
-            try:
-                for form in study.design.formats:
-                    path = (out / asked.file).with_suffix(f".{form}")
-                    write_atomically(path, lambda file, f=figure, form=form: f.savefig(file, format=form))
-                    drawn.append(path)
-            finally:
-                plt.close(figure)
+                drawn += _draw(results, asked, out)
     return drawn
+
+
+def _draw(results: _Results, asked: Forest | Sweep | Curves | Speedup, out: Path) -> list[Path]:
+    """Draw a figure into `out` in every format; return the paths. The same results give the same bytes."""
+    figure = _DRAW[type(asked)](results, asked)
+    paths = {form: (out / asked.file).with_suffix(f".{form}") for form in results.design.formats}
+    try:
+        for form, path in paths.items():
+            metadata = {"Date": None} if form == "svg" else None
+            write_atomically(path, partial(figure.savefig, format=form, metadata=metadata))
+    finally:
+        plt.close(figure)
+    return list(paths.values())
 
 
 def _title(env: str) -> str:
@@ -195,7 +212,7 @@ def _draw_curves(results: _Results, figure_of: Curves) -> Figure:
     panels = [each for each in figure_of.panels if _has_results(results, each)] or figure_of.panels
     columns = min(figure_of.columns or len(panels), len(panels))
     rows = -(-len(panels) // columns)
-    lines = max(len(panel.curves) + len(panel.references) for panel in panels)
+    lines = max(len(panel.curves) + panel.has_running_best + len(panel.references) for panel in panels)
     figure, axes = plt.subplots(
         rows, columns, figsize=(_WIDTH, rows * (3.2 + 0.2 * lines)), layout="constrained", squeeze=False
     )
@@ -204,6 +221,8 @@ def _draw_curves(results: _Results, figure_of: Curves) -> Figure:
         for number, curve in enumerate(panel.curves):
             if (place := (panel.env, curve.group, curve.variant)) in results.summaries:
                 _draw_curve(axis, results, place, curve, panel, measure.column, f"C{number}")
+        if panel.has_running_best and axis.lines:
+            axis.plot([], [], color="black", linewidth=1, linestyle="--", label=_RUNNING_BEST)
         for number, (words, value) in enumerate(panel.references):
             axis.axhline(value, color="0.35", linewidth=1, linestyle=_DASHES[number % len(_DASHES)], label=words)
         axis.set_title(panel.title, fontsize="medium", fontweight="bold")
@@ -226,11 +245,15 @@ def _draw_curve(
     axis: Axes, results: _Results, place: _Place, curve: Curve, panel: CurvePanel, column: str, color: str
 ) -> None:
     """Draw the mean over seeds and its interval, as far as all seeds reach."""
-    runs = [run for run in results.summaries[place] if run.curve]
     name, unit = ("seconds", 3600) if panel.x == "hours" else ("env_steps", 1000)
-    steps = [np.array([row[name] for row in run.curve], dtype=np.float64) / unit for run in runs]
-    if curve.is_after_primitive:
-        steps = [x + results.of_primitive(run, name) / unit for x, run in zip(steps, runs, strict=True)]
+    runs, steps = list[CellResults](), list[F64Array]()
+    for run in results.summaries[place]:
+        start = results.of_primitive(run, name) if curve.is_after_primitive else 0.0
+        if run.curve and start is not None:  # without its primitive's run it would begin too early
+            runs.append(run)
+            steps.append((np.array([row[name] for row in run.curve], dtype=np.float64) + start) / unit)
+    if not runs:
+        return
     scores = [np.array([row[column] for row in run.curve], dtype=np.float64) for run in runs]
     grid, values = interpolate(steps, scores)
     low, high = confidence_interval(values)

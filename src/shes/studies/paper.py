@@ -182,7 +182,7 @@ def _runs(size: Scale, groups: Mapping[str, tuple[str, ...]]) -> list[Cell]:
 def _cells(size: Scale, body: str, group: str, form: str, seed: int) -> Iterator[Cell]:
     """Yield the runs of a method on the tasks of a body; with transfer, the primitive's run first."""
 
-    def cell(task: str, settings: Mapping[str, Any], primitive: str | None = None) -> Cell:
+    def cell(task: str, settings: Mapping[str, Any], primitive: Cell | None = None) -> Cell:
         env, preset = f"{body}-{task}", size.preset
         training = size.training(task)
         if form == HIRO:
@@ -212,7 +212,7 @@ def _cells(size: Scale, body: str, group: str, form: str, seed: int) -> Iterator
             for name, value in forms[task].items()
             if name not in OF_PRIMITIVE and not name.startswith("primitive_")
         }
-        yield cell(task, own, walker.name)
+        yield cell(task, own, walker)
 
 
 # Comparisons and figures.

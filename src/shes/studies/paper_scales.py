@@ -18,16 +18,16 @@ REFERENCES: dict[str, tuple[Reference, ...]] = {
         Reference("HIRO (Nachum 2018)", 3.02),
         Reference("SNN4HRL (Nachum 2018)", 1.92),
         Reference("VIME (Nachum 2018)", 1.42),
-        Reference("FuN (Nachum 2018)", 0.85),
+        Reference("FuN, cosine (Nachum 2018)", 0.85),
     ),
     "ant-maze": (
         Reference("HIRO (Nachum 2018)", 0.99),
-        Reference("FuN (Nachum 2018)", 0.16),
+        Reference("FuN, cosine (Nachum 2018)", 0.16),
         Reference("SNN4HRL, VIME (Nachum 2018)", 0.0),
     ),
     "ant-push": (
         Reference("HIRO (Nachum 2018)", 0.92),
-        Reference("FuN (Nachum 2018)", 0.06),
+        Reference("FuN, cosine (Nachum 2018)", 0.06),
         Reference("SNN4HRL, VIME (Nachum 2018)", 0.02),
     ),
 }

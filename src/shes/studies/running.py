@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import signal
 import traceback
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -35,6 +36,8 @@ from shes.training.evaluate import evaluate
 from shes.training.train import differing, resume_run, start_run
 
 _SUMMARY = "summary.json"
+_SHORTEST = 1e-6
+"""Minutes in which no generation begins."""
 _CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
 
 
@@ -67,7 +70,7 @@ def run_cell(
         ShesError: Raised by `start_run`, `resume` or `evaluate`; its folder may hold a run with other settings.
     """
     path = out / cell.name
-    summary = read_summary(path)
+    summary = read_summary(cell, out)
     if summary is not None:
         return summary
     workers = cell_workers(cell, workers)
@@ -76,7 +79,8 @@ def run_cell(
     if folder.config.is_file():
         _check_settings(cell, folder, config)
     if not _is_over(config, folder):
-        own = math.inf if config.run.minutes is None else config.run.minutes - _minutes(folder)
+        # Only an evaluation may be left when the limit of the run is over.
+        own = math.inf if config.run.minutes is None else max(config.run.minutes - _minutes(folder), _SHORTEST)
         left = min(own, (until - time()) / 60)
         if left <= 0:
             return None
@@ -88,15 +92,16 @@ def run_cell(
         is_late = left == own < math.inf  # its own limit: the last generation may have ended just before
         if not (is_late or _is_over(config, folder)):
             return None
-    return write_summary(path, _summarise(cell, folder, episodes))
+    return write_summary(cell, out, _summarise(cell, folder, episodes))
 
 
 def _is_over(config: TrainConfig, folder: RunFolder) -> bool:
-    """Return whether the run of a cell with these settings has ended: by its length, or by its own time limit."""
+    """Return whether the run of a cell has ended, by its length or its own time limit, and has been evaluated."""
     if not folder.config.is_file():
         return False
     last, limit = folder.load("last"), config.run.minutes
-    return config.run.is_over(last.generation, last.env_steps) or (limit is not None and _minutes(folder) >= limit)
+    is_late = limit is not None and _minutes(folder) >= limit
+    return (config.run.is_over(last.generation, last.env_steps) or is_late) and not last.owes_evaluation
 
 
 def _minutes(folder: RunFolder) -> float:
@@ -157,7 +162,7 @@ def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
     )
     if others := differing(there, wanted):
         raise RunFolderError(
-            f"{folder.path} holds a run of other settings than cell {cell.name}: {others}. "
+            f"{folder.path} holds a run of other settings than cell {cell.name}, such as another --scale: {others}. "
             "Choose another folder with --out, or remove this one to have it made anew."
         )
 
@@ -168,6 +173,7 @@ class StudyWorker:
     def __init__(self, out: Path, episodes: int, until: float) -> None:
         """Block Ctrl-C, which reaches the whole process group: the parent handles it."""
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # a run of HIRO has one core, too
         self._run = partial(run_cell, out=out, episodes=episodes, until=until)
 
     def receive(self, state: Any) -> None:
@@ -243,11 +249,13 @@ def _run_stage(
 ) -> Iterator[Outcome]:
     """Yield the outcomes of a stage; cells whose primitive is unfinished are not run."""
     for cell in stage:
-        before = unfinished.get(cell.primitive or "")
+        before = None if cell.primitive is None else unfinished.get(cell.primitive.name)
         if before is not None:
-            error = f"not run: it begins with the primitive of {cell.primitive}, which failed." if before.error else ""
+            error = (
+                f"not run: it begins with the primitive of {before.cell.name}, which failed." if before.error else ""
+            )
             yield Outcome(cell=cell, error=error)
-    yield from run([cell for cell in stage if cell.primitive not in unfinished])
+    yield from run([cell for cell in stage if cell.primitive is None or cell.primitive.name not in unfinished])
 
 
 def _run_side_by_side(backend: Backend, cells: Sequence[Cell]) -> Iterator[Outcome]:
@@ -275,7 +283,7 @@ def check_study(study: Study, out: Path) -> None:
     check_scipy()
     check_folder_of_runs(out)
     for cell in study.cells:
-        if cell.primitive is not None and not RunFolder(out / cell.primitive).config.is_file():
+        if cell.primitive is not None and not RunFolder(out / cell.primitive.name).config.is_file():
             continue  # the settings of the primitive are not known yet; the worker checks them
         config, folder = cell_config(cell, out), RunFolder(out / cell.name)
         if folder.config.is_file():
@@ -285,21 +293,32 @@ def check_study(study: Study, out: Path) -> None:
 # Summaries.
 
 
-def read_summary(path: Path) -> CellResults | None:
-    """Return the summary of the cell in the folder at `path`; None if it is not finished."""
-    file = path / _SUMMARY
+def read_summary(cell: Cell, out: Path) -> CellResults | None:
+    """Return the summary of a cell in its folder below `out`; None if it is not finished.
+
+    Raises:
+        RunFolderError: It is damaged, or that of a cell with other settings.
+    """
+    file = out / cell.name / _SUMMARY
     try:
         found = json.loads(file.read_bytes())
-        return CellResults(row=found["row"], curve=tuple(found["curve"]))
+        summary, digest = CellResults(row=found["row"], curve=tuple(found["curve"])), found["settings"]
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunFolderError(f"{file} cannot be read: {error!r}. Remove it to have it made again.") from error
+    if digest != cell.digest:
+        raise RunFolderError(
+            f"{file.parent} holds results of other settings than cell {cell.name}, such as another --scale. Choose "
+            "another folder with --out, or remove this one to have it made anew."
+        )
+    return summary
 
 
-def write_summary(path: Path, summary: CellResults) -> CellResults:
-    """Write the summary of the finished cell in the folder at `path`, which may not exist yet, and return it."""
-    text = json.dumps({"row": summary.row, "curve": summary.curve})
+def write_summary(cell: Cell, out: Path, summary: CellResults) -> CellResults:
+    """Write the summary of a finished cell into its folder below `out`, which may not exist yet, and return it."""
+    path = out / cell.name
+    text = json.dumps({"settings": cell.digest, "row": summary.row, "curve": summary.curve})
     with storage_errors(path):
         path.mkdir(parents=True, exist_ok=True)
     write_atomically(path / _SUMMARY, lambda file: file.write(text.encode()))
@@ -312,14 +331,30 @@ def read_summaries(study: Study, out: Path) -> dict[str, CellResults]:
     # A folder takes precedence over a row: a cell with an unfinished folder is unfinished.
     without = [cell for cell in cells if not (out / cell.name).exists()]
     tables = read_tables(without, out) if without else {}
-    found = {cell.name: tables.get(cell.name) or read_summary(out / cell.name) for cell in cells}
+    for cell in without:
+        if cell.name in tables:
+            _check_measures(study, cell, tables[cell.name], out)
+    found = {cell.name: tables.get(cell.name) or read_summary(cell, out) for cell in cells}
     return {name: summary for name, summary in found.items() if summary is not None}
+
+
+def _check_measures(study: Study, cell: Cell, found: CellResults, out: Path) -> None:
+    """Raise RunFolderError unless the rows of a cell have what is compared and drawn."""
+    metrics, curves = study.design.metrics, study.design.curves
+    row = {metrics[cell.env].column, "seconds"} if cell.env in metrics else {"seconds"}
+    missing = [("runs.csv", name) for name in sorted(row) if found.row.get(name) is None]
+    if cell.env in curves and any(curves[cell.env].column not in point for point in found.curve):
+        missing.append(("curves.csv", curves[cell.env].column))
+    for table, column in missing:
+        raise RunFolderError(
+            f"{out / table} has no {column} for {cell.name}. Remove the rows of this run to have it made again."
+        )
 
 
 def cells_left(study: Study, out: Path) -> list[Cell]:
     """Return the cells still to be run, in order, with primitives whose folder is needed but no longer exists."""
     done = set(read_summaries(study, out))
     for cell in reversed(study.ordered()):  # a cell comes after its primitive
-        if cell.primitive is not None and cell.name not in done and read_summary(out / cell.primitive) is None:
-            done.discard(cell.primitive)
+        if cell.primitive is not None and cell.name not in done and read_summary(cell.primitive, out) is None:
+            done.discard(cell.primitive.name)
     return [cell for cell in study.ordered() if cell.name not in done]

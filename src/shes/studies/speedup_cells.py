@@ -47,7 +47,7 @@ def run_speedup(
     Raises:
         ShesError: Raised by `measure_speedup`.
     """
-    summary = read_summary(out / cell.name)
+    summary = read_summary(cell, out)
     if summary is not None:
         return summary
     if time() >= until:
@@ -65,7 +65,7 @@ def run_speedup(
         **provenance_columns([provenance(config.workers.device)]),
     }
     curve = tuple({**cell.identity, **{name: _value(value) for name, value in each.items()}} for each in rows)
-    return write_summary(out / cell.name, CellResults(row=row, curve=curve))
+    return write_summary(cell, out, CellResults(row=row, curve=curve))
 
 
 def _value(value: Any) -> Any:

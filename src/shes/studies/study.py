@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,12 +37,12 @@ class Study:
 
     def __post_init__(self) -> None:
         """Raise ConfigError if two cells have the same name, or a primitive comes from no cell."""
-        names = [cell.name for cell in self.cells]
+        names = Counter(cell.name for cell in self.cells)
         for cell in self.cells:
-            if names.count(cell.name) > 1:
+            if names[cell.name] > 1:
                 raise ConfigError(f"two cells of the study are called {cell.name}: give one another variant.")
-            if cell.primitive is not None and cell.primitive not in names:
-                raise ConfigError(f"{cell.name} begins with the primitive of {cell.primitive}, which is no cell.")
+            if cell.primitive is not None and cell.primitive not in self.cells:
+                raise ConfigError(f"{cell.name} begins with the primitive of {cell.primitive.name}, which is no cell.")
 
     def stages(self) -> tuple[tuple[Cell, ...], ...]:
         """Return the cells in stages: a cell comes after the one whose primitive it takes, and as late as possible.
@@ -50,7 +51,7 @@ class Study:
         """
         followers: dict[str | None, list[Cell]] = {}
         for cell in self.cells:
-            followers.setdefault(cell.primitive, []).append(cell)
+            followers.setdefault(None if cell.primitive is None else cell.primitive.name, []).append(cell)
 
         def height(cell: Cell) -> int:
             return max((1 + height(follower) for follower in followers.get(cell.name, ())), default=0)
@@ -82,11 +83,12 @@ def choose(study: Study, parts: Sequence[str] | None) -> Study:
             raise UnknownNameError("group or environment", part, known, "Set --only.")
     groups, envs = set(parts) & study.design.groups.keys(), set(parts) - study.design.groups.keys()
     chosen = {
-        name
+        part.name
         for cell in study.cells
         if (not envs or cell.env in envs)
         and (not groups or cell.group in groups or (cell.group, cell.variant) == study.design.base)
-        for name in (cell.name, cell.primitive)
+        for part in (cell, cell.primitive)
+        if part is not None
     }
     return replace(study, cells=tuple(cell for cell in study.cells if cell.name in chosen))
 
@@ -102,7 +104,7 @@ def cell_workers(cell: Cell, workers: Mapping[str, Any]) -> dict[str, Any]:
 
 def cell_config(cell: Cell, out: Path, workers: Mapping[str, Any] = ALONE) -> TrainConfig:
     """Return the settings of the run of `cell` in the study at `out`, in which the run of its primitive exists."""
-    transfer = {} if cell.primitive is None else {"primitive": out / cell.primitive}
+    transfer = {} if cell.primitive is None else {"primitive": out / cell.primitive.name}
     own = {**transfer, "seed": cell.seed, **cell_workers(cell, workers)}
     return make_config(cell.env, cell.preset, {**cell.settings, **own})
 

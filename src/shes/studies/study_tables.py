@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,8 +34,8 @@ class Cell:
     seed: int
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Settings by name that differ from those of the preset."""
-    primitive: str | None = None
-    """Name of the cell whose primitive it takes."""
+    primitive: Cell | None = None
+    """The cell whose primitive it takes."""
     preset: str = "laptop"
 
     @property
@@ -49,9 +50,14 @@ class Cell:
 
     @property
     def digest(self) -> str:
-        """Digest of its settings, those of its preset among them: eight hexadecimal digits."""
+        """Digest of its settings, those of its preset and of its primitive among them: eight hexadecimal digits.
+
+        It is the same for every seed.
+        """
         values = {**preset_values(self.env, self.preset, self.settings), **self.settings}
-        text = json.dumps([values, self.primitive], sort_keys=True)
+        source = self.primitive
+        primitive = None if source is None else [source.env, source.group, source.variant, source.digest]
+        text = json.dumps([values, primitive], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
@@ -111,7 +117,7 @@ def _read(path: Path) -> list[Row]:
             rows = list(csv.DictReader(file))
         for row in rows[:1]:
             _check_columns(row)
-        return [{name: _value(name, text) for name, text in row.items()} for row in rows]
+        return [_converted(row, number) for number, row in enumerate(rows, start=2)]
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError) as error:
@@ -124,12 +130,23 @@ def _check_columns(row: Mapping[str, str]) -> None:
         raise ValueError(f"it has no column {', '.join(sorted(missing))}")
 
 
+def _converted(row: Mapping[str, str], line: int) -> Row:
+    if None in row or None in row.values():  # so the csv module reports rows that are longer or shorter
+        raise ValueError(f"line {line} does not have a value for each column")
+    try:
+        return {name: _value(name, text) for name, text in row.items()}
+    except ValueError as error:
+        raise ValueError(f"line {line}: {error}") from None
+
+
 def _value(name: str, text: str) -> Any:
     if not text:
         return None
     if name in _WORDS:
         return text
-    return int(text) if text.lstrip("-").isdigit() else float(text)
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{name} is {text}")
+    return int(text) if text.lstrip("-").isdigit() else value
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:

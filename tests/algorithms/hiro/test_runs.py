@@ -4,6 +4,7 @@ import itertools
 import shutil
 import signal
 import sys
+import tracemalloc
 from dataclasses import replace
 
 import gymnasium
@@ -304,21 +305,38 @@ def test_networks_that_diverge_end_the_run_before_they_act_and_leave_the_last_go
     assert main(["resume", str(path), "--generations", "4"]) == 1
 
 
-def test_replay_buffers_that_do_not_fit_the_memory_twice_are_not_read(untrained, monkeypatch):
-    path = untrained("hiro", "point-gather", replay_size=1000)
+def filled(path):
+    """Fill the primitive's replay buffer in the checkpoint `last`; return its bytes, and the peak of writing them."""
     folder = RunFolder(path)
     learner, last = build_algorithm(folder.read_config()), folder.load("last")
-    state = learner.from_arrays(last.arrays)
-    rows = {name: np.zeros((1000, *shape), np.float32) for name, shape in state.learners[1].replay.shapes.items()}
-    full = replace(state.learners[1], replay=state.learners[1].replay.append(rows))
-    arrays = learner.to_arrays(replace(state, learners=(state.learners[0], full)))
+    controller, primitive = learner.from_arrays(last.arrays).learners
+    shapes, size = primitive.replay.shapes, primitive.replay.capacity
+    rows = {name: np.zeros((size, *shape), np.float32) for name, shape in shapes.items()}
+    full = replace(primitive, replay=primitive.replay.append(rows))
+    state = replace(learner.from_arrays(last.arrays), learners=(controller, full))
     with folder.lock():
-        save_checkpoint(folder.checkpoint_path("last"), replace(last, arrays=arrays))
-    size = sum(array.nbytes for array in rows.values())
+        tracemalloc.start()
+        save_checkpoint(folder.checkpoint_path("last"), replace(last, arrays=learner.to_arrays(state)))
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    return sum(array.nbytes for array in rows.values()), peak
+
+
+def test_a_replay_buffer_is_written_without_a_copy(untrained):
+    size, peak = filled(untrained("hiro", "ant-maze", replay_size=100_000))
+    assert size > 20e6
+    assert peak < size / 2
+
+
+def test_replay_buffers_that_do_not_fit_the_memory_twice_are_not_read(untrained, monkeypatch):
+    path = untrained("hiro", "point-gather", replay_size=1000)
+    size, _ = filled(path)
     monkeypatch.setattr(designs, "free_memory", lambda: 2 * size + 1000)
     shes.evaluate(path, checkpoint="last", episodes=1, num_workers=1)
     monkeypatch.setattr(designs, "free_memory", lambda: 2 * size - 1)
-    message = r"last\.npz has replay buffers that take .* while they are restored, but .* are free\. Resume on a machine"
+    message = (
+        r"last\.npz has replay buffers that take .* while they are restored, but .* are free\. Resume on a machine"
+    )
     with pytest.raises(CheckpointError, match=message):
         shes.resume(path, generations=1)
     shes.evaluate(path, checkpoint="best", episodes=1, num_workers=1)

@@ -59,7 +59,11 @@ def test_networks_start_as_in_the_published_code():
     actor = network(state.learner["actor"], own.actor_shapes)
     critics = network(state.learner["critics"], own.critic_shapes)
     assert [np.shape(weights) for weights, _ in actor] == [(INPUTS, 50), (50, 40), (40, ACTIONS)]
-    assert [np.shape(weights) for weights, _ in critics] == [(2, INPUTS + ACTIONS, 50), (2, 50 + ACTIONS, 40), (2, 40, 1)]
+    assert [np.shape(weights) for weights, _ in critics] == [
+        (2, INPUTS + ACTIONS, 50),
+        (2, 50 + ACTIONS, 40),
+        (2, 40, 1),
+    ]
     for (*hidden, last), fans in ((actor, (INPUTS, 50)), (critics, (INPUTS + ACTIONS, 50 + ACTIONS))):
         for (weights, biases), fan_in in zip(hidden, fans, strict=True):
             assert 0.95 * fan_in**-0.5 < np.abs(weights).max() <= fan_in**-0.5

@@ -117,6 +117,49 @@ def test_each_group_of_many_variants_has_a_figure_and_time_is_shown_where_it_is_
     ]
 
 
+OF_RUNS = ("group", "variant", "env", "seed", "env_steps", "score_mean", "settings")
+
+
+def scores(tables, runs):
+    """Return title and curves of the figure of runs, each a variant, a seed, a digest and its score at both ends."""
+    rows = [
+        ("g", variant, "e", seed, steps, score, digest) for variant, seed, digest, score in runs for steps in (1, 2)
+    ]
+    write_curves(tables, OF_RUNS, rows)
+    _, figures = experiment_section(tables)
+    figure = figures[f"{tables} e: test score"]["env_steps"]
+    return figure["layout"]["title"]["text"], {name: trace["y"] for name, trace in named(figure).items()}
+
+
+def test_only_runs_of_the_first_settings_are_drawn_and_the_others_are_counted(tables):
+    current = [("v", 1, "new", 2.0), ("v", 2, "new", 4.0), ("w", 1, "other", 7.0)]
+    assert scores(tables, current) == ("e: test score", {"v (2 seeds)": [3, 3], "w (1 seed)": [7, 7]})
+    title, curves = scores(tables, [*current, ("v", 1, "old", 90.0)])
+    assert curves == {"v (2 seeds)": [3, 3], "w (1 seed)": [7, 7]}
+    assert title == "e: test score<br><sub>1 run of other settings is left out</sub>"
+    old = [("v", seed, "old", 90.0) for seed in (1, 2, 3)]
+    title, curves = scores(tables, [*current, *old, ("v", 3, "new", 9.0)])
+    assert curves == {"v (3 seeds)": [5, 5], "w (1 seed)": [7, 7]}
+    assert title == "e: test score<br><sub>3 runs of other settings are left out</sub>"
+    for others in (old, old[1:]):
+        assert scores(tables, [("v", 1, "new", 2.0), *others])[1] == {"v (1 seed)": [2, 2]}
+
+
+def test_runs_without_the_drawn_measure_do_not_hide_the_time(tables):
+    columns = ("group", "variant", "env", "seed", "env_steps", "seconds", "score_mean", "training_return_mean", "cores")
+    rows = [("methods", "v", "e", 1, steps, 60 * steps, 0.5, "", "") for steps in (1, 2)]
+    rows += [("speedup", "v", "e", 1, "", "", "", "", cores) for cores in (1, 2)]  # of figure 6
+    rows += [("methods", "old", "e", 1, steps, "", "", 3.0, "") for steps in (1, 2)]
+    write_curves(tables, columns, rows)
+    _, figures = experiment_section(tables)
+    timed = figures[f"{tables} e: test score"]["wall_time_s"]
+    assert named(timed)["methods, v (1 seed)"]["x"] == [1, 2]
+    assert timed["layout"]["xaxis"]["title"]["text"] == "wall-clock minutes"
+    untimed = figures[f"{tables} e: training reward"]["wall_time_s"]
+    assert named(untimed)["methods, old (1 seed)"]["x"] == [1, 2]
+    assert untimed["layout"]["xaxis"]["title"]["text"] == "environment steps"
+
+
 @pytest.mark.parametrize("bad", ["much", "\0"])
 def test_curves_that_cannot_be_read_are_named(tables, bad):
     write_curves(tables, ("group", "variant", "env", "seed", "env_steps", "score_mean"), [("g", "v", "e", 1, 1, bad)])

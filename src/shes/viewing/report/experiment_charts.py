@@ -22,8 +22,10 @@ _MOST_BANDS = 6
 """Curves of a figure that have a band: more could not be told apart."""
 _LEGEND_PIXELS, _FRAME_PIXELS = 20, 300
 
-_Rows = Mapping[tuple[str, str], Mapping[str, Sequence[Mapping[str, str]]]]
-"""Rows of an environment by group and variant, then by seed."""
+_Run = tuple[str, str]
+"""Seed, and digest of the settings; the digest is empty in a table without it."""
+_Rows = Mapping[tuple[str, str], Mapping[_Run, Sequence[Mapping[str, str]]]]
+"""Rows of an environment by group and variant, then by run."""
 
 
 def experiment_charts(folder: Path) -> dict[str, dict[str, Figure]]:
@@ -36,11 +38,12 @@ def experiment_charts(folder: Path) -> dict[str, dict[str, Figure]]:
     file = folder / _CURVES
     if not file.is_file():
         return {}
-    envs: dict[str, dict[tuple[str, str], dict[str, list[dict[str, str]]]]] = {}
+    envs: dict[str, dict[tuple[str, str], dict[_Run, list[dict[str, str]]]]] = {}
     with file.open(newline="", encoding="utf-8") as lines:
         for row in csv.DictReader(lines):
             variants = envs.setdefault(row["env"], {})
-            variants.setdefault((row["group"], row["variant"]), {}).setdefault(row["seed"], []).append(row)
+            runs = variants.setdefault((row["group"], row["variant"]), {})
+            runs.setdefault((row["seed"], row.get("settings") or ""), []).append(row)
     found: dict[str, dict[str, Figure]] = {}
     for env, variants in envs.items():
         groups = {"": variants}
@@ -57,25 +60,44 @@ def experiment_charts(folder: Path) -> dict[str, dict[str, Figure]]:
 
 
 def _figure(title: str, rows: _Rows, column: str, x: str) -> Figure:
-    """Return a figure of `column` over `x`; over environment steps where the table does not have `x`."""
-    has_time = all(row.get("seconds") for runs in rows.values() for run in runs.values() for row in run)
+    """Return a figure of the runs that have `column`, over `x`; over environment steps if a run does not have `x`."""
+    full = {
+        place: {run: found for run, found in runs.items() if all(row.get(column) for row in found)}
+        for place, runs in rows.items()
+    }
+    drawn = {
+        place: [full[place][run] for run in _current(list(runs)) if run in full[place]] for place, runs in rows.items()
+    }
+    num_others = sum(map(len, full.values())) - sum(map(len, drawn.values()))
+    has_time = all(row.get("seconds") for runs in drawn.values() for run in runs for row in run)
     x = x if x == "wall_time_s" and has_time else "env_steps"
     label, factor, ticks = X_AXES[x]
     data: list[dict[str, Any]] = []
     several = len({group for group, _ in rows}) > 1
-    for number, ((group, variant), runs) in enumerate(rows.items()):
-        full = [run for run in runs.values() if all(row.get(column) for row in run)]
-        if full:
-            xs = [np.array([float(row[_COLUMNS[x]]) for row in run]) * factor for run in full]
-            ys = [np.array([float(row[column]) for row in run]) for run in full]
+    for number, ((group, variant), runs) in enumerate(drawn.items()):
+        if runs:
+            xs = [np.array([float(row[_COLUMNS[x]]) for row in run]) * factor for run in runs]
+            ys = [np.array([float(row[column]) for row in run]) for run in runs]
             words = f"{group}, {variant}" if several else variant
-            label_of = f"{words} ({len(full)} seed{'s' * (len(full) != 1)})"
+            label_of = f"{words} ({len(runs)} seed{'s' * (len(runs) != 1)})"
             traces = mean_traces(label_of, numbered_look(number), xs, ys)
             data += [trace for trace in traces if "name" in trace or len(rows) <= _MOST_BANDS]
     layout = {
-        "title": {"text": escape(title)},
+        "title": {"text": escape(title) + _note(num_others)},
         "height": _FRAME_PIXELS + _LEGEND_PIXELS * sum("name" in trace for trace in data),
         "showlegend": True,
         "xaxis": {"title": {"text": label}, "tickformat": ticks},
     }
     return {"data": data, "layout": layout}
+
+
+def _current(runs: Sequence[_Run]) -> list[_Run]:
+    """Return those of the `runs` of a variant that have the settings of the first one: the table begins with them."""
+    return [run for run in runs if run[1] == runs[0][1]]
+
+
+def _note(num_others: int) -> str:
+    """Return the line below a title that says how many runs are left out; empty if none is."""
+    is_one = num_others == 1
+    words = f"{num_others} run{'s' * (not is_one)} of other settings {'is' if is_one else 'are'} left out"
+    return f"<br><sub>{words}</sub>" if num_others else ""
