@@ -90,7 +90,7 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
             r"unknown group or environment 'sweeps'\. Did you mean 'sweep'\? Known: sweep, choices, hor",
         ),
         (["fig3", "--backend", "ray"], "--backend ray is for runs that have all workers: those of scale paper"),
-        (["fig3", "--no-run"], "a has no finished run of fig3, and no row of one in runs.csv"),
+        (["fig3", "--no-run"], "a has no finished run of fig3 at scale laptop, and no row of one in runs.csv"),
         (["learning", "--only"], "--only needs at least one of pieces, form, alternatives, sweep, grid, ant-flagrun"),
         (
             ["ablation", "--only"],

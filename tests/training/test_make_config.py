@@ -107,10 +107,16 @@ def test_the_presets_of_hiro_have_the_published_numbers():
     assert learner.generation_steps * config.evaluation.evaluation_interval == 50_000
     assert config.evaluation.evaluation_episodes == 50
     assert make_config("point-maze", "hiro-paper").learner.exploration_noise == 0.1
-    small = make_config("robotics-point-maze", "hiro-paper")
-    assert (small.learner.exploration_noise, small.goals.goal_distance, small.goals.goal_noise) == (0.1, 1.0, 0.1)
     table = make_config("ant-maze", "hiro-table1")
     assert (table.learner.actor_learning_rate, table.environment.spec) == (0.001, "shes")
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize("preset", ["hiro-paper", "hiro-table1"])
+def test_the_presets_of_hiro_fit_a_small_maze(preset):
+    pytest.importorskip("gymnasium_robotics")
+    config = make_config("robotics-point-maze", preset)
+    assert (config.learner.exploration_noise, config.goals.goal_distance, config.goals.goal_noise) == (0.1, 1.0, 0.1)
 
 
 def test_the_presets_are_those_of_the_design():
