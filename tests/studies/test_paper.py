@@ -16,9 +16,10 @@ from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
 from shes.studies.paper_scales import SCALES
 from shes.studies.provenance_columns import joined, provenance_columns
-from shes.studies.running import check_study, read_summaries, run_cell, run_study
+from shes.studies.running import check_study, run_cell, run_study
 from shes.studies.study import ALONE, cell_config
 from shes.studies.study_tables import Cell, CellResults, write_tables
+from shes.studies.summaries import read_summaries
 from shes.studies.table1 import TABLE_1, settings_beside
 from tests.e2e import runs
 

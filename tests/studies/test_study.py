@@ -26,15 +26,7 @@ from shes.studies.comparison import compare
 from shes.studies.design import Curves, Measure, StudyDesign, sweep_name
 from shes.studies.experiment import experiment, forecast, with_progress
 from shes.studies.named_studies import STUDIES
-from shes.studies.running import (
-    cells_left,
-    check_study,
-    read_summaries,
-    read_summary,
-    run_cell,
-    run_study,
-    write_summary,
-)
+from shes.studies.running import check_study, run_cell, run_study
 from shes.studies.significance import (
     check_scipy,
     holm,
@@ -45,6 +37,7 @@ from shes.studies.significance import (
 )
 from shes.studies.study import Study, cell_config, cell_steps, choose, generation_steps
 from shes.studies.study_tables import Cell, CellResults, read_tables, write_tables
+from shes.studies.summaries import cells_left, read_summaries, read_summary, write_summary
 from shes.training import session
 from shes.training import train as training
 from shes.training.evaluate import evaluate

@@ -22,9 +22,10 @@ from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
-from shes.studies.running import Outcome, cells_left, check_study, read_summaries, run_study
+from shes.studies.running import Outcome, check_study, run_study
 from shes.studies.study import Study, cell_steps, choose
 from shes.studies.study_tables import CellResults, write_csv, write_tables
+from shes.studies.summaries import cells_left, read_summaries
 from shes.studies.table1 import settings_beside
 from shes.training.progress_display import format_duration
 

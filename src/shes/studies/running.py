@@ -6,7 +6,6 @@ ones continue as `shes resume` does: a study that was stopped has the same numbe
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import signal
@@ -26,16 +25,16 @@ from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.sections import WorkerSettings
 from shes.runs.tables import Row, read_csv, read_wall_time
-from shes.storage import storage_errors, write_atomically
+from shes.storage import storage_errors
 from shes.studies.provenance_columns import provenance_columns
 from shes.studies.significance import check_scipy
 from shes.studies.study import ALONE, CHECKPOINTS, Study, cell_config, cell_workers
-from shes.studies.study_tables import Cell, CellResults, read_tables
+from shes.studies.study_tables import Cell, CellResults
+from shes.studies.summaries import cells_left, read_summary, write_summary
 from shes.training.build import open_run
 from shes.training.evaluate import evaluate
 from shes.training.train import differing, resume_run, start_run
 
-_SUMMARY = "summary.json"
 _SHORTEST = 1e-6
 """Minutes in which no generation begins."""
 _CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
@@ -288,73 +287,3 @@ def check_study(study: Study, out: Path) -> None:
         config, folder = cell_config(cell, out), RunFolder(out / cell.name)
         if folder.config.is_file():
             _check_settings(cell, folder, config)
-
-
-# Summaries.
-
-
-def read_summary(cell: Cell, out: Path) -> CellResults | None:
-    """Return the summary of a cell in its folder below `out`; None if it is not finished.
-
-    Raises:
-        RunFolderError: It is damaged, or that of a cell with other settings.
-    """
-    file = out / cell.name / _SUMMARY
-    try:
-        found = json.loads(file.read_bytes())
-        summary, digest = CellResults(row=found["row"], curve=tuple(found["curve"])), found["settings"]
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunFolderError(f"{file} cannot be read: {error!r}. Remove it to have it made again.") from error
-    if digest != cell.digest:
-        raise RunFolderError(
-            f"{file.parent} holds results of other settings than cell {cell.name}, such as another --scale. Choose "
-            "another folder with --out, or remove this one to have it made anew."
-        )
-    return summary
-
-
-def write_summary(cell: Cell, out: Path, summary: CellResults) -> CellResults:
-    """Write the summary of a finished cell into its folder below `out`, which may not exist yet, and return it."""
-    path = out / cell.name
-    text = json.dumps({"settings": cell.digest, "row": summary.row, "curve": summary.curve})
-    with storage_errors(path):
-        path.mkdir(parents=True, exist_ok=True)
-    write_atomically(path / _SUMMARY, lambda file: file.write(text.encode()))
-    return summary
-
-
-def read_summaries(study: Study, out: Path) -> dict[str, CellResults]:
-    """Return the summaries of the finished cells by name, from their folders or the tables, in order of execution."""
-    cells = study.ordered()
-    # A folder takes precedence over a row: a cell with an unfinished folder is unfinished.
-    without = [cell for cell in cells if not (out / cell.name).exists()]
-    tables = read_tables(without, out) if without else {}
-    for cell in without:
-        if cell.name in tables:
-            _check_measures(study, cell, tables[cell.name], out)
-    found = {cell.name: tables.get(cell.name) or read_summary(cell, out) for cell in cells}
-    return {name: summary for name, summary in found.items() if summary is not None}
-
-
-def _check_measures(study: Study, cell: Cell, found: CellResults, out: Path) -> None:
-    """Raise RunFolderError unless the rows of a cell have what is compared and drawn."""
-    metrics, curves = study.design.metrics, study.design.curves
-    row = {metrics[cell.env].column, "seconds"} if cell.env in metrics else {"seconds"}
-    missing = [("runs.csv", name) for name in sorted(row) if found.row.get(name) is None]
-    if cell.env in curves and any(curves[cell.env].column not in point for point in found.curve):
-        missing.append(("curves.csv", curves[cell.env].column))
-    for table, column in missing:
-        raise RunFolderError(
-            f"{out / table} has no {column} for {cell.name}. Remove the rows of this run to have it made again."
-        )
-
-
-def cells_left(study: Study, out: Path) -> list[Cell]:
-    """Return the cells still to be run, in order, with primitives whose folder is needed but no longer exists."""
-    done = set(read_summaries(study, out))
-    for cell in reversed(study.ordered()):  # a cell comes after its primitive
-        if cell.primitive is not None and cell.name not in done and read_summary(cell.primitive, out) is None:
-            done.discard(cell.primitive.name)
-    return [cell for cell in study.ordered() if cell.name not in done]

@@ -16,9 +16,9 @@ from shes.bench.speedup import CORES, measure_speedup
 from shes.runs.provenance import provenance
 from shes.runs.tables import Row
 from shes.studies.provenance_columns import provenance_columns
-from shes.studies.running import read_summary, write_summary
 from shes.studies.study import cell_config
 from shes.studies.study_tables import Cell, CellResults
+from shes.studies.summaries import read_summary, write_summary
 
 PAPER_CORES = (48, 240, 600)
 """Numbers of cores in the paper."""
