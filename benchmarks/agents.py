@@ -1,7 +1,7 @@
-"""The shipped agents on episodes that chose nothing: `python benchmarks/agents.py --out results/learning/agents.csv`.
+"""The shipped agents on fresh episodes: `python benchmarks/agents.py --out results/learning/agents.csv`.
 
 Each agent's own evaluation (`shes info AGENT`) has 200 episodes. Where an agent is the best of several seeds, those
-episodes chose it. These 400 others are of the task as specified, too. Two minutes on two cores.
+episodes chose it. These 400 others selected neither a checkpoint nor a seed. Two minutes on two cores.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Choices of an ant that walks or gathers, one changed at a time: `python benchmarks/choices.py --out FILE.csv`.
+"""Choices of walkers and gatherers, one changed at a time: `python benchmarks/choices.py --out FILE.csv`.
 
 - `walker`: `shes train ant-flagrun`, 0.9 million environment steps.
-- `transfer`: a controller in Gather on the shipped `ant-walker`, 1.2 million.
+- `transfer`: a controller in Gather on the shipped `ant-walker`, 1.3 million (1.2 and the rest of the last generation).
 - `coevolved`: both levels in Gather from scratch, 2 million.
 
 Five seeds of each choice over preset `laptop`; the last policies are evaluated on 100 fresh episodes of the task as
-specified. Rows that the file has are not measured again. On two cores half a minute to a minute for each run.
+specified. Rows that the file has are not measured again. On two cores about a minute for each run.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="CSV file to write or to continue")
     parser.add_argument("--only", nargs="+", choices=list(WAYS), default=list(WAYS), help="ways to measure")
     asked = parser.parse_args()
-    rows: list[dict[str, Any]] = list(csv.DictReader(asked.out.open())) if asked.out.exists() else []
+    rows: list[dict[str, Any]] = list(csv.DictReader(asked.out.read_text().splitlines())) if asked.out.exists() else []
     done = {(row["way"], row["choice"], int(row["seed"])) for row in rows}
     for seed in SEEDS:
         for way in asked.only:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -89,6 +90,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, help="seeds, of those of the group")
     parser.add_argument("--results", type=Path, help="folder of the tables")
     asked = parser.parse_args()
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # one core for each run
     places = {(name, seed): asked.out / name / f"seed_{seed}" for name, group in GROUPS.items() for seed in group.seeds}
     for name in asked.only:
         for seed in asked.seeds or GROUPS[name].seeds:

@@ -1,7 +1,7 @@
 """Tasks of the ant from nothing, over seeds and ways: `python benchmarks/seeds.py gather --out runs/gather`.
 
-- `transfer`: a walker (`shes train ant-flagrun`, for Push and Fall with `--stiff-contacts`), then a controller on it
-  (`shes train ant-gather --primitive WALKER --generations 60`).
+- `transfer`: a walker (`shes train ant-flagrun`, for Push and Fall with `--stiff-contacts`, with the specification and
+  the integrator of the task), then a controller on it (`shes train ant-gather --primitive WALKER --generations 60`).
 - `coevolved`: both levels together (`shes train ant-gather`).
 
 Every run can be interrupted at any time: the same command goes on. `--results FOLDER` also writes the tables:

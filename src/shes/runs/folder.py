@@ -197,7 +197,9 @@ class RunFolder:
         record = self.read_record()
         here, began = provenance(config.workers.device, config.run.algorithm), record.get("versions", {})
         changes = [
-            f"{name} {began.get(name)} -> {now}" for name, now in here["versions"].items() if began.get(name) != now
+            f"{name} {began[name]} -> {now}"
+            for name, now in here["versions"].items()
+            if name in began and began[name] != now  # an older run did not record all of them
         ]
         before = [record, *record.get("resumed", [])][-1].get("device", {"name": "cpu"})
         changes += device_changes(before, here["device"])

@@ -98,7 +98,7 @@ def _is_over(config: TrainConfig, folder: RunFolder) -> bool:
     """Return whether the run of a cell has ended, by its length or its own time limit, and has been evaluated."""
     if not folder.config.is_file():
         return False
-    last, limit = folder.load("last"), config.run.minutes
+    last, limit = folder.load("last", with_state=False), config.run.minutes
     is_late = limit is not None and _minutes(folder) >= limit
     return (config.run.is_over(last.generation, last.env_steps) or is_late) and not last.owes_evaluation
 

@@ -42,7 +42,10 @@ class Study:
             if names[cell.name] > 1:
                 raise ConfigError(f"two cells of the study are called {cell.name}: give one another variant.")
             if cell.primitive is not None and cell.primitive not in self.cells:
-                raise ConfigError(f"{cell.name} begins with the primitive of {cell.primitive.name}, which is no cell.")
+                raise ConfigError(
+                    f"{cell.name} begins with the primitive of {cell.primitive.name}, which is not "
+                    "a cell of the study with these settings."
+                )
 
     def stages(self) -> tuple[tuple[Cell, ...], ...]:
         """Return the cells in stages: a cell comes after the one whose primitive it takes, and as late as possible.

@@ -22,11 +22,16 @@ def read_summary(cell: Cell, out: Path) -> CellResults | None:
     file = out / cell.name / _SUMMARY
     try:
         found = json.loads(file.read_bytes())
-        summary, digest = CellResults(row=found["row"], curve=tuple(found["curve"])), found["settings"]
+        summary, digest = CellResults(row=found["row"], curve=tuple(found["curve"])), found.get("settings")
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunFolderError(f"{file} cannot be read: {error!r}. Remove it to have it made again.") from error
+    if digest is None:
+        raise RunFolderError(
+            f"{file} was written by an earlier version, without the settings of its run. Remove it to have it made "
+            "again."
+        )
     if digest != cell.digest:
         raise RunFolderError(
             f"{file.parent} holds results of other settings than cell {cell.name}, such as another --scale. Choose "
@@ -63,8 +68,9 @@ def _check_measures(study: Study, cell: Cell, found: CellResults, out: Path) -> 
     metrics, curves = study.design.metrics, study.design.curves
     row = {metrics[cell.env].column, "seconds"} if cell.env in metrics else {"seconds"}
     missing = [("runs.csv", name) for name in sorted(row) if found.row.get(name) is None]
-    if cell.env in curves and any(curves[cell.env].column not in point for point in found.curve):
-        missing.append(("curves.csv", curves[cell.env].column))
+    if cell.env in curves and study.run_cell is None:  # a speed-up may be unknown
+        column = curves[cell.env].column
+        missing += [("curves.csv", column)] if any(point.get(column) is None for point in found.curve) else []
     for table, column in missing:
         raise RunFolderError(
             f"{out / table} has no {column} for {cell.name}. Remove the rows of this run to have it made again."

@@ -182,6 +182,6 @@ def check_restoring(headers: Mapping[str, ArrayHeader]) -> None:
     if need > free:
         raise CheckpointError(
             f"has replay buffers that take {need / 1e9:,.1f} GB of memory while they are restored, but "
-            f"{free / 1e9:,.1f} GB are free. Resume on a machine with more memory, or copy best.npz over last.npz: it "
-            "has no transitions, and the buffers fill again."
+            f"{free / 1e9:,.1f} GB are free. To evaluate, choose --checkpoint best, which has none. To resume, take a "
+            "machine with more memory, or copy best.npz over last.npz: what was learned since then is lost."
         )

@@ -38,7 +38,7 @@ _NOISE = {env: {"exploration_noise": 1.0} for env in BUILTIN_ENVIRONMENTS if env
 _SMALL_MAZE = {"robotics-point-maze": {"goal_distance": 1.0, "goal_noise": 0.1}}
 
 HIRO_PRESETS: Mapping[str, Preset] = {
-    # As long in training as in evaluation: the time is observed.
+    # Training episodes are as long as evaluation episodes, because policies observe the time.
     "laptop": Preset(values={"horizon": 500}),
     "smoke": Preset(values={"warmup_steps": 1000, "generation_steps": 500}),
     # The values of the HIRO paper and, where it says nothing, of its code; docs/differences.md has the exceptions.
