@@ -4,7 +4,7 @@ Every run can be interrupted at any time: the same command goes on. A run ends a
 whichever are first, or when it diverges; the minutes of earlier calls count. `--only td3-point-maze` makes some of the
 groups. `--results FOLDER` also writes the tables of the runs in `--out`: `runs.csv` (best checkpoint of each run on
 fresh episodes) and `curves.csv` (every evaluation); rows of other groups in them are kept. One process per run; two at
-a time suit two cores.
+a time suit two cores: `taskset -c 0` before the command keeps one on its core, because JAX uses all that are idle.
 
 The ants have the tasks and the settings of the HIRO authors, and 40 minutes of one core per run: two hours of two cores
 in all. Gather has the Euler integrator, as have the runs that `benchmarks/time_to_score.py` compares it with.
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -90,7 +89,6 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, help="seeds, of those of the group")
     parser.add_argument("--results", type=Path, help="folder of the tables")
     asked = parser.parse_args()
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # one core for each run
     places = {(name, seed): asked.out / name / f"seed_{seed}" for name, group in GROUPS.items() for seed in group.seeds}
     for name in asked.only:
         for seed in asked.seeds or GROUPS[name].seeds:

@@ -3,7 +3,6 @@
 import csv
 import itertools
 import math
-import os
 import shutil
 import signal
 import sys
@@ -315,7 +314,6 @@ def in_this_process(monkeypatch):
     """Let a study work here: its processes have their tests in tests/e2e, and take their time to start."""
     monkeypatch.setattr(running, "ProcessesBackend", lambda factory, _: SerialBackend(factory))
     monkeypatch.setattr(running.signal, "pthread_sigmask", lambda *_: None)
-    monkeypatch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", ""))  # a study's worker sets it
 
 
 def test_a_cell_that_fails_is_named_and_stops_only_what_begins_with_it(tmp_path, finished, in_this_process):

@@ -7,7 +7,6 @@ ones continue as `shes resume` does: a study that was stopped has the same numbe
 from __future__ import annotations
 
 import math
-import os
 import signal
 import traceback
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -172,7 +171,6 @@ class StudyWorker:
     def __init__(self, out: Path, episodes: int, until: float) -> None:
         """Block Ctrl-C, which reaches the whole process group: the parent handles it."""
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # a run of HIRO has one core, too
         self._run = partial(run_cell, out=out, episodes=episodes, until=until)
 
     def receive(self, state: Any) -> None:
