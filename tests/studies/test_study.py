@@ -68,7 +68,8 @@ def rows(path):
 
 def without_seconds(summary):
     """Return a summary without what depends on the execution."""
-    curve = tuple({**row, "seconds": 0} for row in summary.curve)
+    times = dict.fromkeys(("seconds", "primitive_seconds"), 0)
+    curve = tuple({**row, **times} for row in summary.curve)
     return replace(summary, row={**summary.row, "seconds": 0, "workers": 0}, curve=curve)
 
 
@@ -378,6 +379,11 @@ def test_a_transferred_primitive_comes_from_its_cell_wherever_the_study_lies(tmp
     one = runs.state(tmp_path / "a" / source.name, "best").levels[0]
     other = runs.state(tmp_path / "a" / frozen.name, "last").levels[1]
     assert (one.name, one.theta.tobytes()) == (other.name, other.theta.tobytes())
+    found = read_summaries(study, tmp_path / "a")
+    trained, curve = found[source.name], found[frozen.name].curve
+    assert {row["primitive_env_steps"] for row in curve} == {trained.row["env_steps"]}
+    assert {row["primitive_seconds"] for row in curve} == {trained.row["seconds"]}
+    assert not any("primitive_seconds" in row for row in trained.curve)
     (tmp_path / "a").rename(tmp_path / "b")
     monkeypatch.chdir(tmp_path)
     assert list(run_study(study, tmp_path / "b", num_workers=2)) == []

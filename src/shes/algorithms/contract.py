@@ -89,6 +89,9 @@ class Algorithm(ABC, Generic[StateT]):
     transfers: ClassVar[Mapping[str, LevelTransfer]] = {}
     """The levels that its runs may take from other runs, by name, and how."""
 
+    packages: ClassVar[tuple[str, ...]] = ()
+    """Distributions, beside NumPy and MuJoCo, on whose versions its numbers depend: a run records them."""
+
     shares_memory: ClassVar[bool] = False
     """Whether a state shares memory with the states after it: the next generation then begins only after this one is
     evaluated and in its checkpoint. Otherwise both are done beside it."""

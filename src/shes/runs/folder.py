@@ -184,7 +184,7 @@ class RunFolder:
             "format": _FORMAT,
             "config": config.to_dict(),
             **origins,
-            **provenance(config.workers.device, config.run.algorithm),
+            **provenance(config.workers.device, config.algorithm.packages),
             "resumed": [],
         }
         self.write_record(record)
@@ -195,7 +195,7 @@ class RunFolder:
         Versions are compared with those of the start, the device with that of the previous part.
         """
         record = self.read_record()
-        here, began = provenance(config.workers.device, config.run.algorithm), record.get("versions", {})
+        here, began = provenance(config.workers.device, config.algorithm.packages), record.get("versions", {})
         changes = [
             f"{name} {began[name]} -> {now}"
             for name, now in here["versions"].items()

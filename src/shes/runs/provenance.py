@@ -6,6 +6,7 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
@@ -16,17 +17,15 @@ from typing import Any
 from shes.runs.device import device_facts
 
 _PACKAGES = ("shes", "mujoco", "numpy")
-_OF_ALGORITHM = {"hiro": ("jax", "optax"), "td3": ("jax", "optax")}
-"""Packages on which the numbers of an algorithm depend, beside `_PACKAGES`."""
 
 
-def provenance(device: str, algorithm: str = "") -> dict[str, Any]:
+def provenance(device: str, packages: Iterable[str] = ()) -> dict[str, Any]:
     """Return the provenance of a run of this process on `device`, as JSON types.
 
-    Its versions are those of the packages that every run uses, and of those of `algorithm` that are installed.
+    Its versions are those of the packages that every run uses, and of those of `packages` that are installed.
     """
     versions = {name: _version(name) for name in _PACKAGES}
-    for name in _OF_ALGORITHM.get(algorithm, ()):
+    for name in packages:
         with suppress(metadata.PackageNotFoundError):
             versions[name] = _version(name)
     return {

@@ -44,7 +44,6 @@ class _Results:
 
     def __init__(self, study: Study, summaries: Mapping[str, CellResults], comparisons: Sequence[Comparison]) -> None:
         self.design = study.design
-        self._study, self._by_name = study, summaries
         self.summaries: dict[_Place, list[CellResults]] = {}
         self.cells: dict[_Place, Cell] = {}
         for cell in study.cells:
@@ -62,14 +61,6 @@ class _Results:
         """Return the compared measure of every seed."""
         column = self.design.metrics[place[0]].column
         return np.array([summary.row[column] for summary in self.summaries.get(place, ())], dtype=np.float64)
-
-    def of_primitive(self, run: CellResults, column: str) -> float | None:
-        """Return a number of the run whose primitive `run` has; 0 if it has none, None if that run is unknown."""
-        primitive = next(cell.primitive for cell in self._study.cells if cell.identity.items() <= run.row.items())
-        if primitive is None:
-            return 0.0
-        found = self._by_name.get(primitive.name)
-        return None if found is None else float(found.row[column])
 
     def p(self, place: _Place) -> str:
         """Return the corrected p against the base as text; beside the base itself, the heading."""
@@ -248,10 +239,10 @@ def _draw_curve(
     name, unit = ("seconds", 3600) if panel.x == "hours" else ("env_steps", 1000)
     runs, steps = list[CellResults](), list[F64Array]()
     for run in results.summaries[place]:
-        start = results.of_primitive(run, name) if curve.is_after_primitive else 0.0
-        if run.curve and start is not None:  # without its primitive's run it would begin too early
+        starts = [row.get(f"primitive_{name}") if curve.is_after_primitive else 0.0 for row in run.curve]
+        if starts and None not in starts:  # a curve that begins too early is not drawn
             runs.append(run)
-            steps.append((np.array([row[name] for row in run.curve], dtype=np.float64) + start) / unit)
+            steps.append(np.array([row[name] + start for row, start in zip(run.curve, starts, strict=True)]) / unit)
     if not runs:
         return
     scores = [np.array([row[column] for row in run.curve], dtype=np.float64) for run in runs]

@@ -90,7 +90,8 @@ def run_cell(
         is_late = left == own < math.inf  # its own limit: the last generation may have ended just before
         if not (is_late or _is_over(config, folder)):
             return None
-    return write_summary(cell, out, _summarise(cell, folder, episodes))
+    primitive = None if cell.primitive is None else RunFolder(out / cell.primitive.name)
+    return write_summary(cell, out, _summarise(cell, folder, episodes, primitive))
 
 
 def _is_over(config: TrainConfig, folder: RunFolder) -> bool:
@@ -107,8 +108,8 @@ def _minutes(folder: RunFolder) -> float:
     return read_wall_time(folder.progress) / 60
 
 
-def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> CellResults:
-    """Evaluate a finished run and return its summary."""
+def _summarise(cell: Cell, folder: RunFolder, episodes: int, primitive: RunFolder | None) -> CellResults:
+    """Evaluate a finished run and return its summary; `primitive` is the run whose primitive it has."""
     last, workers = folder.load("last"), folder.read_config().workers
     is_local = workers.backend in ("processes", "serial")
     row: Row = {
@@ -135,15 +136,23 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int) -> CellResults:
     table, progress = read_csv(folder.evaluation), read_csv(folder.progress)
     outer = f"{open_run(folder.path, 'last').algorithm.level_names[0]}_return_mean"
     curve: list[Row] = []
+    before = {} if primitive is None else _length_of_primitive(primitive)
     first = 0.0
     for i, generation in enumerate(table["generation"]):
         shown = {name: table[name][i] if name in table else None for name in _CURVE}
         since = [k for k, number in enumerate(progress["generation"]) if first < number <= generation]
         for name, column in (("training_success_rate", "success_rate"), ("training_return_mean", outer)):
             shown[name] = sum(progress[column][k] for k in since) / len(since)
-        curve.append({**cell.identity, **shown, "seconds": table["wall_time_s"][i]})
+        curve.append({**cell.identity, **shown, "seconds": table["wall_time_s"][i], **before})
         first = generation
     return CellResults(row=row, curve=tuple(curve))
+
+
+def _length_of_primitive(folder: RunFolder) -> Row:
+    """Return the columns of `curves.csv` that say how long the run in `folder`, that of a primitive, has been."""
+    progress = read_csv(folder.progress)
+    columns = {"primitive_env_steps": "env_steps", "primitive_seconds": "wall_time_s"}
+    return {name: progress[column][-1] for name, column in columns.items()}
 
 
 def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:

@@ -101,6 +101,16 @@ def test_curves_are_drawn_from_the_table_alone(tables):
     assert list(named(figures[f"{tables} ant-maze: training reward"]["env_steps"])) == list(curves)[1:]
 
 
+@pytest.mark.parametrize(("x", "begins"), [("env_steps", [100, 1100]), ("wall_time_s", [1, 6])])
+def test_a_curve_with_a_transferred_primitive_begins_where_its_training_ended(tables, x, begins):
+    columns = ("group", "variant", "env", "seed", "env_steps", "score_mean", "seconds")
+    columns += ("primitive_env_steps", "primitive_seconds")
+    rows = [("methods", "v", "e", 1, 100, 1.0, 60, "", ""), ("transfer", "v", "e", 1, 100, 1.0, 60, 1000, 300)]
+    write_curves(tables, columns, rows)
+    figure = experiment_section(tables)[1][f"{tables} e: test score"][x]
+    assert [trace["x"][0] for trace in named(figure).values()] == begins
+
+
 def test_each_group_of_many_variants_has_a_figure_and_time_is_shown_where_it_is_known(tables):
     columns = ("group", "variant", "env", "seed", "env_steps", "score_mean")
     places = [("choices", f"c{number}") for number in range(8)] + [("sweep", f"s{number}") for number in range(8)]

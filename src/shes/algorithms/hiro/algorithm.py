@@ -62,6 +62,7 @@ class TD3(Algorithm[TD3State]):
 
     sections: ClassVar[Mapping[str, type[Settings]]] = TD3_SECTIONS
     presets: ClassVar[Mapping[str, Preset]] = HIRO_PRESETS
+    packages: ClassVar[tuple[str, ...]] = ("jax", "optax")
     shares_memory: ClassVar[bool] = True  # that of the replay buffers
     make_design: ClassVar[Callable[[Problem], AgentDesign]] = staticmethod(flat_design)
     """Returns the design of its agents."""

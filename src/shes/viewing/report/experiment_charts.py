@@ -76,7 +76,7 @@ def _figure(title: str, rows: _Rows, column: str, x: str) -> Figure:
     several = len({group for group, _ in rows}) > 1
     for number, ((group, variant), runs) in enumerate(drawn.items()):
         if runs:
-            xs = [np.array([float(row[_COLUMNS[x]]) for row in run]) * factor for run in runs]
+            xs = [np.array([_since_start(row, _COLUMNS[x]) for row in run]) * factor for run in runs]
             ys = [np.array([float(row[column]) for row in run]) for run in runs]
             words = f"{group}, {variant}" if several else variant
             label_of = f"{words} ({len(runs)} seed{'s' * (len(runs) != 1)})"
@@ -89,6 +89,11 @@ def _figure(title: str, rows: _Rows, column: str, x: str) -> Figure:
         "xaxis": {"title": {"text": label}, "tickformat": ticks},
     }
     return {"data": data, "layout": layout}
+
+
+def _since_start(row: Mapping[str, str], column: str) -> float:
+    """Return the environment steps or seconds since the training of a run began, that of its primitive included."""
+    return float(row[column]) + float(row.get(f"primitive_{column}") or 0)
 
 
 def _current(runs: Sequence[_Run]) -> list[_Run]:

@@ -25,8 +25,8 @@ _HINT = (
     "seed exceeds one of the variant it is compared with; hours: mean of the runs."
 )
 _CURVES_HINT = (
-    "Mean over seeds, with a 95 % bootstrap interval where there are few curves, as far as all seeds reach. Curves "
-    "with a transferred primitive begin after its training; the figures below add the time of that."
+    "Mean over seeds, with a 95 % bootstrap interval where there are few curves, as far as all seeds reach. A curve "
+    "with a transferred primitive begins where the training of that ended."
 )
 _ORIGIN = ("hardware", "versions", "commit")
 _SETTINGS = "table1-settings"
