@@ -313,7 +313,8 @@ def test_rows_without_what_is_compared_are_named(finished, tmp_path, table, colu
 @pytest.fixture
 def in_this_process(monkeypatch):
     """Let a study work here: its processes have their tests in tests/e2e, and take their time to start."""
-    monkeypatch.setattr(running, "ProcessesBackend", lambda factory, _: SerialBackend(factory))
+    for processes in ("ProcessesBackend", "OneCoreBackend"):
+        monkeypatch.setattr(running, processes, lambda factory, _: SerialBackend(factory))
     monkeypatch.setattr(running.signal, "pthread_sigmask", lambda *_: None)
 
 
@@ -369,6 +370,18 @@ def test_an_error_nobody_expected_is_an_outcome_with_its_traceback(monkeypatch, 
     ((number, outcome),) = running.StudyWorker(tmp_path, 3, math.inf).run(iter([(4, cell())]), 1)
     assert (number, outcome.summary) == (4, None)
     assert outcome.error.endswith("ZeroDivisionError: nothing to divide by\n")
+
+
+@pytest.mark.parametrize(("num_workers", "keeps_to_a_core"), [(1, False), (3, True), (4, True)])
+def test_each_run_keeps_to_a_core_if_the_study_has_all(
+    monkeypatch, tmp_path, in_this_process, num_workers, keeps_to_a_core
+):
+    one_core, used = running.OneCoreBackend, []
+    monkeypatch.setattr(running, "OneCoreBackend", lambda *words: [used.append(words), one_core(*words)][1])
+    monkeypatch.setattr(running, "num_cores", lambda: 3)
+    study = Study(cells=(cell(),), episodes=2)
+    assert all(outcome.summary for outcome in run_study(study, tmp_path, num_workers=num_workers))
+    assert bool(used) == keeps_to_a_core
 
 
 def test_a_transferred_primitive_comes_from_its_cell_wherever_the_study_lies(tmp_path, monkeypatch, in_this_process):

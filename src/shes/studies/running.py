@@ -19,12 +19,14 @@ from typing import Any
 
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
+from shes.cores import num_cores
 from shes.errors import RunFolderError, ShesError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.sections import WorkerSettings
 from shes.runs.tables import Row, read_csv, read_wall_time
 from shes.storage import storage_errors
+from shes.studies.one_core_backend import OneCoreBackend
 from shes.studies.provenance_columns import provenance_columns
 from shes.studies.significance import check_scipy
 from shes.studies.study import ALONE, CHECKPOINTS, Study, cell_config, cell_workers
@@ -230,7 +232,8 @@ def run_study(
         check_study(study, out)
         names = {cell.name for cell in cells_left(study, out)}
         left = [tuple(cell for cell in stage if cell.name in names) for stage in study.stages()]
-        size = min(WorkerSettings(num_workers=num_workers).count, max(map(len, left), default=0))
+        at_once = WorkerSettings(num_workers=num_workers).count
+        size = min(at_once, max(map(len, left), default=0))
         if not size:
             return
         with ExitStack() as stack:
@@ -242,7 +245,9 @@ def run_study(
                 run = partial(_run_in_turn, one)
             else:
                 factory = partial(StudyWorker, out, study.episodes, until)
-                run = partial(_run_side_by_side, stack.enter_context(ProcessesBackend(factory, size)))
+                # With fewer runs than cores another study may use the rest, and must not meet this one on a core.
+                processes = OneCoreBackend if at_once >= num_cores() else ProcessesBackend
+                run = partial(_run_side_by_side, stack.enter_context(processes(factory, size)))
             for stage in left:
                 for outcome in _run_stage(stage, unfinished, run):
                     if outcome.summary is None:
