@@ -14,9 +14,9 @@ FOOD, POISON = slice(0, 10), slice(10, 20)
 REST = np.zeros((1, 2))
 
 
-def start(name="point-gather", food=(), poison=()):
+def start(name="point-gather", food=(), poison=(), spec="shes"):
     """Return one episode, at rest at the origin, with the given objects; the others are far away."""
-    task = make_task(name, 1, TaskOptions(reset_noise=0))
+    task = make_task(name, 1, TaskOptions(reset_noise=0, spec=spec))
     task.reset(np.arange(1), [0])
     put(task, food, poison)
     return task
@@ -284,12 +284,14 @@ def test_the_first_observation_reads_the_objects_of_the_reset():
 # --- Time, score, end ------------------------------------------------------------------------------------------------
 
 
-def test_time_is_observed_as_control_steps_times_a_thousandth():
-    task = start()
-    seen = [task.observe()[0, -1]]
+@pytest.mark.parametrize("spec", ["shes", "hiro"])
+def test_time_is_observed_as_control_steps_times_a_thousandth(spec):
+    task = start(spec=spec)
+    column = task.observation_names.index("time")
+    seen = [task.observe()[0, column]]
     for _ in range(600):
         step(task)
-        seen.append(task.observe()[0, -1])
+        seen.append(task.observe()[0, column])
     assert_array_equal(seen, np.arange(601) * 0.001)
 
 

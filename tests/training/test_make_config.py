@@ -109,6 +109,7 @@ def test_the_presets_of_hiro_have_the_published_numbers():
     assert make_config("point-maze", "hiro-paper").learner.exploration_noise == 0.1
     table = make_config("ant-maze", "hiro-table1")
     assert (table.learner.actor_learning_rate, table.environment.spec) == (0.001, "shes")
+    assert table.learner.normalise_inputs  # the target in that observation is 100 times smaller than the position
 
 
 @pytest.mark.extras

@@ -134,7 +134,7 @@ FALLS = {"env": "ant-gather", "spec": "hiro", "horizon": 200}
 
 
 @pytest.mark.parametrize("bootstraps", [False, True])
-def test_a_fall_ends_the_return_and_the_interval_unless_it_bootstraps(bootstraps):
+def test_a_fall_ends_the_controllers_return_and_interval_unless_it_bootstraps(bootstraps):
     learner = algorithm(**FALLS, bootstrap_terminal=bootstraps)
     collector, batch, _ = collector_of(learner, is_random=True)
     made, controller = [], []
@@ -146,11 +146,24 @@ def test_a_fall_ends_the_return_and_the_interval_unless_it_bootstraps(bootstraps
             batch.sim.qpos[0, 2] = 5.0  # it falls in the next step, the third of its interval
         if len(made) == 7:
             break
-    assert [float(each[0]) for each in made] == [1.0] * 6 + [float(bootstraps)]
+    assert [float(each[0]) for each in made] == [1.0] * 7  # the primitive would learn to fall
     assert len(controller) == 2
     assert (controller[0]["goes_on"], controller[1]["goes_on"]) == (1.0, float(bootstraps))
     assert controller[1]["is_step"].tolist() == [1, 1, 1, 0]
     assert controller[1]["reward"] == -10.0
+
+
+@pytest.mark.parametrize("bootstraps", [False, True])
+def test_a_fall_ends_the_return_of_a_policy_without_goals_unless_it_bootstraps(bootstraps):
+    collector, batch, _ = collector_of(algorithm("td3", **FALLS, bootstrap_terminal=bootstraps), is_random=True)
+    made = []
+    for block in collector.run(1, count(), np.random.default_rng(0)):
+        made.append(float(block["policy"]["goes_on"][0]))
+        if len(made) == 2:
+            batch.sim.qpos[0, 2] = 5.0  # it falls in the next step
+        if len(made) == 3:
+            break
+    assert made == [1.0, 1.0, float(bootstraps)]
 
 
 def test_the_steps_of_a_diverged_simulation_are_left_out():

@@ -175,16 +175,19 @@ class Collector:
 
     def transitions(self, step: _Step, rng: np.random.Generator) -> dict[str, Rows]:
         """Return the transitions that `step` has completed, by level. New goals are drawn from `rng`."""
-        return {"policy": self.rows(step, step.observation, self.reward(), self._observation)}
+        goes_on = self.goes_on(step.terminated)
+        return {"policy": self.rows(step, step.observation, self.reward(), goes_on, self._observation)}
 
-    def rows(self, step: _Step, inputs: F64Array, reward: F64Array, next_inputs: F64Array) -> dict[str, F32Array]:
+    def rows(
+        self, step: _Step, inputs: F64Array, reward: F64Array, goes_on: BoolArray, next_inputs: F64Array
+    ) -> dict[str, F32Array]:
         """Return the transitions of the acting level as float32, without those of diverged simulations."""
         kept = step.rows[step.is_sound]
         rows = {
             "inputs": inputs[kept],
             "action": step.control[kept],
             "reward": reward[kept],
-            "goes_on": self.goes_on(step.terminated[step.is_sound]),
+            "goes_on": goes_on[step.is_sound],
             "next_inputs": next_inputs[kept],
         }
         return {name: values.astype(np.float32) for name, values in rows.items()}
@@ -270,7 +273,9 @@ class HiroCollector(Collector):
         self.summary.goal_distances += (-reward[rows[is_over & step.is_sound]]).tolist()
         of_controller = self._intervals(step, is_over)
         self._decide(rows[is_over & ~step.ended], rng)
-        of_primitive = self.rows(step, self._inputs_before, reward, self._inputs())
+        # Its rewards are negative: if a fall cut its return, it would learn to fall.
+        goes_on = np.ones(len(step.terminated), dtype=bool)
+        of_primitive = self.rows(step, self._inputs_before, reward, goes_on, self._inputs())
         return {"controller": of_controller, "primitive": of_primitive}
 
     def returns(self) -> dict[str, F64Array]:

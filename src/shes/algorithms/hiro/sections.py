@@ -47,7 +47,8 @@ class LearnerSettings(Settings):
     reward_scale: Annotated[float, Gt(0)] = 1.0
     """Factor on the environment's reward (HIRO: 0.1). The intrinsic reward is not scaled."""
     bootstrap_terminal: bool = False
-    """Whether to bootstrap from terminal states (HIRO's code: yes). A time limit never ends the return."""
+    """Whether to bootstrap from terminal states (HIRO's code: yes). A time limit never ends the return, and the
+    primitive of HIRO always bootstraps: its rewards are negative, and it would learn to fall."""
     normalise_inputs: bool = True
     """Whether the networks' inputs are normalised by observation statistics (HIRO: no)."""
     num_envs: Annotated[int, Ge(1), Shown(everyday=True)] = 1

@@ -36,8 +36,6 @@ HIRO_WALLS_M = 10.5
 """Half width of the arena with specification hiro; with shes the walls are those of the grid."""
 HIRO_FALL_REWARD = -10.0
 """Reward of the step of a fall, with specification hiro."""
-OBSERVED_TIME_SCALE = {"shes": TIME_SCALE, "hiro": 1.0}
-"""Factor on the number of control steps in observations."""
 NUM_BINS = 10
 """Sensor bins of each kind, over the full circle; bin 0 starts behind the robot."""
 MARKER_RADIUS_M = 0.4
@@ -72,8 +70,7 @@ class Gather(Task):
 
     The robot senses objects in ten sectors around its heading and collects those within 1 m. With `shes` objects lie
     anywhere, the sensors reach 8 m, and the walls are at 12 m. With `hiro` objects lie on even coordinates, the sensors
-    reach 6 m, and the walls are at 10.5 m. The time is observed in thousands of control steps, with `hiro` in control
-    steps.
+    reach 6 m, and the walls are at 10.5 m.
     """
 
     name: ClassVar[str] = "gather"
@@ -122,10 +119,9 @@ class Gather(Task):
             for number in range(NUM_BINS)
             for element in elements([f"{kind}_{number}"], _sector(kind, number, self.options.spec), low=0.0, high=1.0)
         )
-        time = self.time_elements(OBSERVED_TIME_SCALE[self.options.spec])
         if self.options.spec == "hiro":
-            return self.robot_elements() + time + readings
-        return self.robot_elements() + readings + time
+            return self.robot_elements() + self.time_elements() + readings
+        return self.robot_elements() + readings + self.time_elements()
 
     @property
     def sensor_rings(self) -> IntArray:
@@ -250,8 +246,7 @@ class Gather(Task):
         self.write_velocity(self.sim.qvel, out[:, nq : nq + nv])
         readings = slice(nq + nv + 1, None) if is_hiro else slice(nq + nv, -1)
         out[:, readings] = self._readings()
-        time_scale = OBSERVED_TIME_SCALE[self.options.spec]
-        np.multiply(self.time, time_scale, out=out[:, nq + nv if is_hiro else -1])
+        np.multiply(self.time, TIME_SCALE, out=out[:, nq + nv if is_hiro else -1])
         return out
 
     def _readings(self) -> F64Array:

@@ -33,7 +33,7 @@ CONTROL_STEP_S = FRAME_SKIP * TIMESTEP_S
 VELOCITY_CLIP = 10.0
 """Generalised velocities are clipped to this in observations, in m/s and rad/s; not with specification hiro."""
 TIME_SCALE = 0.001
-"""Factor on the number of control steps in observations; 1 in Gather with specification hiro."""
+"""Factor on the number of control steps in observations."""
 
 SimulatorFactory = Callable[[mujoco.MjModel, int], Simulator]
 """Makes a simulator from a model and the number of simulations."""
@@ -236,10 +236,9 @@ class Task(EpisodeBatch):
             np.minimum(out, VELOCITY_CLIP, out=out)
 
     @staticmethod
-    def time_elements(scale: float = TIME_SCALE) -> tuple[ObservationElement, ...]:
+    def time_elements() -> tuple[ObservationElement, ...]:
         """Return the element of the time, as a tuple."""
-        scaled = "" if scale == 1 else f", times {scale}"
-        return elements(["time"], f"control steps since the reset{scaled}", low=0.0)
+        return elements(["time"], f"control steps since the reset, times {TIME_SCALE}", low=0.0)
 
     def states(self, ids: IntArray) -> F64Array:
         """Return copies of the physics states of episodes `ids` [ids, S]."""
