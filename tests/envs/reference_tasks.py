@@ -6,8 +6,8 @@ for `shes`, Nachum et al. 2018's efficient-hrl and rllab's GatherEnv for `hiro`.
 What these leave open about tasks, and how it is decided here (worlds: see reference_worlds.py):
  1. hiro Maze, Push, Fall: "target raw to the high level only". The observation returned is the 30 numbers and then the
     raw target (32, 32, 33); `low_level_observation()` is the first 30. qvel is unclipped in every hiro task.
- 2. hiro Gather's "t" is read as it stands: control steps, where the others have t * 0.001; option `time_scale`. It
-    stands before the readings, in shes Gather behind them.
+ 2. hiro Gather's "t" is t * 0.001, as in the other tasks, of which the HIRO paper says "t", too. It stands before the
+    readings, in shes Gather behind them.
  3. Maze's score is against the episode's own target, which is (0, 16) in evaluation (JR: always against (0, 16)).
  4. "Final distance": score, success and distance are those of the last step played; after a reset, of the start.
  5. Free cells for `free_cells`: all cells without a wall, the robot's own included. The whole pair is redrawn.
@@ -422,14 +422,12 @@ class ReferenceHiroGather(ReferenceEpisode):
         model: mujoco.MjModel | None = None,
         *,
         fall_penalty: bool = True,
-        time_scale: float = 1.0,
         **options: Any,
     ) -> None:
         if spec != "hiro":
             raise ValueError("reference_gather.py is the reference of the shes Gather")
         super().__init__(body, spec, model, **options)
         self.fall_penalty = fall_penalty
-        self.time_scale = time_scale
         self.food: list[tuple[float, float]] = []
         self.poison: list[tuple[float, float]] = []
         self.food_count = 0
@@ -475,7 +473,7 @@ class ReferenceHiroGather(ReferenceEpisode):
 
     def observation(self) -> Array:
         """Robot, time, readings."""
-        time = self.steps * self.time_scale
+        time = self.steps * 0.001
         return np.array([*self.robot_observation(), time, *self._readings(self.food), *self._readings(self.poison)])
 
     def _readings(self, things: list[tuple[float, float]]) -> list[float]:
