@@ -7,7 +7,7 @@ fresh episodes) and `curves.csv` (every evaluation); rows of other groups in the
 a time suit two cores: `taskset -c 0` before the command keeps one on its core, because JAX uses all that are idle.
 
 The ants have the tasks and the settings of the HIRO authors, and 40 minutes of one core per run: two hours of two cores
-in all. Gather has the Euler integrator, as have the runs that `benchmarks/time_to_score.py` compares it with.
+in all. With more `--minutes` a run that has ended goes on. Gather has the Euler integrator, as have the runs that `benchmarks/time_to_score.py` compares it with.
 """
 
 from __future__ import annotations
@@ -50,9 +50,10 @@ GROUPS = {
 }
 
 
-def train(group: Group, seed: int, path: Path) -> None:
-    """Begin the run at `path`, or go on with it, unless it has ended."""
-    config = make_config(group.env, group.preset, {**group.settings, "seed": seed, "num_workers": 1})
+def train(group: Group, seed: int, path: Path, minutes: float | None) -> None:
+    """Begin the run at `path`, or go on with it, unless it has ended; `minutes` replaces those of the group."""
+    settings = {**group.settings, **({} if minutes is None else {"minutes": minutes})}
+    config = make_config(group.env, group.preset, {**settings, "seed": seed, "num_workers": 1})
     if config.run.minutes is not None:
         left = config.run.minutes - read_wall_time(RunFolder(path).progress) / 60
         if left <= 0:
@@ -87,12 +88,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/hiro"), help="folder of the runs")
     parser.add_argument("--only", nargs="+", choices=GROUPS, default=list(GROUPS), help="groups of runs")
     parser.add_argument("--seeds", nargs="+", type=int, help="seeds, of those of the group")
+    parser.add_argument("--minutes", type=float, help="minutes of each run, instead of those of its group")
     parser.add_argument("--results", type=Path, help="folder of the tables")
     asked = parser.parse_args()
     places = {(name, seed): asked.out / name / f"seed_{seed}" for name, group in GROUPS.items() for seed in group.seeds}
     for name in asked.only:
         for seed in asked.seeds or GROUPS[name].seeds:
-            train(GROUPS[name], seed, places[name, seed])
+            train(GROUPS[name], seed, places[name, seed], asked.minutes)
             print(f"{name}, seed {seed}: ended", flush=True)
     if asked.results is not None:
         asked.results.mkdir(parents=True, exist_ok=True)
