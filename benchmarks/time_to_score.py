@@ -37,7 +37,7 @@ def curves(folder: Path) -> dict[tuple[str, int], Curve]:
             for row in csv.DictReader(lines):
                 method = row[column]
                 if method in LABELS:
-                    point = float(row["wall_time_s"]), int(row["env_steps"]), float(row["score_mean"])
+                    point = float(row["wall_time_s"]), int(float(row["env_steps"])), float(row["score_mean"])
                     found[method, int(row["seed"])].append(point)
     order = list(LABELS)
     return {key: sorted(found[key]) for key in sorted(found, key=lambda key: (order.index(key[0]), key[1]))}
