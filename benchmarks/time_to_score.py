@@ -79,7 +79,8 @@ def draw(found: dict[tuple[str, int], Curve], path: Path) -> None:
         axis.plot(x, y, color=colours[method], alpha=0.8, label=LABELS[method] if is_first else None)
     for score in SCORES:
         axis.axhline(score, color="grey", linewidth=0.6, linestyle="dotted")
-    axis.set(xscale="log", xlabel="minutes", ylabel="score of Ant Gather (spec hiro)")
+    axis.set(xscale="log", xlabel="minutes of wall-clock", ylabel="score of Ant Gather (spec hiro)")
+    axis.xaxis.set_major_formatter("{x:g}")
     axis.grid(alpha=0.3)
     axis.legend()
     figure.tight_layout()
