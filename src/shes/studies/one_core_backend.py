@@ -1,4 +1,4 @@
-"""Worker processes that each keep to one core, so that the time of a run is the time of one core."""
+"""Worker processes, each pinned to one core, so that the time of a run is the time of one core."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from shes.cores import core_numbers, on_one_core
 
 
 class OneCoreBackend(ProcessesBackend):
-    """Worker processes of which each keeps to one core, where the system can do that.
+    """Worker processes, each pinned to one core where the system can do that.
 
     A library may use all cores that are idle, as JAX does for HIRO: without this, the last runs of a study would be
     faster than those beside others.
@@ -23,8 +23,8 @@ class OneCoreBackend(ProcessesBackend):
 
     def start_worker(self) -> SocketWorker:
         """Start a worker on the core that has the fewest."""
-        self._cores = {worker: self._cores[worker] for worker in self.workers}
-        core = min(core_numbers(), key=list(self._cores.values()).count)
+        taken = [self._cores[worker] for worker in self.workers]
+        core = min(core_numbers(), key=taken.count)
         with on_one_core(core):
             worker = super().start_worker()
         self._cores[worker] = core

@@ -111,7 +111,7 @@ def _minutes(folder: RunFolder) -> float:
 
 
 def _summarise(cell: Cell, folder: RunFolder, episodes: int, primitive: RunFolder | None) -> CellResults:
-    """Evaluate a finished run and return its summary; `primitive` is the run whose primitive it has."""
+    """Evaluate a finished run and return its summary; `primitive` is the run that trained its primitive."""
     last, workers = folder.load("last"), folder.read_config().workers
     is_local = workers.backend in ("processes", "serial")
     row: Row = {
@@ -138,7 +138,7 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int, primitive: RunFolde
     table, progress = read_csv(folder.evaluation), read_csv(folder.progress)
     outer = f"{open_run(folder.path, 'last').algorithm.level_names[0]}_return_mean"
     curve: list[Row] = []
-    before = {} if primitive is None else _length_of_primitive(primitive)
+    before = _length_of_primitive(primitive)
     first = 0.0
     for i, generation in enumerate(table["generation"]):
         shown = {name: table[name][i] if name in table else None for name in _CURVE}
@@ -150,10 +150,12 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int, primitive: RunFolde
     return CellResults(row=row, curve=tuple(curve))
 
 
-def _length_of_primitive(folder: RunFolder) -> Row:
-    """Return the columns of `curves.csv` that say how long the run in `folder`, that of a primitive, has been."""
-    progress = read_csv(folder.progress)
+def _length_of_primitive(primitive: RunFolder | None) -> Row:
+    """Return how long the run of a primitive was trained, as columns of `curves.csv`; None without one."""
     columns = {"primitive_env_steps": "env_steps", "primitive_seconds": "wall_time_s"}
+    if primitive is None:
+        return dict.fromkeys(columns)
+    progress = read_csv(primitive.progress)
     return {name: progress[column][-1] for name, column in columns.items()}
 
 
@@ -245,7 +247,7 @@ def run_study(
                 run = partial(_run_in_turn, one)
             else:
                 factory = partial(StudyWorker, out, study.episodes, until)
-                # With fewer runs than cores another study may use the rest, and must not meet this one on a core.
+                # With fewer workers than cores another study may use the rest, and must not meet this one on a core.
                 processes = OneCoreBackend if at_once >= num_cores() else ProcessesBackend
                 run = partial(_run_side_by_side, stack.enter_context(processes(factory, size)))
             for stage in left:

@@ -1,7 +1,7 @@
 """Settings of HIRO and of flat TD3.
 
 Source: Nachum et al. 2018 (HIRO), its published code, and Fujimoto et al. 2018 (TD3). The presets `hiro-paper` and
-`hiro-table1` have the published values.
+`hiro-table1` have the published values, with the exceptions in `docs/differences.md`.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ _HINT = (
 )
 _CURVES_HINT = (
     "Mean over seeds, with a 95 % bootstrap interval where there are few curves, as far as all seeds reach. A curve "
-    "with a transferred primitive begins where the training of that ended."
+    "with a transferred primitive begins where the training of its primitive ended, if curves.csv has that time."
 )
 _ORIGIN = ("hardware", "versions", "commit")
 _SETTINGS = "table1-settings"
