@@ -186,11 +186,11 @@ def _cells(size: Scale, body: str, group: str, form: str, seed: int) -> Iterator
         env, preset = f"{body}-{task}", size.preset
         training = size.training(task)
         if form == HIRO:
-            settings, preset = {"algorithm": "hiro", **size.hiro, **training}, size.hiro_preset
+            settings = {"algorithm": "hiro", **size.hiro, **training, **_budget(env, size.hiro_env_steps)}
+            preset = size.hiro_preset
         else:
-            steps = size.env_steps.get(env)
-            budget = {} if steps is None else {"env_steps": steps, "generations": 100_000}
-            settings = {**settings, **size.settings, **training, **budget}
+            steps = size.env_steps if primitive is None else {**size.env_steps, **size.transfer_env_steps}
+            settings = {**settings, **size.settings, **training, **_budget(env, steps)}
             if (preset, body, form) == ("laptop", "ant", PUBLISHED):
                 preset = "smoke"
         return Cell(
@@ -213,6 +213,11 @@ def _cells(size: Scale, body: str, group: str, form: str, seed: int) -> Iterator
             if name not in OF_PRIMITIVE and not name.startswith("primitive_")
         }
         yield cell(task, own, walker)
+
+
+def _budget(env: str, env_steps: Mapping[str, int]) -> dict[str, int]:
+    """Return the settings of a run of so many steps; none if `env_steps` does not name the environment."""
+    return {"env_steps": env_steps[env], "generations": 100_000} if env in env_steps else {}
 
 
 # Comparisons and figures.
