@@ -22,7 +22,7 @@ from run import write_csv
 ENV, BATCH, WARMUP, STEPS = "ant-maze", 100, 1000, 4000
 SIZES = {"64 64": (64, 64), "300 300": (300, 300)}
 """Hidden layers of actor and critics."""
-CASES = (("td3", 1, 10), ("td3", 1, 1), ("td3", 4, 10), ("hiro", 1, 10), ("hiro", 1, 1), ("sb3", 1, 1))
+CASES = (("td3", 1, 10), ("td3", 1, 1), ("td3", 4, 10), ("hiro", 1, 10), ("sb3", 1, 1))
 """Learner, environments, and steps after which as many updates follow: ten by default, one in SB3 and as published."""
 
 
