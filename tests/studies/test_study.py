@@ -555,14 +555,15 @@ def test_every_variant_of_the_ablation_makes_as_many_environment_steps_as_the_ba
             assert number == pytest.approx(steps[env, "base"], rel=tolerance), (scale, env, variant)
 
 
-def test_the_laptop_scale_takes_at_most_six_hours_on_two_cores_without_hiro():
+def test_the_laptop_scale_takes_at_most_nine_hours_on_two_cores_without_hiro():
     for name, make in MADE.items():
         study = make()
         seconds = forecast(study, 2)
-        assert sum(seconds[found.name] for found in study.cells if found.variant != "hiro") <= 6 * 3600, name
+        assert sum(seconds[found.name] for found in study.cells if found.variant != "hiro") <= 9 * 3600, name
         # Of a step of HIRO, which comes with updates, the speed is its own.
-        each = {seconds[found.name] for found in study.cells if found.variant == "hiro"}
-        assert all(300_000 / 500 / 2 < one < 300_000 / 500 for one in each)
+        for found in (each for each in study.cells if each.variant == "hiro"):
+            alone = found.settings["env_steps"] / 500
+            assert alone / 2 < seconds[found.name] < alone
     # Runs with as many workers as they say, one after another.
     for number in (1, 2):
         timed = forecast(MADE["fig4"](), 8)[f"point-push/workers/published-{number}/seed-1"]
