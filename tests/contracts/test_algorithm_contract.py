@@ -41,7 +41,7 @@ LEARNERS = {
 OVER_LEARNERS = [
     pytest.param(name, marks=[pytest.mark.hiro] if LEARNERS[name][0] in GRADIENT else []) for name in LEARNERS
 ]
-OF_THE_RUN = {"generation", "env_steps", "wall_time_s", "env_steps_per_s", "evaluation_s"}
+OF_THE_RUN = {"generation", "env_steps", "wall_time_s", "env_steps_per_s", "evaluation_s", "process_time_s"}
 
 
 @pytest.fixture(autouse=True)

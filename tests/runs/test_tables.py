@@ -6,6 +6,7 @@ import math
 import os
 import struct
 import threading
+from time import sleep
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from tensorboardX.proto.plugin_hparams_pb2 import HParamsPluginData
 
 from shes.errors import RunFolderError, StorageError
 from shes.runs.folder import RunFolder
-from shes.runs.tables import CsvTable, Records, read_csv
+from shes.runs.tables import CsvTable, Records, read_csv, read_process_time
+from shes.training.session import Session
 from tests.e2e import runs
 
 VALUES = [0.1 + 0.2, 1e-310, -0.0, 1.7976931348623157e308, math.inf, math.nan, 2.0**53 + 2]
@@ -253,13 +255,41 @@ def test_the_tables_of_a_run_have_the_columns_of_the_design(tiny_run):
     assert read_csv(tiny_run / "progress.csv")["env_steps"] == [160, 320, 480, 640]
 
 
-def test_wall_time_goes_on_after_a_resume(run_copy):
+@pytest.mark.parametrize("column", ["wall_time_s", "process_time_s"])
+def test_time_goes_on_after_a_resume(run_copy, column):
     import shes
 
     shes.resume(run_copy, generations=6)
-    times = read_csv(run_copy / "progress.csv")["wall_time_s"]
+    times = read_csv(run_copy / "progress.csv")[column]
     assert len(times) == 6
     assert times == sorted(times)
+
+
+def test_processor_time_is_that_of_the_run_and_not_of_waiting(tmp_path, monkeypatch):
+    """Everything of a run with the serial backend is in its process, whose time does not pass while it waits."""
+    finish = Session.add
+
+    def slow(self, *arguments):
+        sleep(0.3)
+        finish(self, *arguments)
+
+    monkeypatch.setattr(Session, "add", slow)
+    path = runs.train_tiny(tmp_path / "run")
+    progress, evaluation = (read_csv(path / f"{name}.csv") for name in ("progress", "evaluation"))
+    assert progress["wall_time_s"][-1] - progress["process_time_s"][-1] > 1.0  # four generations
+    assert progress["process_time_s"][-1] > 0.5 * (sum(progress["rollout_s"]) + sum(progress["update_s"]))
+    assert 0 < evaluation["process_time_s"][0] <= progress["process_time_s"][-1]
+
+
+def test_a_table_without_processor_time_goes_on_without(run_copy):
+    import shes
+
+    for name in ("progress.csv", "evaluation.csv"):
+        lines = (run_copy / name).read_text().splitlines()
+        assert lines[0].endswith(",process_time_s")
+        (run_copy / name).write_text("".join(f"{line.rpartition(',')[0]}\n" for line in lines))
+    shes.resume(run_copy, generations=6)
+    assert read_process_time(run_copy / "progress.csv") == read_csv(run_copy / "progress.csv")["wall_time_s"][-1]
 
 
 # Runs.

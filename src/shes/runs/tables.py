@@ -34,6 +34,12 @@ def read_wall_time(path: Path) -> float:
     return times[-1] if times else 0.0
 
 
+def read_process_time(path: Path) -> float:
+    """Return the processor seconds of a run's own process so far; its wall-clock time if it was not recorded."""
+    times = read_csv(path).get("process_time_s", []) if path.exists() else []
+    return times[-1] if times else read_wall_time(path)
+
+
 def _read_rows(path: Path) -> list[list[str]]:
     """Return the rows of a CSV file, its header first; those without a value are left out."""
     if path.exists() and not path.is_file():  # a pipe would be waited for

@@ -10,12 +10,17 @@ import numpy as np
 
 from shes.runs.tables import Row
 from shes.studies.design import StudyDesign
+from shes.studies.equal_budget import compare_curves
 from shes.studies.provenance_columns import PROVENANCE, joined
 from shes.studies.significance import holm, interquartile_mean, mann_whitney, permutation_test, superiority
 from shes.studies.study import Study
 from shes.studies.study_tables import CellResults
+from shes.training.progress_display import format_duration
 from shes.types import F64Array
 from shes.viewing.curves import confidence_interval
+
+_Place = tuple[str, str, str]
+"""Environment, group, variant."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,12 +58,32 @@ class Comparison:
     """Two-sided p of a Mann-Whitney U test, without correction."""
     superiority: float | None = None
     """Probability that a seed of this variant exceeds one of the other; 0.5 is no effect."""
+    ratio: float | None = None
+    """This variant's measure over the other's, the geometric mean over the seeds of both; None if it is not asked."""
+    ratio_low: float | None = None
+    """Lowest ratio of a seed."""
+    ratio_high: float | None = None
+    steps_span: float | None = None
+    """Environment steps from the start that all runs of both have, with those of a transferred primitive."""
+    steps_score: float | None = None
+    """Mean test score over `steps_span`; None without test scores."""
+    steps_score_against: float | None = None
+    """The same of the other variant."""
+    steps_p: float | None = None
+    """Two-sided p of a permutation test of these two, without correction."""
+    hours_span: float | None = None
+    """The same over hours."""
+    hours_score: float | None = None
+    hours_score_against: float | None = None
+    hours_p: float | None = None
     success_mean: float | None = None
     """Mean success rate of the best checkpoints; None without evaluations."""
     success_error: float | None = None
     """Its standard error over seeds."""
     hours: float | None = None
-    """Mean time of a run."""
+    """Mean time of a run, without that of a transferred primitive."""
+    primitive_hours: float | None = None
+    """Mean time of the training of a transferred primitive; None without one."""
     hardware: str | None = None
     versions: str | None = None
     commit: str | None = None
@@ -69,42 +94,96 @@ class Comparison:
 
     def texts(self, design: StudyDesign) -> tuple[str, ...]:
         """Return the cells of its row in the table of a task."""
-        other = ""
-        if self.against is not None and (self.against_group, self.against) != design.base:
-            group = "" if self.against_group == self.group else f"{self.against_group}, "
-            other = f" (to {group}{design.label(self.against)})"
+        is_of_base = self.against is None or (self.against_group, self.against) == design.base
+        variant = design.label(self.variant) + ("" if is_of_base else f" (to {self._other(design)})")
         score = f"{self.score_mean:.2f} [{self.score_low:.2f}, {self.score_high:.2f}]"
-        p = "-" if self.p_holm is None else f"{self.p_holm:.4f}"
-        return self.group, design.label(self.variant) + other, str(self.seeds), score, p
+        last = "-" if self.p_holm is None else f"{self.p_holm:.4f}"
+        if design.has_ratios:
+            numbers = self.ratio, self.ratio_low, self.ratio_high
+            last = "-" if None in numbers else "{:.2f} [{:.2f}, {:.2f}]".format(*numbers)
+        return self.group, variant, str(self.seeds), score, last
+
+    def equal_texts(self, design: StudyDesign) -> tuple[str, ...] | None:
+        """Return the row of the comparison over equal steps and equal time; None if there is none."""
+        if self.steps_span is None or self.hours_span is None:
+            return None
+        steps = f"{self.steps_score:.2f} to {self.steps_score_against:.2f} in {self.steps_span / 1e6:.2f} M"
+        time = f"{self.hours_score:.2f} to {self.hours_score_against:.2f} in {format_duration(3600 * self.hours_span)}"
+        variant = f"{design.label(self.variant)} (to {self._other(design)})"
+        return self.group, variant, f"{steps}, p {self.steps_p:.4f}", f"{time}, p {self.hours_p:.4f}"
+
+    def _other(self, design: StudyDesign) -> str:
+        """Return the name of the other variant, with its group if that is not this one's."""
+        group = "" if self.against_group == self.group else f"{self.against_group}, "
+        return f"{group}{design.label(self.against or '')}"
 
 
 def compare(study: Study, summaries: Mapping[str, CellResults]) -> list[Comparison]:
     """Return the comparisons of all variants with a finished run: with the base of their task, and in pairs."""
-    design, rows = study.design, dict[tuple[str, str, str], list[Row]]()
+    design, runs = study.design, dict[_Place, list[CellResults]]()
     for cell in study.cells:
         if cell.name in summaries and cell.env in design.metrics:
-            rows.setdefault((cell.env, cell.group, cell.variant), []).append(summaries[cell.name].row)
-    scores = {place: [row[design.metrics[place[0]].column] for row in found] for place, found in rows.items()}
+            runs.setdefault((cell.env, cell.group, cell.variant), []).append(summaries[cell.name])
+    scores = {
+        place: np.array([run.row[design.metrics[place[0]].column] for run in found]) for place, found in runs.items()
+    }
     found: list[Comparison] = []
     for env in design.metrics:
         for group in design.groups:
-            variants = {variant: np.array(v) for (e, g, variant), v in scores.items() if (e, g) == (env, group)}
-            others = {place[1:]: np.array(v) for place, v in scores.items() if place[0] == env}
+            variants = {variant: v for (e, g, variant), v in scores.items() if (e, g) == (env, group)}
+            others = {place[1:]: v for place, v in scores.items() if place[0] == env}
             found += _compare_group(design, group, env, variants, others)
-    return [replace(each, **_facts(rows[each.env, each.group, each.variant])) for each in found]
+    return [replace(each, **_facts(design, each, runs)) for each in found]
 
 
-def _facts(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the facts of the runs of a variant that are not compared."""
+def _facts(design: StudyDesign, found: Comparison, runs: Mapping[_Place, Sequence[CellResults]]) -> dict[str, Any]:
+    """Return the facts of the runs of a variant, and how they compare with another's beside the scores."""
+    own = runs[found.env, found.group, found.variant]
+    other = None
+    if found.against is not None and found.against_group is not None:
+        other = runs[found.env, found.against_group, found.against]
     success, seconds = (
-        [row[name] for row in rows if row.get(name) is not None] for name in ("best_success", "seconds")
+        [run.row[name] for run in own if run.row.get(name) is not None] for name in ("best_success", "seconds")
     )
-    return {
+    primitive = [run.curve[0]["primitive_seconds"] for run in own if run.curve and "primitive_seconds" in run.curve[0]]
+    primitive = [each for each in primitive if each is not None]
+    facts = {
         "success_mean": float(np.mean(success)) if success else None,
         "success_error": _standard_error(success),
         "hours": float(np.mean(seconds)) / 3600 if seconds else None,
-        **{name: joined(row.get(name) for row in rows) for name in PROVENANCE},
+        "primitive_hours": float(np.mean(primitive)) / 3600 if primitive else None,
+        **{name: joined(run.row.get(name) for run in own) for name in PROVENANCE},
     }
+    if other is not None and design.has_ratios:
+        facts |= _ratios(own, other, design.metrics[found.env].column)
+    if other is not None and design.has_equal_budgets:
+        facts |= _equal(own, other)
+    return facts
+
+
+def _ratios(own: Sequence[CellResults], other: Sequence[CellResults], column: str) -> dict[str, float]:
+    """Return the ratios of a measure by the seeds of both; none if there are none, or one is not positive."""
+    first, second = ({run.row["seed"]: run.row[column] for run in side} for side in (other, own))
+    both = [(second[seed], first[seed]) for seed in first.keys() & second.keys()]
+    if not both or any(value <= 0 for pair in both for value in pair):
+        return {}
+    ratios = np.array([ours / theirs for ours, theirs in both])
+    mean = float(np.exp(np.log(ratios).mean()))
+    return {"ratio": mean, "ratio_low": float(ratios.min()), "ratio_high": float(ratios.max())}
+
+
+def _equal(own: Sequence[CellResults], other: Sequence[CellResults]) -> dict[str, float]:
+    """Return the comparison of test scores over equal environment steps, and over equal time."""
+    facts: dict[str, float] = {}
+    for name, x, unit in (("steps", "env_steps", 1), ("hours", "seconds", 3600)):
+        if (found := compare_curves(other, own, x)) is not None:
+            facts |= {
+                f"{name}_span": found.span / unit,
+                f"{name}_score": float(found.second.mean()),
+                f"{name}_score_against": float(found.first.mean()),
+                f"{name}_p": found.p,
+            }
+    return facts
 
 
 def _standard_error(values: Sequence[float] | F64Array) -> float | None:
@@ -129,7 +208,10 @@ def _compare_group(
         for first, second in design.paired
         if second[0] == group and second[1] in variants and first in others
     ]
-    tests = [None if place is None else permutation_test(variants[variant], others[place]) for variant, place in pairs]
+    tests = [
+        None if place is None or design.has_ratios else permutation_test(variants[variant], others[place])
+        for variant, place in pairs
+    ]
     corrected = iter(holm([p for p in tests if p is not None]))
     found: list[Comparison] = []
     for (variant, place), p in zip(pairs, tests, strict=True):
@@ -155,8 +237,8 @@ def _compare_group(
                 difference=None if other is None else float(values.mean() - other.mean()),
                 p=p,
                 p_holm=None if p is None else next(corrected),
-                mann_whitney_p=None if other is None else mann_whitney(other, values),
-                superiority=None if other is None else superiority(other, values),
+                mann_whitney_p=None if p is None or other is None else mann_whitney(other, values),
+                superiority=None if p is None or other is None else superiority(other, values),
             )
         )
     return found

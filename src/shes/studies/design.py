@@ -114,6 +114,12 @@ class StudyDesign:
     """Names of variants in words."""
     paired: tuple[tuple[tuple[str, str], tuple[str, str]], ...] = ()
     """Further comparisons, of the second with the first: groups and variants."""
+    has_ratios: bool = False
+    """Whether variants are compared by ratios, seed by seed, and not by tests: of times, three of which can tell, where
+    a test of three cannot."""
+    has_equal_budgets: bool = False
+    """Whether learning curves are compared over equal environment steps and equal time, where runs have different
+    ones."""
     figures: tuple[Forest | Sweep | Curves | Speedup, ...] = ()
     formats: tuple[str, ...] = ("png",)
     """File formats of every figure."""

@@ -64,8 +64,8 @@ def experiment(
         seeds: Number of seeds per variant. Default: 10; at scale laptop, 5 for sweeps, the learning study and the ant,
             and 3 for fig4 and fig6; at scale smoke, 1 or 2.
         only: Groups or environments to run, groups beside the base; all if none. ablation: choices, horizon, sweep,
-            transfer; learning: alternatives, form, grid, pieces, sweep; table1: methods; fig3: methods; fig4:
-            workers; fig5: methods, transfer; fig6: speedup.
+            transfer; learning: alternatives, form, grid, pieces, sweep; table1: methods, steps; fig3: methods, steps;
+            fig4: workers; fig5: methods, transfer; fig6: speedup.
         budget: Hours after which all runs stop; the same command continues them.
         run: Whether to run what is missing. --no-run draws figures and comparisons of the finished runs and of the rows
             in runs.csv and curves.csv.
@@ -164,11 +164,17 @@ def _write_results(
 
 
 def _parts(design: StudyDesign, comparisons: Iterable[Comparison]) -> Iterator[Table | str]:
-    """Yield a table for each environment, with a row for each variant."""
+    """Yield the tables of each environment: a row for each variant, and the comparisons over equal budgets."""
+    last = "ratio [of seeds]" if design.has_ratios else "p"
     for env, found in groupby(comparisons, attrgetter("env")):
+        rows = list(found)
         yield env
-        yield Table(("group", "variant", "seeds", "mean [95 %]", "p"), [each.texts(design) for each in found])
-        yield f"mean: {design.metrics[env].words}, over seeds; p: against the base, permutation test with Holm."
+        yield Table(("group", "variant", "seeds", "mean [95 %]", last), [each.texts(design) for each in rows])
+        test = "" if design.has_ratios else "; p: against the base, permutation test with Holm"
+        yield f"mean: {design.metrics[env].words}, over seeds{test}."
+        if equal := [texts for each in rows if (texts := each.equal_texts(design)) is not None]:
+            yield Table(("group", "variant", "mean test score, equal steps", "equal time"), equal)
+            yield "Over the steps and the time that both have, a transferred primitive's included; p: permutation test."
 
 
 def forecast(study: Study, num_workers: int) -> dict[str, float]:

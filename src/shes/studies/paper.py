@@ -9,11 +9,12 @@ Source: SHES paper, section III and Table I.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from shes.bench.speedup import settings_of
 from shes.checked import checked
@@ -29,22 +30,43 @@ from shes.studies.design import (
     StudyDesign,
     within,
 )
-from shes.studies.paper_scales import OF_PRIMITIVE, PIECES, PUBLISHED, REFERENCES, SCALES, TASKS, Scale
+from shes.studies.paper_runs import HIRO, METHODS, SPEEDUP, STEPWISE, TRANSFER, WORKERS, make_runs, stepwise_runs
+from shes.studies.paper_scales import (
+    PIECES,
+    PUBLISHED,
+    REFERENCES,
+    SCALES,
+    STEPS,
+    STEPS_TASK,
+    TASKS,
+    Scale,
+)
 from shes.studies.speedup_cells import MOST, run_speedup
 from shes.studies.study import Study
 from shes.studies.study_tables import Cell
 
-METHODS, TRANSFER, WORKERS, SPEEDUP = "methods", "transfer", "workers", "speedup"
-HIRO, FLAT = "hiro", "es"
+FLAT = "es"
 _GROUPS = {
     METHODS: "controller and primitive together from scratch: as published, and with the learning changes",
+    STEPWISE: "from the first to the second step by step, in Gather",
     TRANSFER: "the same with a primitive that was trained alone (SHES-TL)",
     WORKERS: "the same as from scratch with several numbers of workers",
     SPEEDUP: "the time of a generation on more cores",
 }
 _FORMS = (PUBLISHED, PIECES)
-_WORDS = {PUBLISHED: "as published", PIECES: "with the learning changes", HIRO: "HIRO"}
-_SCORE, _TRAINING = Measure("score_mean", "test score"), Measure("training_return_mean", "training reward")
+_WORDS = {
+    PUBLISHED: "as published",
+    "views": "as published, and egocentric views",
+    "symmetry": "… and the body's symmetry",
+    "branches": "… and branched intervals",
+    PIECES: "with the learning changes",
+    HIRO: "HIRO",
+}
+_SCORE, _TRAINING = (
+    Measure("score_mean", "test score"),
+    Measure("training_return_mean", "training reward, perturbed policies"),
+)
+_OF_PRIMITIVE = Measure("primitive_return_mean", "test return of the primitive")
 _BEST = Measure("best_score", "score of the best checkpoint", "score")
 _SECONDS = Measure("seconds", "seconds of a run", "s")
 _STEPS_PER_S = 16_000  # of one core: 10,000 for the ant, 35,000 for the point
@@ -54,32 +76,33 @@ _LEVELS = ((METHODS, HIRO), (METHODS, PIECES))
 
 def table_1(scale: str = "laptop", seeds: int | None = None) -> Study:
     """Return the runs of Table I, which are those of figure 3; otherwise as `figure_3`."""
-    size, groups = _size(scale, seeds), {METHODS: (*_FORMS, HIRO)}
-    figures = (Forest(file="table1.png", group=METHODS),)
-    return _study(size, _runs(size, groups), _SCORE, paired=(_LEVELS,), figures=figures)
+    figures = (Forest(file="table1.png", group=METHODS), Forest(file="table1-steps.png", group=STEPWISE))
+    return _scores(_size(scale, seeds), figures)
 
 
 def figure_3(scale: str = "laptop", seeds: int | None = None) -> Study:
-    """Return the runs of figure 3: the test score of SHES, and of HIRO, with `seeds` seeds.
+    """Return the runs of figure 3: the test score of SHES, of the steps between its forms, and of HIRO.
 
     Raises:
         UnknownNameError: There is no such scale: `paper` needs a cluster, `laptop` hours of two cores, `smoke` minutes.
         ConfigError: `seeds` is not positive.
     """
-    size, groups = _size(scale, seeds), {METHODS: (*_FORMS, HIRO)}
-    curves = [
-        Curve(METHODS, form, _WORDS[form] if form == HIRO else f"SHES {_WORDS[form]}") for form in groups[METHODS]
-    ]
-    return _study(
-        size,
-        _runs(size, groups),
-        _SCORE,
-        paired=(_LEVELS,),
-        figures=(
-            _curves("fig3-env-steps", size, curves, _SCORE, "env_steps", REFERENCES),
-            _curves("fig3-hours", size, curves, _SCORE, "hours", REFERENCES),
-        ),
+    size = _size(scale, seeds)
+    curves = [Curve(METHODS, form, f"SHES {_WORDS[form]}") for form in _FORMS] + [Curve(METHODS, HIRO, _WORDS[HIRO])]
+    figures = (
+        _curves("fig3-env-steps", size, curves, _SCORE, "env_steps", REFERENCES),
+        _curves("fig3-hours", size, curves, _SCORE, "hours", REFERENCES),
+        _step_curves(size),
     )
+    return _scores(size, figures)
+
+
+def _scores(size: Scale, figures: tuple[Forest | Curves, ...]) -> Study:
+    """Return the study of all methods from scratch."""
+    cells = [*make_runs(size, {METHODS: (*_FORMS, HIRO)}), *stepwise_runs(size)]
+    steps = {pair: None for forms in STEPS.values() for pair in itertools.pairwise(forms)}
+    last = ((STEPWISE, STEPS["ant"][-1]), (METHODS, PIECES))
+    return _study(size, cells, _SCORE, paired=(_LEVELS, *within(STEPWISE, *steps), last), figures=figures)
 
 
 def figure_4(scale: str = "laptop", seeds: int | None = None) -> Study:
@@ -91,7 +114,7 @@ def figure_4(scale: str = "laptop", seeds: int | None = None) -> Study:
     }
     cells = [
         replace(cell, group=WORKERS, variant=variant, settings={**cell.settings, "num_workers": number})
-        for cell in _runs(size, {METHODS: _FORMS})
+        for cell in make_runs(size, {METHODS: _FORMS})
         for variant, (form, number) in variants.items()
         if form == cell.variant
     ]
@@ -108,6 +131,7 @@ def figure_4(scale: str = "laptop", seeds: int | None = None) -> Study:
         paired=within(WORKERS, *pairs),
         figures=(_curves("fig4", size, curves, _TRAINING, "hours"),),
         has_large_runs=True,
+        has_ratios=True,
     )
 
 
@@ -121,12 +145,13 @@ def figure_5(scale: str = "laptop", seeds: int | None = None) -> Study:
     ]
     return _study(
         size,
-        _runs(size, dict.fromkeys(names, _FORMS)),
+        make_runs(size, dict.fromkeys(names, _FORMS)),
         _TRAINING,
         paired=(*within(TRANSFER, (PUBLISHED, PIECES)), ((METHODS, PIECES), (TRANSFER, PIECES))),
         figures=(
             _curves("fig5-env-steps", size, curves, _TRAINING, "env_steps"),
             _curves("fig5-hours", size, curves, _TRAINING, "hours"),
+            _curves("fig5-score", size, curves, _SCORE, "env_steps"),
         ),
     )
 
@@ -134,7 +159,10 @@ def figure_5(scale: str = "laptop", seeds: int | None = None) -> Study:
 def figure_6(scale: str = "laptop", seeds: int | None = None) -> Study:
     """Return the measurements of figure 6: the speed-up of SHES and S-ES by more cores; otherwise as `figure_3`."""
     size, cells = _size(scale, seeds, is_timed=True), list[Cell]()
-    for run in _runs(size, {METHODS: _FORMS}):
+    if size.timed_scale is not None:
+        one = {"ant": seeds or 1}  # a generation takes as long with every seed
+        size = replace(SCALES[size.timed_scale], seeds=one, sleepers=size.sleepers)
+    for run in make_runs(size, {METHODS: _FORMS}):
         if run.env == size.timed_env:
             settings = {name: value for name, value in run.settings.items() if name not in ("env_steps", "minutes")}
             cell = replace(run, group=SPEEDUP, settings={**settings, "generations": 1})
@@ -149,11 +177,9 @@ def figure_6(scale: str = "laptop", seeds: int | None = None) -> Study:
         metric=Measure(f"speedup_{MOST}", f"speed-up projected to {MOST} cores", "speed-up"),
         labels=labels,
         has_large_runs=True,
+        has_ratios=True,
     )
     return replace(study, episodes=0, run_cell=partial(run_speedup, sleepers=size.sleepers))
-
-
-# Runs.
 
 
 @checked
@@ -165,59 +191,6 @@ def _size(
     if is_timed:
         size = replace(size, seeds=size.timed_seeds, env_steps={**size.env_steps, **size.timed_env_steps})
     return size if seeds is None else replace(size, seeds=dict.fromkeys(size.seeds, seeds))
-
-
-def _runs(size: Scale, groups: Mapping[str, tuple[str, ...]]) -> list[Cell]:
-    """Return the runs of these forms of each group, on all tasks."""
-    return [
-        cell
-        for body, seeds in size.seeds.items()
-        for seed in range(1, 1 + seeds)
-        for group, forms in groups.items()
-        for form in forms
-        for cell in _cells(size, body, group, form, seed)
-    ]
-
-
-def _cells(size: Scale, body: str, group: str, form: str, seed: int) -> Iterator[Cell]:
-    """Yield the runs of a method on the tasks of a body; with transfer, the primitive's run first."""
-
-    def cell(task: str, settings: Mapping[str, Any], primitive: Cell | None = None) -> Cell:
-        env, preset = f"{body}-{task}", size.preset
-        training = size.training(task)
-        if form == HIRO:
-            settings = {"algorithm": "hiro", **size.hiro, **training, **_budget(env, size.hiro_env_steps)}
-            preset = size.hiro_preset
-        else:
-            steps = size.env_steps if primitive is None else {**size.env_steps, **size.transfer_env_steps}
-            settings = {**settings, **size.settings, **training, **_budget(env, steps)}
-            if (preset, body, form) == ("laptop", "ant", PUBLISHED):
-                preset = "smoke"
-        return Cell(
-            group=group, variant=form, env=env, seed=seed, settings=settings, primitive=primitive, preset=preset
-        )
-
-    if form == HIRO:
-        yield from (cell(task, {}) for task in TASKS)
-        return
-    forms = {task: size.form(body, task, form) for task in (*TASKS, "flagrun")}
-    if group == METHODS:
-        yield from (cell(task, forms[task]) for task in TASKS)
-        return
-    walker = cell("flagrun", forms["flagrun"])
-    yield walker
-    for task in TASKS:
-        own = {
-            name: value
-            for name, value in forms[task].items()
-            if name not in OF_PRIMITIVE and not name.startswith("primitive_")
-        }
-        yield cell(task, own, walker)
-
-
-def _budget(env: str, env_steps: Mapping[str, int]) -> dict[str, int]:
-    """Return the settings of a run of so many steps; none if `env_steps` does not name the environment."""
-    return {"env_steps": env_steps[env], "generations": 100_000} if env in env_steps else {}
 
 
 # Comparisons and figures.
@@ -233,6 +206,7 @@ def _study(
     labels: Mapping[str, str] = _WORDS,
     paired: tuple[tuple[tuple[str, str], tuple[str, str]], ...] = (),
     has_large_runs: bool = False,
+    has_ratios: bool = False,
 ) -> Study:
     """Return the study of `cells`, compared with the variant of the first one."""
     envs = [env for env in dict.fromkeys(cell.env for cell in cells) if not env.endswith("flagrun")]
@@ -246,6 +220,8 @@ def _study(
         paired=paired,
         figures=figures,
         formats=("svg", "png"),
+        has_ratios=has_ratios,
+        has_equal_budgets=not has_ratios,
         steps_per_s=_STEPS_PER_S,
         slower=MappingProxyType({HIRO: _HIRO_STEPS_PER_S} if HIRO in variants else {}),
     )
@@ -255,6 +231,25 @@ def _study(
         design=design,
         has_large_runs=has_large_runs or size.preset == "paper",
     )
+
+
+def _step_curves(size: Scale) -> Curves:
+    """Return a figure of the steps between the two forms: for each body, the score, and how well goals are reached."""
+    panels = tuple(
+        CurvePanel(
+            env=f"{body}-{STEPS_TASK}",
+            title=f"{body} {STEPS_TASK}".title(),
+            curves=(
+                Curve(METHODS, PUBLISHED),
+                *(Curve(STEPWISE, form) for form in STEPS[body]),
+                Curve(METHODS, PIECES),
+            ),
+            measure=measure,
+        )
+        for body in size.seeds
+        for measure in (_SCORE, _OF_PRIMITIVE)
+    )
+    return Curves(file="fig3-steps.png", groups=(STEPWISE,), panels=panels, columns=2)
 
 
 def _curves(

@@ -11,6 +11,9 @@ from shes.training.make_config import make_config
 
 TASKS = ("gather", "maze", "push")
 PUBLISHED, PIECES = "published", "pieces"
+STEPS: Mapping[str, tuple[str, ...]] = {"point": ("views", "branches"), "ant": ("views", "symmetry", "branches")}
+"""Forms between the two, by body: each has the changes of those before it."""
+STEPS_TASK = "gather"
 
 REFERENCES: dict[str, tuple[Reference, ...]] = {
     "ant-gather": (
@@ -40,12 +43,16 @@ _PLAIN = {"output_weights": "zero", "weight_decay": 0.0}
 # Few policies, since either form learns more from many updates than from exact ones in so few steps.
 _POINT: dict[str, Any] = {"controller_interval": 10, "population_size": 40, "sigma": 0.1, "learning_rate": 0.04}
 _POINT_BRANCHES = {"primitive_population_size": 400, "primitive_sigma": 0.1, "primitive_learning_rate": 0.03}
+# Preset `paper`, but for its size, and with the task's own spread of first states, in which every method is tested.
 _ANT_PUBLISHED: dict[str, Any] = {
     "hidden": (64, 64),
     "population_size": 40,
+    "episodes_per_policy": 1,
     "sigma": 0.07,
     "learning_rate": 0.02,
+    "statistics_fraction": 1.0,  # a hundredth of so few episodes would be none
     "noise_table_size": 25_000_000,
+    "reset_noise": 0.1,
 }
 _FORMS: dict[tuple[str, str], dict[str, Any]] = {
     ("point", PUBLISHED): _POINT,
@@ -60,8 +67,8 @@ _FORMS: dict[tuple[str, str], dict[str, Any]] = {
     ("ant", PUBLISHED): _ANT_PUBLISHED,
     ("ant", PIECES): {},
 }
-"""Settings over the preset, by body and form. For the ant, the preset `laptop` has the changes: the form as published
-is over `smoke`, which has none."""
+"""Settings over the preset, by body and form. For the ant, the form as published is over preset `paper`, and preset
+`laptop` has the changes."""
 _ALONE: dict[tuple[str, str], dict[str, Any]] = {
     ("point", PUBLISHED): _POINT,
     ("point", PIECES): {**_POINT, **_VIEWS, **_BRANCHES, **_PLAIN, "population_size": 400, "learning_rate": 0.03},
@@ -76,6 +83,15 @@ _PIECES = (
     *("primitive_learning_rate", "max_tilt"),
 )
 """Settings that are learning changes; the others of a preset say how large networks and population are."""
+_STEP_NAMES = {
+    "views": ("primitive_view", "goal_encoding"),
+    "symmetry": ("symmetry",),
+    "branches": (
+        *("primitive_estimate", "intervals", "primitive_population_size", "primitive_sigma"),
+        "primitive_learning_rate",
+    ),
+}
+"""Settings of the form with the changes that each step adds to the form as published."""
 OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")
 """Settings, beside `primitive_...`, that come with a transferred primitive or have no effect on a frozen one."""
 
@@ -95,6 +111,8 @@ class Scale:
     """The same on a transferred primitive, where they are others."""
     hiro_env_steps: Mapping[str, int] = field(default_factory=dict)
     """Environment steps of HIRO; its steps take much longer, because each comes with updates."""
+    evaluations: Mapping[str, int] = field(default_factory=dict)
+    """Number of evaluations in a run of SHES, about, by body; without, the evaluation interval of `settings`."""
     shows_way: bool = False
     """Whether training shows every method the way to the target, as preset `laptop` does for the ant."""
     branched_population: int | None = None
@@ -110,6 +128,8 @@ class Scale:
     """Numbers of workers that are compared."""
     timed_env: str = "ant-maze"
     """Environment of the generations that are timed; that of the authors' raw times."""
+    timed_scale: str | None = None
+    """Scale whose generations are timed, if not this one: a projection is true of its own population alone."""
     sleepers: tuple[int, ...] = (200, 600)
     """Numbers of sleeping workers that validate the projection of their time."""
 
@@ -119,16 +139,29 @@ class Scale:
         return {name: values[name] for name in ("target", "waypoints") if values.get(name) is not None}
 
     def form(self, body: str, task: str, form: str) -> dict[str, Any]:
-        """Return the settings of a form over the preset: of two levels, or of a primitive alone for Flagrun."""
+        """Return the settings of a form over its preset: of two levels, or of a primitive alone for Flagrun."""
+        if form in _STEP_NAMES:
+            steps = STEPS[body][: 1 + STEPS[body].index(form)]
+            changed = {**self._laptop(body, task), **self.form(body, task, PIECES)}
+            names = [name for step in steps for name in _STEP_NAMES[step] if name in changed]
+            return {**self.form(body, task, PUBLISHED), **{name: changed[name] for name in names}}
         settings = dict((_ALONE if task == "flagrun" else _FORMS)[body, form])
         if self.preset == "paper" and form == PUBLISHED:
             settings = {}
         elif self.preset != "laptop" and (body, form) == ("ant", PIECES):
-            laptop = make_config(f"ant-{task}", "laptop").values
+            laptop = self._laptop(body, task)
             settings = {name: laptop[name] for name in _PIECES if name in laptop}
         if self.branched_population is not None and "primitive_population_size" in settings:
             settings["primitive_population_size"] = self.branched_population
         return settings
+
+    def preset_of(self, body: str, form: str) -> str:
+        """Return the preset that the settings of a form are over."""
+        return "paper" if (self.preset, body) == ("laptop", "ant") and form != PIECES else self.preset
+
+    def _laptop(self, body: str, task: str) -> dict[str, Any]:
+        """Return the values of preset `laptop` for the ant, which has the changes; none for another body."""
+        return make_config(f"ant-{task}", "laptop").values if body == "ant" else {}
 
 
 SCALES: dict[str, Scale] = {
@@ -158,6 +191,7 @@ SCALES: dict[str, Scale] = {
             "ant-flagrun": 1_000_000,
         },
         transfer_env_steps={"ant-maze": 2_000_000, "ant-push": 2_000_000},
+        evaluations={"ant": 20},
         # Without it no controller has reached the target in so few steps, on a trained walker (docs/learning.md).
         shows_way=True,
         hiro={
@@ -172,7 +206,13 @@ SCALES: dict[str, Scale] = {
             "ant-push": 600_000,
         },
         timed_seeds={"point": 3, "ant": 3},
-        timed_env_steps={"ant-gather": 2_000_000, "ant-maze": 1_000_000, "ant-push": 1_000_000},
+        timed_env_steps={
+            **{f"point-{task}": 1_000_000 for task in TASKS},
+            "ant-gather": 2_000_000,
+            "ant-maze": 1_000_000,
+            "ant-push": 1_000_000,
+        },
+        timed_scale="paper",
     ),
     # A test, too short to learn.
     "smoke": Scale(

@@ -118,7 +118,7 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int, primitive: RunFolde
         **cell.identity,
         "generations": last.generation,
         "env_steps": last.env_steps,
-        "seconds": read_csv(folder.progress)["wall_time_s"][-1],
+        "seconds": _times(folder, read_csv(folder.progress))[-1],
         "workers": workers.count if is_local else workers.num_workers,  # 0 is all of a cluster
     }
     for checkpoint in CHECKPOINTS:
@@ -139,24 +139,36 @@ def _summarise(cell: Cell, folder: RunFolder, episodes: int, primitive: RunFolde
     outer = f"{open_run(folder.path, 'last').algorithm.level_names[0]}_return_mean"
     curve: list[Row] = []
     before = _length_of_primitive(primitive)
-    first = 0.0
+    first, seconds = 0.0, _times(folder, table)
     for i, generation in enumerate(table["generation"]):
         shown = {name: table[name][i] if name in table else None for name in _CURVE}
         since = [k for k, number in enumerate(progress["generation"]) if first < number <= generation]
         for name, column in (("training_success_rate", "success_rate"), ("training_return_mean", outer)):
             shown[name] = sum(progress[column][k] for k in since) / len(since)
-        curve.append({**cell.identity, **shown, "seconds": table["wall_time_s"][i], **before})
+        curve.append({**cell.identity, **shown, "seconds": seconds[i], **before})
         first = generation
     return CellResults(row=row, curve=tuple(curve))
 
 
 def _length_of_primitive(primitive: RunFolder | None) -> Row:
     """Return how long the run of a primitive was trained, as columns of `curves.csv`; None without one."""
-    columns = {"primitive_env_steps": "env_steps", "primitive_seconds": "wall_time_s"}
     if primitive is None:
-        return dict.fromkeys(columns)
+        return {"primitive_env_steps": None, "primitive_seconds": None}
     progress = read_csv(primitive.progress)
-    return {name: progress[column][-1] for name, column in columns.items()}
+    return {
+        "primitive_env_steps": progress["env_steps"][-1],
+        "primitive_seconds": _times(primitive, progress)[-1],
+    }
+
+
+def _times(folder: RunFolder, table: Mapping[str, list[float]]) -> list[float]:
+    """Return the time of a run at the rows of one of its tables, in seconds.
+
+    That of a run in one process is its processor time: with other work on the machine, as one run has in another one,
+    it would take longer, but no more of a core.
+    """
+    is_one_process = folder.read_config().workers.backend == "serial"
+    return table["process_time_s" if is_one_process and "process_time_s" in table else "wall_time_s"]
 
 
 def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:

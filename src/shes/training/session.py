@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from shes.runs.checkpoint import Best, Checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.log import logger
-from shes.runs.tables import Row, read_wall_time
+from shes.runs.tables import Row, read_process_time, read_wall_time
 from shes.runs.writer import RunWriter
 from shes.training.divergence import Divergence
 from shes.training.evaluate import EvaluationBeside, evaluation_seeds
@@ -57,7 +57,9 @@ class Session:
         self._owed: _Owed | None = None
         self._is_stopped = False
         self._earlier_s = read_wall_time(folder.progress)
+        self._earlier_process_s = read_process_time(folder.progress)
         self._start = self._generation_start = perf_counter()
+        self._process_start = process_time()
         backend.on_event = self._tell_event
         self._tell("on_start", folder.path, self._config, checkpoint.generation, backend.num_workers)
 
@@ -110,6 +112,7 @@ class Session:
                 self._owed = self._evaluate(state, checkpoint)
         self._generation_start = perf_counter()
         row["evaluation_s"] = round(self._generation_start - now, 4) if is_due else 0.0
+        row["process_time_s"] = self._process_time()
         self._writer.add_row("progress", row)
         if not is_due:
             self._keep(checkpoint, self._kept(state, checkpoint))
@@ -163,6 +166,7 @@ class Session:
             "env_steps": evaluated.env_steps,
             "wall_time_s": round(self._earlier_s + perf_counter() - self._start, 3),
             **found.summary(),
+            "process_time_s": self._process_time(),
         }
         self._writer.add_row("evaluation", row)
         is_sound = row["diverged_episodes"] < row["episodes"]  # else its score means nothing
@@ -176,6 +180,10 @@ class Session:
         self._save("last", evaluated)
         self.checkpoint = evaluated
         self._tell("on_evaluation", row)
+
+    def _process_time(self) -> float:
+        """Return the processor time of this process for the run so far, in seconds; that of its workers is theirs."""
+        return round(self._earlier_process_s + process_time() - self._process_start, 3)
 
     def _keep(self, checkpoint: Checkpoint, arrays: Mapping[str, np.ndarray]) -> None:
         """Save a checkpoint with `arrays` under its generation if it is one of those to keep."""

@@ -14,7 +14,7 @@ from shes.viewing.report.curve_charts import Figure
 from shes.viewing.report.reading import ReportedGroup, Table
 
 _IN_WORKERS = tuple(f"{part}_s" for part in PARTS)
-_RATES = ("wall_time_s", "env_steps_per_s")
+_RATES = ("wall_time_s", "process_time_s", "env_steps_per_s")
 _REST = "rest"
 _FRAME_PIXELS, _BAR_PIXELS = 140, 46
 _CHARACTERS = 22
