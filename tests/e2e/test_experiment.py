@@ -293,7 +293,9 @@ def test_an_experiment_of_the_paper_has_tables_from_which_anyone_draws_its_figur
     for row in comparisons:
         filled = ["seeds", "score_mean", "score_iqm_low", "score_iqm_high", "hours", "hardware", "versions"]
         filled += [] if name == "fig6" else ["success_mean"]
-        filled += ["mann_whitney_p", "superiority"] if row["against"] else []
+        if row["against"]:
+            tests = ["mann_whitney_p", "superiority", "steps_score", "steps_p", "hours_score_against"]
+            filled += ["ratio", "ratio_low"] if name in ("fig4", "fig6") else tests
         assert all(row[column] for column in filled), row
 
     for file in of_the_paper.glob("*.csv"):

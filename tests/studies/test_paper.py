@@ -92,7 +92,7 @@ def test_hiro_has_one_update_of_its_controller_for_ten_steps_as_published(scale,
 
 
 def test_the_ant_as_published_at_scale_laptop_is_preset_paper_but_for_its_size(tmp_path):
-    sizes = {"hidden", "population_size", "episodes_per_policy", "sigma", "learning_rate", "statistics_fraction"}
+    sizes = {"hidden", "population_size", "episodes_per_policy", "statistics_fraction"}
     sizes |= {"noise_table_size", "generations", "env_steps"}
     # The task is that of every method: its first states, and the way that training shows.
     task = {"reset_noise", "horizon", "evaluation_horizon", "evaluation_episodes", "evaluation_interval"}

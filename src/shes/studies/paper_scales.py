@@ -48,8 +48,8 @@ _ANT_PUBLISHED: dict[str, Any] = {
     "hidden": (64, 64),
     "population_size": 40,
     "episodes_per_policy": 1,
-    "sigma": 0.07,
-    "learning_rate": 0.02,
+    "sigma": 0.02,
+    "learning_rate": 0.01,
     "statistics_fraction": 1.0,  # a hundredth of so few episodes would be none
     "noise_table_size": 25_000_000,
     "reset_noise": 0.1,
