@@ -244,6 +244,33 @@ def test_kill_9_of_a_worker_is_told_and_changes_nothing(tmp_path, undisturbed):
     go_on(tmp_path / "study", undisturbed)
 
 
+# fig4 has worker processes in every run, fig6 in every measurement.
+@pytest.mark.slow
+@pytest.mark.extras
+@pytest.mark.parametrize("name", ["fig4", "fig6"])
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGKILL])
+def test_a_stopped_experiment_of_many_workers_leaves_none_and_the_same_command_goes_on(tmp_path, name, stop):
+    words = ("experiment", name, "--scale", "smoke", "--seeds", 1, "--only", "point-maze", "--workers", 2)
+    process = runs.start(*words, "--out", tmp_path)
+    done = f"point-maze/*/*{'2' if name == 'fig4' else ''}/seed-1/summary.json"
+    seen = set()
+
+    def has_workers():
+        seen.update(runs.workers_of(process.pid))
+        return (list(tmp_path.glob(done)) and runs.workers_of(process.pid)) or process.poll() is not None
+
+    runs.wait_until(has_workers, "a run with workers")
+    assert process.poll() is None
+    os.killpg(process.pid, stop)
+    process.communicate()
+    runs.assert_gone(process.pid, list(seen))
+    before = {path: path.read_bytes() for path in tmp_path.glob("*/*/*/*/summary.json")}
+    code, printed, err = runs.run(*words, "--out", tmp_path)
+    assert (code, err) == (0, ""), printed
+    assert len(table(tmp_path / "runs.csv")) == {"fig4": 4, "fig6": 3}[name]
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
 # A base, 9 choices, 20 of the sweep, 3 of transfer and their pairs, on both tasks; 2 horizons and their pair.
 # A base, 10 pieces and a pair, the form, 4 pieces added and their pairs, 6 alternatives, 8 of the sweep.
 COMPARISONS = {"ablation": 2 * (1 + 9 + 20 + 3 + 3) + 3, "learning": 1 + 10 + 1 + 1 + 4 + 4 + 6 + 8}
@@ -294,7 +321,7 @@ def test_an_experiment_of_the_paper_has_tables_from_which_anyone_draws_its_figur
         filled = ["seeds", "score_mean", "score_iqm_low", "score_iqm_high", "hours", "hardware", "versions"]
         filled += [] if name == "fig6" else ["success_mean"]
         if row["against"]:
-            tests = ["mann_whitney_p", "superiority", "steps_score", "steps_p", "hours_score_against"]
+            tests = ["mann_whitney_u", "mann_whitney_p", "superiority", "steps_score", "steps_p", "hours_score_against"]
             filled += ["ratio", "ratio_low"] if name in ("fig4", "fig6") else tests
         assert all(row[column] for column in filled), row
 

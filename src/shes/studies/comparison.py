@@ -54,6 +54,8 @@ class Comparison:
     """Two-sided p of a permutation test of the difference of means."""
     p_holm: float | None = None
     """`p` with Holm's correction for the comparisons of this group on this task."""
+    mann_whitney_u: float | None = None
+    """Mann-Whitney U of this variant: the pairs of seeds in which it exceeds the other one; ties count one half."""
     mann_whitney_p: float | None = None
     """Two-sided p of a Mann-Whitney U test, without correction."""
     superiority: float | None = None
@@ -216,6 +218,7 @@ def _compare_group(
     found: list[Comparison] = []
     for (variant, place), p in zip(pairs, tests, strict=True):
         values, other = variants[variant], None if place is None else others[place]
+        effect = None if p is None or other is None else superiority(other, values)
         low, high = confidence_interval(values[:, None])
         iqm, iqm_low, iqm_high = interquartile_mean(values)
         found.append(
@@ -237,8 +240,9 @@ def _compare_group(
                 difference=None if other is None else float(values.mean() - other.mean()),
                 p=p,
                 p_holm=None if p is None else next(corrected),
+                mann_whitney_u=None if effect is None or other is None else effect * len(values) * len(other),
                 mann_whitney_p=None if p is None or other is None else mann_whitney(other, values),
-                superiority=None if p is None or other is None else superiority(other, values),
+                superiority=effect,
             )
         )
     return found
