@@ -99,6 +99,30 @@ def _task_options() -> str:
     return table(["flag", "task", "meaning", "default"], rows)
 
 
+_HYPERPARAMETERS = (
+    *("generations", "population_size", "episodes_per_policy", "sigma", "learning_rate", "weight_decay", "hidden"),
+    *("output_weights", "controller_interval", "controller_view", "controller_output", "minimum_goal_distance"),
+    *("primitive_view", "goal_encoding", "symmetry", "clock_frequency", "primitive_estimate", "intervals"),
+    *("primitive_population_size", "primitive_sigma", "primitive_learning_rate", "primitive_hidden", "fall_price"),
+    *("max_tilt", "hold_tied", "common_random_numbers", "rank_ties", "target", "waypoints"),
+)
+"""Settings of the method, in the order of its description."""
+
+
+def hyperparameters() -> str:
+    """Return the table of the method's settings: those of the paper, and those of preset `laptop` of each ant task."""
+    columns = {"paper": make_config("ant-gather", "paper").values}
+    columns |= {
+        env.removeprefix("ant-").title(): make_config(env, "laptop").values
+        for env in ("ant-flagrun", "ant-gather", "ant-maze", "ant-push")
+    }
+    rows = [
+        (f"`{name}`", *(_shown(values[name]) if name in values else "" for values in columns.values()))
+        for name in _HYPERPARAMETERS
+    ]
+    return table(["setting", *columns], rows)
+
+
 def _shown(value: Any) -> str:
     """Return a value as it is written on the command line."""
     if value is None:

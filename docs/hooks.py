@@ -1,7 +1,7 @@
 """MkDocs hooks: add the pages and tables that are made from the code, and the files of the repository that pages show.
 
 A page that is named in `_GENERATED` holds `<!-- generated -->` on a line of its own, which its table replaces. A link
-to a CSV or JSON file outside `docs`, such as `../results/speed.csv`, leads to a copy of the file in the site.
+to a CSV or JSON file or a picture outside `docs`, such as `../results/speed.csv`, leads to a copy of the file in the site.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from code_tables import commands, deviations, public_names, settings
+from code_tables import commands, deviations, hyperparameters, public_names, settings
 from environment_pages import environment_page, environment_table, picture
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -24,6 +24,7 @@ _RESULTS = _REPOSITORY / "results"
 _GENERATED = {
     "differences.md": deviations,
     "environments/index.md": environment_table,
+    "paper.md": hyperparameters,
     "reference/command-line.md": commands,
     "reference/settings.md": settings,
     "reference/shes.md": public_names,
@@ -31,7 +32,7 @@ _GENERATED = {
 
 _COPIES = "repository"
 """Folder of the site with copies of linked files."""
-_FILE = re.compile(r"\]\((?P<up>(?:\.\./)*)\.\./(?P<path>[\w/.-]+\.(?:csv|json))\)")
+_FILE = re.compile(r"\]\((?P<up>(?:\.\./)*)\.\./(?P<path>[\w/.-]+\.(?:csv|json)|results/[\w/.-]+\.png)\)")
 
 _CELL = re.compile(r"<t[dh]\b.*?</t[dh]>", flags=re.DOTALL)
 _CODE = re.compile(r"(?<=<code>)[^<]+(?=</code>)")
