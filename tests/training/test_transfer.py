@@ -361,7 +361,7 @@ def test_a_source_that_is_not_there_or_damaged_is_refused(plain, tmp_path, comma
     refused(RunFolderError, "gone does not exist", primitive=str(tmp_path / "gone"))
     (tmp_path / "empty").mkdir()
     refused(RunFolderError, "is not a run folder: it has no config.json", primitive=str(tmp_path / "empty"))
-    refused(RunFolderError, "is a folder of runs: give one of them", primitive=str(tmp_path))
+    refused(RunFolderError, "is no run folder, but there is one below it: give .*source", primitive=str(tmp_path))
     refused(
         CheckpointError,
         r"source has no checkpoint '77'; it has best, 0, 1, 2, 3, last\. Set --primitive-checkpoint to one of these\.",

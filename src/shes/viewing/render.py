@@ -15,6 +15,7 @@ from shes.checked import checked
 from shes.drawing.drawer import Drawer, Picture
 from shes.drawing.rendering import make_drawer
 from shes.errors import ConfigError
+from shes.runs.folder import RunFolder
 from shes.settings import Ge, Le, Lt, out_of_range
 from shes.viewing.playback import Moment, Playback
 from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
@@ -83,6 +84,8 @@ def render(
     if size % 2:
         raise out_of_range("size", size, "an even number of pixels")
     shown = _shown(runs, checkpoints, labels)
+    for run, *_ in shown:
+        RunFolder.open(run, or_several=True)
     playbacks = [Playback(run, name, seed, steps, label=label, sensors=sensors) for run, name, label in shown]
     drawers: list[Drawer] = []
     try:
