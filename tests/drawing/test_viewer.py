@@ -24,7 +24,7 @@ class FakeWindow:
         self.data, self.frames = data, frames
         self.cam = mujoco.MjvCamera()
         self.user_scn = mujoco.MjvScene(model, 100)
-        self.poses, self.num_markers, self.is_closed = [], [], False
+        self.poses, self.num_markers, self.texts, self.is_closed = [], [], [], False
 
     def is_running(self):
         return len(self.poses) < self.frames and not self.is_closed
@@ -35,6 +35,9 @@ class FakeWindow:
     def sync(self):
         self.poses.append(self.data.qpos.copy())
         self.num_markers.append(self.user_scn.ngeom)
+
+    def set_texts(self, texts):
+        self.texts.append(texts)
 
     def close(self):
         self.is_closed = True
@@ -71,6 +74,11 @@ def test_a_step_is_shown_as_a_smooth_movement_with_markers(windows):
         [shown - pose for shown in window.poses], np.outer([0, 0, 0, 1, 2, 3], [1, 1]), atol=1e-9
     )
     assert window.num_markers == [1, 1, 1, 0, 0, 0]
+    assert window.texts == []
+    viewer.show(pose, lines=["3.0 s", "score 1.0"])
+    assert window.texts == [
+        (mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_TOPLEFT, "3.0 s\nscore 1.0", None)
+    ]
 
 
 def test_a_new_episode_does_not_fly_in(windows):

@@ -134,7 +134,7 @@ def test_an_agent_acts_in_a_vector_environment(run):
 def test_watching_uses_the_environments_own_window(run, monkeypatch):
     shown = []
 
-    def show(self, pose, /, markers=(), *, is_new_episode=False):
+    def show(self, pose, /, markers=(), *, is_new_episode=False, lines=()):
         shown.append(is_new_episode)
         assert pose is None
         if len(shown) == 12:

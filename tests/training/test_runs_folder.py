@@ -251,8 +251,18 @@ def test_runs_are_found_in_natural_order(tmp_path, tiny_run):
 
 @pytest.mark.parametrize("command", ["evaluate", "info", "render"])
 def test_a_command_for_one_run_names_one_of_the_folder(tmp_path, tiny_run, capsys, command):
-    for name in ("seed-1", "seed-2"):
-        (tmp_path / "all" / name).mkdir(parents=True)
-        (tmp_path / "all" / name / "config.json").write_bytes((tiny_run / "config.json").read_bytes())
-    error = refused(capsys, command, tmp_path / "all")
-    assert f"all is a folder of runs: give one of them, such as {tmp_path}/all/seed-1." in error
+    experiment = tmp_path / "experiment"
+    names = [f"point-gather/methods/published/seed-{seed}" for seed in (2, 10)]
+    for name in names:
+        shutil.copytree(tiny_run, experiment / name)
+    for place in (experiment, experiment / "model"):
+        place.mkdir(exist_ok=True)
+        (place / ".lock").touch()  # as of a study
+    (experiment / "model" / "config.json").write_text("{}")  # of another program
+    which = "one or several of them" if command == "render" else "one of them"
+    error = refused(capsys, command, experiment)
+    assert f"{experiment} is a folder of 2 runs: give {which}, such as {experiment / names[0]}" in error
+    assert (f"{names[1]}." in error) == (command == "render")
+    shutil.rmtree(experiment / names[1])
+    error = refused(capsys, command, experiment)
+    assert f"is no run folder, but there is one below it: give {experiment / names[0]}." in error

@@ -65,18 +65,26 @@ def test_several_checkpoints_are_side_by_side_in_the_same_episode(tiny_run, tmp_
 
 def test_runs_are_side_by_side_each_with_its_checkpoint_and_its_name(tiny_run, tmp_path, monkeypatch):
     flat, captions = runs.train_tiny(tmp_path / "flat", algorithm="es", generations=1), []
-    monkeypatch.setattr("shes.viewing.render._captioned", lambda view, text: captions.append(text) or view)
+    monkeypatch.setattr("shes.viewing.render.captioned", lambda view, parts: captions.append(parts[0][:2]) or view)
     given = [tiny_run, tiny_run, flat]
     frames = read(render(given, tmp_path / "walk.mp4", checkpoints=["0", "last", "best"], steps=1, size=64))
     assert frames.shape[1:] == (128, 192, 3)
-    assert [text.split(" · ")[:2] for text in dict.fromkeys(captions)][:3] == [
-        ["run", "untrained"],
-        ["run", "after 4 generations"],
-        ["flat", "after 1 generation"],
+    assert list(dict.fromkeys(captions)) == [
+        ("run", "untrained"),
+        ("run", "after 4 generations"),
+        ("flat", "after 1 generation"),
     ]
     captions.clear()
     render([tiny_run, flat], tmp_path / "b.mp4", labels=["two levels", "one"], steps=1, size=64)
-    assert [text.split(" · ")[0] for text in dict.fromkeys(captions)][:2] == ["two levels", "one"]
+    assert [label for label, _ in dict.fromkeys(captions)] == ["two levels", "one"]
+
+
+def test_what_the_controller_sees_is_in_the_caption_if_asked_for(tiny_run, tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr("shes.viewing.render.captioned", lambda view, parts: seen.append(parts[1][:1]) or view)
+    for sensors in (True, False):
+        render(tiny_run, tmp_path / "walk.mp4", steps=1, size=64, sensors=sensors)
+    assert list(dict.fromkeys(seen)) == [("controller sees 25 values",), ()]
 
 
 def test_runs_whose_folders_have_the_same_name_are_called_by_their_paths(tiny_run, run_copy, tmp_path):
@@ -143,7 +151,7 @@ def test_a_video_shows_the_episode_that_evaluate_runs(tiny_run):
     for episode, score in enumerate(scores):
         playback = Playback(tiny_run, "best")
         *_, last = playback.play(playback.seed_of(episode))
-        assert f"score {score:.1f} · time is up" in last.caption
+        assert last.facts[-2:] == (f"score {score:.1f}", "time is up")
 
 
 def test_the_same_arguments_give_the_same_video(tiny_run, tmp_path):
@@ -192,7 +200,7 @@ def test_of_a_primitive_alone_the_goal_is_where_its_flag_is(tmp_path):
 )
 def test_the_caption_says_how_long_the_agent_was_trained(tiny_run, checkpoint, age):
     playback = Playback(tiny_run, checkpoint, steps=1)
-    assert next(playback.play(0)).caption.split(" · ")[0] == age
+    assert next(playback.play(0)).facts[0] == age
 
 
 def test_the_caption_says_how_the_episode_ended(tiny_run, monkeypatch):
@@ -200,10 +208,10 @@ def test_the_caption_says_how_the_episode_ended(tiny_run, monkeypatch):
     task = playback.task
     shown = []
     for moment in playback.play(3):
-        shown.append(moment.caption)
+        shown.append(moment.facts)
         if len(shown) == 3:
             task.sim.qvel[0, 0] = 1e12
-    assert shown[-1].endswith("diverged")
+    assert shown[-1][-1] == "diverged"
     assert len(shown) == 4
 
 

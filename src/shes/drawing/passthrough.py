@@ -35,7 +35,9 @@ class PassthroughWindow:
 
     is_open = True
 
-    def show(self, pose: Any, /, markers: Sequence[Marker] = (), *, is_new_episode: bool = False) -> None:
+    def show(
+        self, pose: Any, /, markers: Sequence[Marker] = (), *, is_new_episode: bool = False, lines: Sequence[str] = ()
+    ) -> None:
         """Do nothing: the environment has shown the step."""
 
     def close(self) -> None:

@@ -19,6 +19,7 @@ from shes.errors import ConfigError
 from shes.types import F64Array
 
 _FRAMES_PER_STEP = 3
+_FONT, _CORNER = mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_TOPLEFT
 _CLOSE_TIMEOUT_S = 10.0
 
 
@@ -56,11 +57,15 @@ class Viewer:
             camera.trackbodyid = self._model.body("torso").id
             camera.azimuth, camera.elevation, camera.distance = 90.0, -42.0, 13.0
 
-    def show(self, qpos: F64Array, markers: Sequence[Marker] = (), *, is_new_episode: bool = False) -> None:
-        """Move from the last pose to `qpos` [nq], with `markers`, in the time of a control step."""
+    def show(
+        self, qpos: F64Array, markers: Sequence[Marker] = (), *, is_new_episode: bool = False, lines: Sequence[str] = ()
+    ) -> None:
+        """Move from the last pose to `qpos` [nq], with `markers` and `lines` of text, in the time of a control step."""
         start = qpos if self._qpos is None or is_new_episode else self._qpos
         self._qpos = qpos.copy()
         self._due = max(self._due, monotonic() - self._step_s)
+        if lines:
+            self._window.set_texts((_FONT, _CORNER, "\n".join(lines), None))
         for frame in range(1, _FRAMES_PER_STEP + 1):
             if not self.is_open:
                 return

@@ -5,7 +5,8 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime
@@ -22,8 +23,6 @@ from shes.runs.shipped import find_run, shipped_hint, shipped_name
 from shes.storage import storage_errors, write_atomically
 
 _FORMAT = 2
-_BELOW = ("*/config.json", "*/*/config.json")
-"""Records of the runs in a folder of runs."""
 _OBJECTS = ("config", "versions", "machine", "device", "controller", "primitive")
 """Entries of the record that are objects, where there are any."""
 
@@ -51,6 +50,21 @@ def check_folder_of_runs(path: Path) -> None:
         raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
     if (path / "config.json").exists():
         raise RunFolderError(f"{path} is a run folder: several runs need a folder of their own. Set --out.")
+
+
+def _folder_of_runs(path: Path, below: Sequence[RunFolder], *, or_several: bool) -> RunFolderError:
+    """Return the error that `path` holds the runs `below`, where one of them should be given, `or_several`."""
+    if len(below) == 1:
+        return RunFolderError(f"{path} is no run folder, but there is one below it: give {below[0].path}.")
+    shown = " ".join(str(folder.path) for folder in below[: 1 + or_several])
+    which = "one or several of them" if or_several else "one of them"
+    return RunFolderError(f"{path} is a folder of {len(below)} runs: give {which}, such as {shown}.")
+
+
+def _natural(path: Path) -> list[tuple[float, str]]:
+    """Return a key that orders paths by their numbers: seed-2 before seed-10."""
+    words = re.split(r"(\d+(?:\.\d+)?)", str(path))
+    return [(float(word), "") if index % 2 else (-1.0, word) for index, word in enumerate(words)]
 
 
 def _is_part(record: Any) -> bool:
@@ -151,13 +165,15 @@ class RunFolder:
                 )
 
     @classmethod
-    def open(cls, run: Path | str) -> RunFolder:
-        """Return the run folder `run`, a path or the name of a shipped agent; raise RunFolderError if it is neither."""
+    def open(cls, run: Path | str, *, or_several: bool = False) -> RunFolder:
+        """Return the run folder `run`, a path or the name of a shipped agent; raise RunFolderError if it is neither.
+
+        The error for a folder of runs asks for one of them `or_several`.
+        """
         folder = cls(find_run(run))
         if not folder.config.is_file():
-            below = sorted(str(each.parent) for pattern in _BELOW for each in folder.path.glob(pattern))
-            if below:
-                raise RunFolderError(f"{folder.path} is a folder of runs: give one of them, such as {below[0]}.")
+            if below := cls.below(folder.path):
+                raise _folder_of_runs(folder.path, below, or_several=or_several)
             if folder._lock.exists():
                 raise RunFolderError(
                     f"{folder.path} holds a run that was stopped before it began. Begin it again by the same command."
@@ -177,6 +193,13 @@ class RunFolder:
             raise RunFolderError(f"{self.config} is damaged: {error!r}. Restore it from a copy.") from error
         except (ConfigError, UnknownNameError) as error:
             raise ConfigError(f"{self.config}: {error}") from error
+
+    @classmethod
+    def below(cls, path: Path) -> list[RunFolder]:
+        """Return the run folders below `path` in natural order, without other programs' folders with a config.json."""
+        found = [cls(file.parent) for file in path.glob("**/config.json")]
+        known = [folder for folder in found if folder.checkpoints.is_dir() or folder.progress.is_file()]
+        return sorted(known, key=lambda folder: _natural(folder.path))
 
     def record_start(self, config: TrainConfig, origins: Mapping[str, Mapping[str, Any]]) -> None:
         """Write the record of a new run, with the origins of levels that other runs trained."""

@@ -79,12 +79,9 @@ def unregistered_state(folder: RunFolder) -> RunState | None:
 
 
 def states_below(path: Path) -> list[RunState]:
-    """Return the states of the runs below `path`, in alphabetical order; runs that cannot be read say why."""
+    """Return the states of the runs below `path`, in natural order; runs that cannot be read say why."""
     found: list[RunState] = []
-    for file in sorted(path.glob("**/config.json")):
-        folder = RunFolder(file.parent)
-        if not (folder.checkpoints.is_dir() or folder.progress.is_file()):
-            continue  # another program's config.json
+    for folder in RunFolder.below(path):
         try:
             found.append(run_state(folder))
         except Exception as error:  # noqa: BLE001 - one bad folder, whatever is in it, must not hide the other runs

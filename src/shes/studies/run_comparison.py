@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +12,7 @@ from shes.checked import checked
 from shes.errors import ConfigError
 from shes.listing import Listing, Table
 from shes.runs.folder import RunFolder
+from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
 from shes.settings import Ge
 from shes.studies.significance import check_scipy, permutation_test
 from shes.training.evaluate import Evaluation, evaluate
@@ -141,16 +141,14 @@ def compare_runs(
 def _repetitions(run: Path | str) -> list[RunFolder]:
     """Return the runs of one side; raise ConfigError if they differ in more than the seed, or two are the same."""
     folders = find_runs(run)
-    settings = [folder.read_config().numbers() for folder in folders]
-    names = dict.fromkeys(name for each in settings for name in each)
-    differing = [name for name in names if len({json.dumps(each.get(name)) for each in settings}) > 1]
-    others = [name for name in differing if name != "seed"]
+    others = differing_settings([repeated_settings(folder) for folder in folders])
     if others:
         raise ConfigError(
             f"the runs below {run} differ in {', '.join(others[:3])}. Give the folder of one group, such as "
             f"{folders[0].path.parent}."
         )
-    if len({each["seed"] for each in settings}) < len(settings):
+    seeds = [seeds_of(folder) for folder in folders]
+    if any(each in seeds[:number] for number, each in enumerate(seeds)):
         raise ConfigError(f"two runs below {run} have the same seed and settings: they are one run. Remove one.")
     return folders
 

@@ -195,13 +195,7 @@ def find_runs(run: Path | str) -> list[RunFolder]:
     path = find_run(run)
     if RunFolder(path).config.is_file() or not path.is_dir():
         return [RunFolder.open(run)]
-    found = [file.parent for file in path.glob("**/config.json") if RunFolder(file.parent).progress.is_file()]
+    found = [folder for folder in RunFolder.below(path) if folder.progress.is_file()]
     if not found and RunsFolder.is_at(path):
         raise RunFolderError(f"no run below {path} has a generation yet. Go on with it: shes resume {path}")
-    return [RunFolder(each) for each in sorted(found, key=_natural)] or [RunFolder.open(run)]
-
-
-def _natural(path: Path) -> list[tuple[float, str]]:
-    """Return a key that orders paths by their numbers: seed-2 before seed-10."""
-    words = re.split(r"(\d+(?:\.\d+)?)", str(path))
-    return [(float(word), "") if index % 2 else (-1.0, word) for index, word in enumerate(words)]
+    return found or [RunFolder.open(run)]

@@ -15,6 +15,7 @@ from shes.algorithms.registry import ALGORITHMS, algorithm_classes
 from shes.errors import CheckpointError, ConfigError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
+from shes.runs.repetitions import origin_of
 from shes.runs.sections import RunSettings, algorithm_of
 from shes.settings import flag
 from shes.training.build import OpenedRun, build_task, open_run
@@ -46,7 +47,8 @@ def _read(level: str, own: LevelTransfer, path: str, checkpoint: str) -> tuple[O
             f"--{level} that trained one: {own.trained_by}."
         )
     env, generation = opened.config.run.env, opened.state.generation
-    return opened, {"run": path, "env": env, "checkpoint": checkpoint, "generation": generation}
+    origin = {"run": path, "env": env, "checkpoint": checkpoint, "generation": generation}
+    return opened, {**origin, **origin_of(folder)}
 
 
 def _checkpoint_names(folder: RunFolder) -> list[str]:

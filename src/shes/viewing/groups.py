@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from shes.runs.folder import RunFolder
+from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
+from shes.training.transfer import transferred_levels
 
 _T = TypeVar("_T")
 
@@ -21,7 +23,7 @@ _COLORS = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Runs with equal settings and different seeds. They are drawn as one curve."""
+    """Runs with equal settings and different seeds, and primitives of such runs. They are drawn as one curve."""
 
     folders: list[RunFolder]
     label: str
@@ -75,9 +77,8 @@ def _divided(items: Sequence[_T], key: Callable[[_T], Any]) -> list[list[_T]]:
 
 
 def _design(folder: RunFolder) -> dict[str, Any]:
-    """Return the settings of a run that repetitions have in common."""
-    config = folder.read_config()
-    return {"preset": config.run.preset, **{name: each for name, each in config.numbers().items() if name != "seed"}}
+    """Return the preset and the settings of a run that repetitions have in common."""
+    return {"preset": folder.read_config().run.preset, **repeated_settings(folder)}
 
 
 def _execution(folder: RunFolder) -> dict[str, Any]:
@@ -88,33 +89,31 @@ def _execution(folder: RunFolder) -> dict[str, Any]:
 
 
 def _has_seed_twice(folders: Sequence[RunFolder]) -> bool:
-    seeds = [folder.read_config().run.seed for folder in folders]
-    return len(set(seeds)) < len(seeds)
+    seeds = [seeds_of(folder) for folder in folders]
+    return any(each in seeds[:number] for number, each in enumerate(seeds))
 
 
 def _labels(groups: list[list[RunFolder]]) -> list[str]:
     """Return a label for every group: environment and preset of a single one, else what differs."""
-    runs = [members[0].read_config().run for members in groups]
+    firsts = [members[0] for members in groups]
     if len(groups) == 1:
-        return [f"{runs[0].env} {runs[0].preset}"]
-    facts = [{**_design(members[0]), **_execution(members[0])} for members in groups]
-    kind = [name for name in _FIRST if _differ(facts, name)]
+        run = firsts[0].read_config().run
+        return [f"{run.env} {run.preset}"]
+    designs = [_design(first) for first in firsts]
+    facts = [{**design, **_execution(first)} for design, first in zip(designs, firsts, strict=True)]
+    kind = [name for name in _FIRST if name in differing_settings(facts)]
     # Other settings are named where they differ among groups of one kind, and workers and machine as the last resort.
-    alike = _divided(facts, lambda each: [each.get(name) for name in _FIRST])
-    names = [name for name in dict.fromkeys(itertools.chain(*facts)) if any(_differ(each, name) for each in alike)]
-    own = [name for name in names if any(name in _design(members[0]) for members in groups)]
+    alike = [differing_settings(each) for each in _divided(facts, lambda each: [each.get(name) for name in _FIRST])]
+    names = [name for name in dict.fromkeys(itertools.chain(*facts)) if any(name in each for each in alike)]
+    own = [name for name in names if any(name in design for design in designs)]
+    own.sort(key=lambda name: name not in transferred_levels())  # a level of another run brings other settings
     others = [name for name in names if name not in own]
     labels: list[str] = []
     for chosen in ([*kind, *own], [*kind, *own, *others]):
         labels = [_label(each, chosen) for each in facts]
         if len(set(labels)) == len(labels):
             return labels
-    paths = [str(members[0].path) for members in groups]
-    return [f"{label}, {path}" if label else path for label, path in zip(labels, paths, strict=True)]
-
-
-def _differ(facts: list[dict[str, Any]], name: str) -> bool:
-    return any(each.get(name) != facts[0].get(name) for each in facts)
+    return [f"{label}, {first.path}" if label else str(first.path) for label, first in zip(labels, firsts, strict=True)]
 
 
 def _label(facts: dict[str, Any], names: list[str]) -> str:

@@ -12,17 +12,15 @@ from typing import Any
 import numpy as np
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.markers import FRAME, GOAL, ROBOT, TRAIL, Marker, disc, line
+from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
 from shes.training.build import open_run
 from shes.training.evaluate import fresh_seeds
 from shes.training.loaded_agent import Agent
 from shes.types import F64Array
+from shes.viewing.controller_sight import ABOVE_GROUND_M, LINE_RADIUS_M, ControllerSight
 
 _TRAIL_STEPS = 150
 _GOAL_RADIUS_M = 0.45
-_ABOVE_GROUND_M = 0.03
-_LINE_RADIUS_M = 0.05
-_FRAME_LENGTH_M = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +32,10 @@ class Moment:
     markers: list[Marker]
     """The task's markers, those of the sensors and of the controller's frame if asked for, the goal, and the robot's
     trail."""
-    caption: str
-    """Training so far, time, score, and how the episode ended."""
+    facts: tuple[str, ...]
+    """Label of the agent, if any, its training so far, time, score, and how the episode ended."""
+    seen: tuple[str, ...] = ()
+    """What the controller sees, if that and the sensors are asked for; see `ControllerSight`."""
 
 
 class Playback:
@@ -54,14 +54,14 @@ class Playback:
         """Load `checkpoint` of `run`, called `label`; for the other arguments and errors see `render`."""
         opened = open_run(run, checkpoint)
         config, state = opened.config, opened.state
-        self.name = f"{label} · {_age(state.generation)}" if label else _age(state.generation)
+        self._facts = (label, _age(state.generation)) if label else (_age(state.generation),)
         self.steps = steps or config.evaluation_steps
         self._agent = Agent(opened)
         self.task = opened.algorithm.problem.make_task(is_evaluation=True)
         """The environment; whoever plays it closes it."""
         self._state, self._seed, self._has_sensors = state, seed, sensors
         view = getattr(opened.algorithm.design, "controller_view", None)
-        self._frame = view if sensors and view is not None and view.turns_outputs else None
+        self._sight = ControllerSight(view, self.task) if sensors and view is not None else None
 
     def seed_of(self, episode: int) -> int:
         """Return the seed of episode `episode` of those that `evaluate` runs."""
@@ -85,23 +85,15 @@ class Playback:
 
     def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
         task = self.task
-        sensed = [*task.sensor_markers(0), *self._frame_marker()] if self._has_sensors else []
-        parts = [self.name, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending]
+        sensed = task.sensor_markers(0) if self._has_sensors else []
+        seen, frame = ((), []) if self._sight is None else self._sight.look()
+        facts = (*self._facts, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending)
         return Moment(
             pose=task.pose(0),
-            markers=[*task.markers(0), *sensed, *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
-            caption=" · ".join(part for part in parts if part),
+            markers=[*task.markers(0), *sensed, *frame, *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
+            facts=tuple(fact for fact in facts if fact),
+            seen=seen,
         )
-
-    def _frame_marker(self) -> list[Marker]:
-        """Return a line along the frame in which the controller sees now, if that is not the robot's own."""
-        if self._frame is None:
-            return []
-        task, seen = self.task, np.empty((1, self._frame.size(self.task.observation_size)))
-        angle = float(self._frame.write(task.observe(), task.heading, seen)[0])
-        (x, y), height = task.position[0], task.ground_m + _ABOVE_GROUND_M
-        end = (x + _FRAME_LENGTH_M * np.cos(angle), y + _FRAME_LENGTH_M * np.sin(angle), height)
-        return [line((x, y, height), end, _LINE_RADIUS_M, FRAME)]
 
 
 def _age(generation: int) -> str:
@@ -122,11 +114,11 @@ def _ending(task: EpisodeBatch, is_last: bool) -> str:
 
 def _goal_and_trail(goals: F64Array | None, trail: deque[F64Array], ground: float) -> list[Marker]:
     """Return markers of the robot's trail and position, and of the goal and a line to it, if there is one."""
-    height = ground + _ABOVE_GROUND_M
+    height = ground + ABOVE_GROUND_M
     places = [(*place, height) for place in trail]
-    way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
+    way = [line(*pair, LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
     spot = disc(places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
     if goals is None:
         return [*way, spot]
     goal = (*goals[0], height)
-    return [*way, spot, line(places[-1], goal, _LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]
+    return [*way, spot, line(places[-1], goal, LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]

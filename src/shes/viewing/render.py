@@ -9,20 +9,18 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
 
 from shes.checked import checked
 from shes.drawing.drawer import Drawer, Picture
 from shes.drawing.rendering import make_drawer
 from shes.errors import ConfigError
+from shes.runs.folder import RunFolder
 from shes.settings import Ge, Le, Lt, out_of_range
+from shes.viewing.caption import captioned
 from shes.viewing.playback import Moment, Playback
 from shes.viewing.video import FRAMES_PER_SECOND, check_video_path, write_video
 
 _MOST = 100_000  # steps and episodes; a video of so many steps takes a day
-_CAPTION_PIXELS = 28
-_BAR, _INK = (28, 32, 38, 200), (240, 243, 246)
-_SMALLEST_FONT = 8
 _HELD_S = 0.7  # time for which the last frame is held
 
 
@@ -63,8 +61,8 @@ def render(
         seed: Seed of the episodes, as for `evaluate`.
         size: Height and width of a view in pixels; even.
         steps: Maximum number of control steps; those of an evaluation if None.
-        sensors: Whether to show what the agent's sensors read, and the direction of its controller's frame (purple), if
-            it has any (Gather).
+        sensors: Whether to show what the controller sees, in words, and what the agent's sensors read and the direction
+            of its controller's frame (purple), if it has any (Gather).
         on_step: Called with the number of control steps drawn and their maximum.
 
     Returns:
@@ -83,6 +81,8 @@ def render(
     if size % 2:
         raise out_of_range("size", size, "an even number of pixels")
     shown = _shown(runs, checkpoints, labels)
+    for run, *_ in shown:
+        RunFolder.open(run, or_several=True)
     playbacks = [Playback(run, name, seed, steps, label=label, sensors=sensors) for run, name, label in shown]
     drawers: list[Drawer] = []
     try:
@@ -174,20 +174,8 @@ def _frames(
         for frame in range(1, frames + 1):
             pose = drawer.between(start.pose, moment.pose, frame / frames)
             views = [drawer.draw(pose, moment.markers, camera) for camera in cameras]
-            yield [_captioned(views[0], moment.caption), *views[1:]]
+            yield [captioned(views[0], [moment.facts, moment.seen]), *views[1:]]
         before = moment
-
-
-def _captioned(view: Picture, text: str) -> Picture:
-    """Return `view` with a bar of text at its upper edge."""
-    image = Image.fromarray(view)
-    draw = ImageDraw.Draw(image, "RGBA")
-    draw.rectangle([0, 0, image.width, _CAPTION_PIXELS], _BAR)
-    font_size = _CAPTION_PIXELS // 2
-    while font_size > _SMALLEST_FONT and draw.textlength(text, ImageFont.load_default(font_size)) > image.width - 16:
-        font_size -= 1
-    draw.text((8, _CAPTION_PIXELS // 2), text, _INK, ImageFont.load_default(font_size), anchor="lm")
-    return np.asarray(image)
 
 
 def _side_by_side(columns: Sequence[Iterator[Picture]]) -> Iterator[Picture]:

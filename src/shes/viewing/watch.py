@@ -1,4 +1,4 @@
-"""`shes watch`: shows an agent's episodes in a window, one after another, with its goals and what its sensors read."""
+"""`shes watch`: shows an agent's episodes in a window, with its goals and what its controller sees."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def watch(
         run: The run folder, or the name of a shipped agent.
         checkpoint: Checkpoint: `best`, `last` or the number of a generation.
         seed: Seed of the episodes, as for `evaluate`.
-        sensors: Whether to show what the agent's sensors read, and the direction of its controller's frame (purple), if
-            it has any (Gather).
+        sensors: Whether to show what the controller sees, in words, and what the agent's sensors read and the direction
+            of its controller's frame (purple), if it has any (Gather).
 
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
@@ -37,7 +37,9 @@ def watch(
             for number, moment in enumerate(playback.play(playback.seed_of(episode))):
                 if not window.is_open:
                     return
-                window.show(moment.pose, moment.markers, is_new_episode=number == 0)
+                window.show(
+                    moment.pose, moment.markers, is_new_episode=number == 0, lines=(*moment.facts, *moment.seen)
+                )
     finally:
         window.close()
         playback.task.close()

@@ -34,6 +34,11 @@ class HiroDesign(AgentDesign):
     goals: GoalSpace
 
     @property
+    def controller_view(self) -> ColumnsView:
+        """The view of the controller, which sees the whole observation."""
+        return ColumnsView()
+
+    @property
     def intrinsic_level(self) -> None:
         """None: a rollout does not compute the intrinsic reward, which depends on all coordinates of a goal."""
         return
