@@ -16,7 +16,7 @@ import griffe  # a dependency of mkdocstrings-python
 
 import shes
 from shes.algorithms.presets import PRESETS
-from shes.algorithms.registry import PRESET_NAMES
+from shes.algorithms.registry import ALGORITHMS
 from shes.cli import main
 from shes.cli.command_table import COMMANDS
 from shes.envs.registry import ENVIRONMENTS
@@ -55,8 +55,13 @@ def _help(*words: str) -> str:
 
 def settings() -> str:
     """Return a table of the flags of `train` for each section: meaning, and value in every preset."""
-    configs = {preset: make_config("ant-gather", preset) for preset in PRESETS}
-    by_gradients = {preset: make_config("ant-gather", preset, {"algorithm": "hiro"}) for preset in PRESET_NAMES}
+    configs, by_gradients = (
+        {
+            preset: make_config("ant-gather", preset, {"algorithm": algorithm})
+            for preset in dict.fromkeys((*ALGORITHMS[algorithm].presets, *PRESETS))
+        }
+        for algorithm in ("shes", "hiro")
+    )
     of_every_run = {"environment", *(configs["laptop"].sections.keys() & by_gradients["laptop"].sections.keys())}
     parts = [*_sections(configs, {"environment"}), *_sections(by_gradients, of_every_run)]
     return "\n\n".join([*parts, "### Environment", _task_options()])

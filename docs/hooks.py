@@ -1,7 +1,8 @@
 """MkDocs hooks: add the pages and tables that are made from the code, and the files of the repository that pages show.
 
 A page that is named in `_GENERATED` holds `<!-- generated -->` on a line of its own, which its table replaces. A link
-to a CSV or JSON file or a picture outside `docs`, such as `../results/speed.csv`, leads to a copy of the file in the site.
+to a CSV or JSON file outside `docs` or to a picture of `results`, such as `../results/speed.csv`, leads to a copy of
+the file in the site.
 """
 
 from __future__ import annotations

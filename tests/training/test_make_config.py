@@ -84,6 +84,13 @@ def test_every_preset_suits_every_environment(env, preset):
     assert (config.run.env, config.run.preset) == (env, preset)
 
 
+def test_the_preset_of_table_one_is_for_evolution_alone():
+    """For HIRO it would be a mixture that nobody published."""
+    fix = r"Set --preset laptop, smoke, hiro-paper, hiro-table1, or omit --algorithm"
+    with pytest.raises(ConfigError, match=rf"preset 'paper' is for algorithm shes or es, got algorithm 'hiro'\. {fix}"):
+        make_config("ant-maze", "paper", {"algorithm": "hiro"})
+
+
 def test_a_preset_of_hiro_brings_its_algorithm():
     assert make_config("ant-maze", "hiro-paper").run.algorithm == "hiro"
     assert make_config("ant-maze", "hiro-paper", {"algorithm": "td3"}).learner.hidden == (300, 300)

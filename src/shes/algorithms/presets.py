@@ -22,16 +22,6 @@ class Preset:
 
 
 PRESETS: Mapping[str, Preset] = {
-    # Table I of the SHES paper exactly; what it leaves open is as in the authors' code.
-    "paper": Preset(
-        values={
-            "generations": 3000,
-            "hidden": (256, 256, 256),
-            "horizon": 500,
-            "reset_noise": 0.0,
-            "evaluation_episodes": 10,
-        }
-    ),
     # Learns visibly on a few cores: the default settings.
     "laptop": Preset(
         values={"evaluation_horizon": 500},

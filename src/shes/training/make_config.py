@@ -66,7 +66,7 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
     if run.algorithm not in known:
         raise ConfigError(
             f"preset {preset!r} is for algorithm {' or '.join(known)}, got algorithm {run.algorithm!r}. "
-            f"Set --preset {', '.join(PRESETS)}, or omit --algorithm."
+            f"Set --preset {', '.join(dict.fromkeys((*PRESETS, *algorithm_of(run).presets)))}, or omit --algorithm."
         )
     limit = find_environment(env).max_episode_steps
     limits = {} if limit is None else {"horizon": limit, "evaluation_horizon": limit}

@@ -95,6 +95,8 @@ class ProgressDisplay:
         workers = (
             f"{num_workers} worker{'s' * (num_workers != 1)}" if config.workers.backend != "serial" else "this process"
         )
+        if config.algorithm.shares_memory and config.workers.backend != "serial":
+            workers = f"this process, evaluating on {workers}"
         if config.workers.device != "cpu":
             workers = f"device {config.workers.device}"
         after = f" after generation {generation}" if generation else ""

@@ -8,6 +8,7 @@ import pytest
 
 from shes.algorithms.hiro.collector import Actor
 from shes.envs.registry import register_external
+from shes.errors import DivergenceError
 from shes.training.build import build_algorithm
 from shes.training.make_config import make_config
 
@@ -198,3 +199,57 @@ def test_a_time_limit_of_the_environments_own_does_not_cut_the_return():
     rows, collector = collect(algorithm("td3", "pendulum-of-7-steps", horizon=50), num_steps=14)
     assert rows["policy"]["goes_on"].tolist() == [1] * 14
     assert [(each["steps"], each["terminated"]) for each in collector.summary.episodes] == [(7, 0), (7, 0)]
+
+
+def test_environments_whose_episodes_end_at_different_times_keep_their_intervals_apart(monkeypatch):
+    """Every interval of the controller is the steps of its primitive, with falls that come at any time."""
+    interval, count_of = 4, 3
+    learner = algorithm("hiro", "ant-gather", spec="hiro", num_envs=count_of, horizon=61, reward_scale=0.5)
+    collector, batch, _ = collector_of(learner, is_random=True)
+    size, given, kept = learner.design.goals.size, collector.transitions, []
+
+    def transitions(step, rng):
+        kept.append((step, batch.reward.copy(), given(step, rng)))
+        return kept[-1][2]
+
+    monkeypatch.setattr(collector, "transitions", transitions)
+    for number, _ in enumerate(collector.run(400, count(), np.random.default_rng(0))):
+        if number % 17 == 5:
+            batch.sim.qpos[number % count_of, 2] = 5.0  # it falls by the rule of the task
+    episodes, ends = {row: [] for row in range(count_of)}, []
+    for step, reward, made in kept:
+        intervals = [
+            {name: values[i] for name, values in made["controller"].items()}
+            for i in range(len(made["controller"]["reward"]))
+        ]
+        for i, row in enumerate(step.rows):
+            primitive = {name: values[i] for name, values in made["primitive"].items()}
+            assert primitive["goes_on"] == 1
+            episodes[row].append((primitive, reward[row]))
+            is_whole = len(episodes[row]) % interval == 0
+            if is_whole or step.terminated[i]:
+                found = intervals.pop(0)
+                played = episodes[row][-(interval if is_whole else len(episodes[row]) % interval) :]
+                goal, steps = found["goal"], len(played)
+                assert found["reward"] == pytest.approx(0.5 * sum(earned for _, earned in played), rel=1e-5, abs=1e-6)
+                assert found["is_step"].tolist() == [1] * steps + [0] * (interval - steps)
+                assert found["goes_on"] == (not step.terminated[i])
+                np.testing.assert_allclose(goal, played[0][0]["inputs"][:size], rtol=1e-6)
+                for k, (each, _) in enumerate(played):
+                    np.testing.assert_array_equal(found["actions"][k], each["action"])
+                    np.testing.assert_array_equal(found["view"][k], each["inputs"][size:])
+                    np.testing.assert_allclose(each["inputs"][:size], goal - found["moved"][k], atol=2e-4)
+                assert played[-1][0]["reward"] == pytest.approx(-np.linalg.norm(goal - found["change"]), rel=1e-3)
+                ends.append(bool(step.terminated[i]))
+            if step.ended[i]:
+                episodes[row].clear()
+        assert intervals == []
+    assert (len(ends) > 90, sum(ends) > 5) == (True, True)
+
+
+@pytest.mark.parametrize("scale", [1e39, 1e308])  # -16 times which single and double precision do not hold
+@pytest.mark.parametrize("name", ["td3", "hiro"])
+def test_a_reward_that_is_too_large_ends_the_run(name, scale):
+    learner = algorithm(name, "point-maze", reward_scale=scale)
+    with pytest.raises(DivergenceError, match=r"larger than 3\.4e38.*--reward-scale"):
+        collect(learner)

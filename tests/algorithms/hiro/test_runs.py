@@ -170,7 +170,12 @@ def test_a_level_of_hiro_is_not_transferred(untrained):
         ("hiro", "point-flagrun", {}, "point-flagrun sets the goals, so .*Set --algorithm to shes, .*es or td3"),
         ("td3", "point-maze", {"hidden": ()}, r"hidden must be at least one layer.*Set --hidden\."),
         ("hiro", "point-maze", {"replay_size": 10**12}, r"replay_size is 1,000,000,000,000.*Set --replay-size \d+ or"),
-        ("td3", "point-maze", {"generation_steps": 10**14}, r"GB are free\. Set --generation-steps lower"),
+        (
+            "td3",
+            "point-maze",
+            {"generation_steps": 10**14},
+            r"GB are free\. Set --generation-steps, --warmup-steps or --num-envs lower",
+        ),
         ("td3", "point-maze", {"sigma": 0.1}, "sigma is not a setting of a run of point-maze with algorithm 'td3'"),
         ("hiro", "ant-push", {"max_tilt": 60.0}, r"max_tilt ends episodes of ant-push that .*Omit --max-tilt"),
         ("hiro", "point-maze", {"discount": 1.0}, r"discount must be .*less than 1"),

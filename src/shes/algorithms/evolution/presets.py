@@ -11,8 +11,14 @@ from typing import Any
 from shes.algorithms.presets import Preset
 
 SES_PRESETS: Mapping[str, Preset] = {
+    # Table I exactly; what it leaves open is as in the authors' code.
     "paper": Preset(
         values={
+            "generations": 3000,
+            "hidden": (256, 256, 256),
+            "horizon": 500,
+            "reset_noise": 0.0,
+            "evaluation_episodes": 10,
             "population_size": 1000,
             "episodes_per_policy": 5,
             "sigma": 0.02,

@@ -24,6 +24,7 @@ from shes.algorithms.hiro.collector import Actor, Collector, HiroCollector
 from shes.algorithms.hiro.columns import columns
 from shes.algorithms.hiro.designs import (
     check_memory,
+    check_num_envs,
     check_restoring,
     flat_design,
     flat_levels,
@@ -81,6 +82,7 @@ class TD3(Algorithm[TD3State]):
             ConfigError: It cannot learn in this environment.
             ShapeError: The observation does not have the size of the observation spec.
         """
+        check_num_envs(problem)
         super().__init__(problem, type(self).make_design(problem))
         self.settings = problem.settings.learner
         self.levels = type(self).make_levels(problem, self.design)

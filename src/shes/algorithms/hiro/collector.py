@@ -9,6 +9,7 @@ N environments, O observed values, V values of the primitive's view, G coordinat
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -19,6 +20,7 @@ from shes.algorithms.hiro.goal_space import goal_transition, primitive_reward
 from shes.algorithms.hiro.levels import Level
 from shes.algorithms.hiro.replay import Rows
 from shes.envs.episode_batch import EpisodeBatch
+from shes.errors import DivergenceError
 from shes.es.level import LevelParameters
 from shes.es.statistics import normalise
 from shes.types import BoolArray, F32Array, F64Array, IntArray
@@ -109,6 +111,9 @@ class Collector:
         """Yield the new transitions of each level after every control step.
 
         Episodes begin until `num_steps` have been made; the generation ends when the last of them has ended.
+
+        Raises:
+            DivergenceError: A reward or an observation is too large for single precision.
         """
         batch, self.summary = self._batch, Collected()
         running = np.arange(batch.num_episodes)
@@ -190,11 +195,12 @@ class Collector:
             "goes_on": goes_on[step.is_sound],
             "next_inputs": next_inputs[kept],
         }
-        return {name: values.astype(np.float32) for name, values in rows.items()}
+        return _as_float32(rows)
 
     def reward(self) -> F64Array:
         """Return the environment's scaled reward of the last step [N]."""
-        return self._batch.reward * self._reward_scale
+        with _no_overflow():
+            return self._batch.reward * self._reward_scale
 
     def goes_on(self, terminated: BoolArray) -> BoolArray:
         """Return for each transition whether its next state has a value: the return is not cut there [n]."""
@@ -308,4 +314,23 @@ class HiroCollector(Collector):
             **{name: values[kept] for name, values in self._played.items()},
             "is_step": np.arange(self._interval) < num_steps[:, None],
         }
+        return _as_float32(rows)
+
+
+def _as_float32(rows: Mapping[str, F64Array | BoolArray]) -> dict[str, F32Array]:
+    """Return transitions as float32; raise DivergenceError if that cannot hold a value."""
+    with _no_overflow():
         return {name: values.astype(np.float32) for name, values in rows.items()}
+
+
+@contextmanager
+def _no_overflow() -> Iterator[None]:
+    """Raise DivergenceError if a number becomes too large."""
+    try:
+        with np.errstate(over="raise"):
+            yield
+    except FloatingPointError as error:
+        raise DivergenceError(
+            "a reward or an observation is larger than 3.4e38, the most that single precision holds. Everything up to "
+            "the last checkpoint is kept. Lower --reward-scale, or bound what the environment returns."
+        ) from error

@@ -161,6 +161,16 @@ def _level(
     )
 
 
+def check_num_envs(problem: Problem) -> None:
+    """Raise ConfigError for more environments than a generation has steps: they take memory, and most play nothing."""
+    own = problem.settings.learner
+    if own.num_envs > own.generation_steps:
+        raise ConfigError(
+            f"num_envs is {own.num_envs:,}, but a generation has {own.generation_steps:,} environment steps "
+            f"(generation_steps). Set --num-envs {own.generation_steps} or less."
+        )
+
+
 def check_memory(levels: tuple[Level, ...], replay_size: int) -> None:
     """Raise ConfigError, with the largest size that fits, unless the replay buffers fit the free memory."""
     need, free = sum(level.replay.num_bytes for level in levels), free_memory()
@@ -168,10 +178,10 @@ def check_memory(levels: tuple[Level, ...], replay_size: int) -> None:
         return
     rows = sum(level.replay.num_bytes / (level.replay.capacity + level.replay.slack) for level in levels)
     fits = int(free / rows - max(level.replay.slack for level in levels))
-    fix = f"Set --replay-size {fits} or less." if fits > 0 else "Set --generation-steps lower."
+    lower = f"--replay-size {fits} or less" if fits > 0 else "--generation-steps, --warmup-steps or --num-envs lower"
     raise ConfigError(
         f"replay_size is {replay_size:,}, which takes {need / 1e9:,.1f} GB of memory, but {free / 1e9:,.1f} GB are "
-        f"free. {fix}"
+        f"free. Set {lower}."
     )
 
 
