@@ -21,12 +21,13 @@ PAPER_SECONDS: Mapping[str, Mapping[int, float]] = {
 """Raw times of the authors' code by cores, in seconds: SHES on Ant Maze with threads, S-ES over MPI."""
 _COLORS = ("#c44e00", "#1f77b4", "#2a7f3f")
 _NAMES = {"shes": "SHES", "es": "S-ES"}
-_KINDS: dict[str, tuple[str, dict[str, Any]]] = {
-    "projected": ("projected", {"linestyle": "-"}),
-    "measured": ("measured", {"marker": "o"}),
-    "asleep": ("sleeping workers", {"marker": "s", "mfc": "none"}),
+KINDS = {"projected": "projected", "measured": "measured", "asleep": "sleeping workers"}
+"""Kinds of rows in words."""
+_LOOKS: dict[str, dict[str, Any]] = {
+    "projected": {"linestyle": "-"},
+    "measured": {"marker": "o"},
+    "asleep": {"marker": "s", "mfc": "none"},
 }
-"""Name and look of each kind of row."""
 
 
 class SpeedupLine(NamedTuple):
@@ -37,6 +38,23 @@ class SpeedupLine(NamedTuple):
     """Rows with the columns `kind`, `cores` and `speedup`."""
     authors: str = ""
     """Key of `PAPER_SECONDS`; without, there are no times of the authors' code."""
+
+
+class AuthorsSpeedup(NamedTuple):
+    """Speed-ups of the authors' code."""
+
+    words: str
+    cores: list[float]
+    speedup: list[float]
+
+
+def authors_speedup(algorithm: str) -> AuthorsSpeedup | None:
+    """Return the speed-ups of the authors' code for a key of `PAPER_SECONDS`; None if it has no times."""
+    seconds = PAPER_SECONDS.get(algorithm)
+    if seconds is None:
+        return None
+    speedup = [seconds[1] / each for each in seconds.values()]
+    return AuthorsSpeedup(f"{_NAMES[algorithm]}, authors' code", [float(cores) for cores in seconds], speedup)
 
 
 def draw_speedup(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -58,12 +76,11 @@ def speedup_figure(lines: Sequence[SpeedupLine], title: str, size: tuple[float, 
     axis.plot([1, most], [1, most], color="black", linewidth=0.8, label="perfect")
     axis.plot(*zip(*PAPER_SLOPE, strict=True), color="black", linestyle=":", label="paper, Figure 6 (slope)")
     for line, color in zip(lines, _COLORS, strict=False):
-        if raw := PAPER_SECONDS.get(line.authors):
-            label = f"{_NAMES[line.authors]}, authors' code"
-            axis.plot(list(raw), [raw[1] / s for s in raw.values()], "x", color=color, label=label)
-        for kind, (words, look) in _KINDS.items():
+        if authors := authors_speedup(line.authors):
+            axis.plot(authors.cores, authors.speedup, "x", color=color, label=authors.words)
+        for kind, words in KINDS.items():
             if points := _points(line.rows, kind):
-                style: dict[str, Any] = {"linestyle": "", "color": color, **look}
+                style: dict[str, Any] = {"linestyle": "", "color": color, **_LOOKS[kind]}
                 axis.plot(*zip(*points, strict=True), **style, label=f"{line.words}, {words}")
     axis.set(xscale="log", yscale="log", xlabel="cores", ylabel="speed-up", title=title)
     axis.legend(frameon=False, fontsize=8)

@@ -132,6 +132,10 @@ class StudyDesign:
         """Return the name of a variant in words."""
         return self.labels.get(variant, variant.replace("-x", " × ").replace("-", " "))
 
+    def authors(self, variant: str) -> str:
+        """Return the key of a variant in `shes.bench.speedup_figure.PAPER_SECONDS`; empty for one of this package."""
+        return {self.base[1]: "shes", "es": "es"}.get(variant, "")
+
     def metric(self, env: str) -> Measure:
         """Return the measure compared on `env`; the score if none is."""
         return self.metrics.get(env, Measure("best_score", "score"))

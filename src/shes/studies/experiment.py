@@ -22,6 +22,7 @@ from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
+from shes.studies.report_design import write_report_design
 from shes.studies.running import Outcome, check_study, run_study
 from shes.studies.study import Study, cell_steps, choose
 from shes.studies.study_tables import CellResults, write_csv, write_tables
@@ -144,13 +145,14 @@ def _write_results(
     """Write comparisons and figures of finished runs into `out`; return what they hold, as facts and as text."""
     comparisons = compare(study, summaries)
     rows = [each.row() for each in comparisons]
-    table = f"{name}.csv" if name in _OF_THE_PAPER else "comparison.csv"  # the paper's experiments share their folder
-    write_csv(out / table, rows)
+    table = name if name in _OF_THE_PAPER else "comparison"  # the paper's experiments share their folder
+    write_csv(out / f"{table}.csv", rows)
+    write_report_design(name, study, table, out)
     figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
     facts: dict[str, Any] = {"figures": figures, "comparisons": rows}
     parts = [
         *_parts(study.design, comparisons),
-        f"Tables: runs.csv, curves.csv, {table} in {quote(str(out))}",
+        f"Tables: runs.csv, curves.csv, {table}.csv in {quote(str(out))}",
         f"Figures: {' '.join(map(quote, figures)) or 'none'}",
     ]
     if name == "table1":

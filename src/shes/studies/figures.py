@@ -263,7 +263,7 @@ def _draw_speedup(results: _Results, figure_of: Speedup) -> Figure:
         SpeedupLine(
             words=results.design.label(variant),
             rows=[row for run in results.summaries[env, group, variant] for row in run.curve],
-            authors={results.design.base[1]: "shes", "es": "es"}.get(variant, ""),
+            authors=results.design.authors(variant),
         )
         for env, group, variant in places
     ]

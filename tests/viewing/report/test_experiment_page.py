@@ -8,14 +8,15 @@ import pytest
 from shes.errors import RunFolderError
 from shes.viewing.report.experiment_page import experiment_section
 from shes.viewing.report.report import report
+from tests.viewing.report.experiment_tables import write_curves
 
 HEADER = (
-    "group,variant,env,seeds,score_mean,score_error,score_iqm,score_iqm_low,score_iqm_high,against,p_holm,"
+    "group,variant,env,seeds,score_mean,score_error,score_iqm,score_iqm_low,score_iqm_high,against,difference,p_holm,"
     "mann_whitney_p,superiority,success_mean,success_error,hours,hardware,versions,commit"
 )
 ROWS = (
-    'methods,published,ant-gather,3,1.5,0.25,1.4,1,2,,,,,0.5,0.125,2.5,"Zen, 24 cores","python 3.12, numpy 2",abc',
-    'methods,<b>pieces</b>,ant-gather,1,3,,3,3,3,published,0.02,0.008,0.9,,,1,"Zen, 24 cores",,abc',
+    'methods,published,ant-gather,3,1.5,0.25,1.4,1,2,,,,,,0.5,0.125,2.5,"Zen, 24 cores","python 3.12, numpy 2",abc',
+    'methods,<b>pieces</b>,ant-gather,1,3,,3,3,3,published,1.5,0.02,0.008,0.9,,,1,"Zen, 24 cores",,abc',
 )
 PNG = b"\x89PNG of figure 3"
 
@@ -45,16 +46,36 @@ def test_the_section_has_each_figure_and_each_comparison(tables):
     text, _ = experiment_section(tables)
     assert text.count("<img ") == 1
     assert 'alt="fig3-hours" src="data:image/png;base64,iVBORyBvZiBmaWd1cmUgMw=="' in text
-    assert text.count("<table") == 1
-    for cell in ("1.50 ± 0.25", "1.40 [1.00, 2.00]", "0.50 ± 0.12", "2.500", "0.0200", "0.0080", "0.90", "3.00"):
+    assert text.count("<table") == 2  # results and comparisons
+    for cell in (
+        "1.50 ± 0.25",
+        "1.40 [1.00, 2.00]",
+        "0.50 ± 0.12",
+        "2.500",
+        "0.0200",
+        "0.0080",
+        "+1.50",
+        "0.90",
+        "3.00",
+    ):
         assert f"<td>{cell}</td>" in text
     assert "hardware: Zen, 24 cores · versions: python 3.12, numpy 2 · commit: abc" in text
     assert "<b>" not in text
 
 
+def test_a_variant_has_one_result_and_a_row_for_each_comparison(tables):
+    rows = [f"{ROWS[0]},", f"{ROWS[1]},methods", f"{ROWS[1].replace('published', 'other')},transfer"]
+    (tables / "fig3.csv").write_text("\n".join([f"{HEADER},against_group", *rows]), encoding="utf-8")
+    text = experiment_section(tables)[0]
+    results, comparisons = text.split("fig3: comparisons")
+    assert [each.count("<tr>") for each in (results, comparisons)] == [3, 3]  # with that of the headings
+    for other in ("methods, published", "transfer, other"):
+        assert f"<td>methods, &lt;b&gt;pieces&lt;/b&gt;</td><td>{other}</td>" in comparisons
+
+
 def test_the_comparisons_of_a_study_are_in_its_one_table(tables):
     (tables / "fig3.csv").rename(tables / "comparison.csv")
-    assert "<h3>comparison</h3>" in experiment_section(tables)[0]
+    assert "<h3>comparison: results</h3>" in experiment_section(tables)[0]
 
 
 def test_the_settings_of_table_1_are_shown(tables):
@@ -62,11 +83,6 @@ def test_the_settings_of_table_1_are_shown(tables):
     text, _ = experiment_section(tables)
     assert '<th scope="col">Table I</th>' in text
     assert "<td>1000</td>" in text
-
-
-def write_curves(folder, columns, rows):
-    lines = [",".join(columns), *(",".join(map(str, row)) for row in rows)]
-    (folder / "curves.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def named(figure):
@@ -113,18 +129,18 @@ def test_a_curve_with_a_transferred_primitive_begins_where_its_training_ended(ta
 
 def test_each_group_of_many_variants_has_a_figure_and_time_is_shown_where_it_is_known(tables):
     columns = ("group", "variant", "env", "seed", "env_steps", "score_mean")
-    places = [("choices", f"c{number}") for number in range(8)] + [("sweep", f"s{number}") for number in range(8)]
+    places = [("choices", f"c{number}") for number in range(8)] + [("sweep", f"s{number}") for number in range(11)]
     write_curves(tables, columns, [(*place, "point-maze", seed, 9, 0.5) for place in places for seed in (1, 2)])
     _, figures = experiment_section(tables)
     assert [name.removeprefix(f"{tables} ") for name in figures] == [
         "point-maze, choices: test score",
         "point-maze, sweep: test score",
     ]
-    figure = next(iter(figures.values()))
-    assert figure["wall_time_s"] == figure["env_steps"]
-    assert [trace.get("name") for trace in figure["env_steps"]["data"]] == [
-        f"c{number} (2 seeds)" for number in range(8)
-    ]
+    choices, sweep = figures.values()
+    assert choices["wall_time_s"] == choices["env_steps"]
+    assert list(named(choices["env_steps"])) == [f"c{number} (2 seeds)" for number in range(8)]
+    bands = [sum("fill" in trace for trace in each["env_steps"]["data"]) for each in (choices, sweep)]
+    assert bands == [8, 0]  # eleven could not be told apart
 
 
 OF_RUNS = ("group", "variant", "env", "seed", "env_steps", "score_mean", "settings")
@@ -197,8 +213,8 @@ def test_an_experiment_is_reported_with_its_runs_and_without(tables, tiny_run, t
     shutil.copytree(tiny_run, tables / "point-gather" / "methods" / "published" / "seed-5")
     report(tables, out, **arguments)
     text = out.read_text(encoding="utf-8")
-    for words in ("<h2>Runs</h2>", "<h2>Fresh episodes</h2>", "<h2>Experiment ", "1.50 ± 0.25"):
-        assert words in text
+    titles = ["<h2>Experiment ", "1.50 ± 0.25", "<h2>Runs</h2>", "<summary>1 run</summary>", "<h2>Fresh episodes</h2>"]
+    assert sorted(titles, key=text.index) == titles
     (tables / "fig3.csv").write_text(f"{HEADER}\n{ROWS[0].replace('1.5', 'much')}\n", encoding="utf-8")
     report(tables, out, **arguments)
     text = out.read_text(encoding="utf-8")

@@ -1,13 +1,9 @@
-"""The page of a report: whole, self-contained, and as its browser shows it."""
+"""The page of a report: whole and self-contained."""
 
 import base64
-import importlib.util
 import json
-import re
 import shutil
 import sys
-from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 
@@ -16,10 +12,9 @@ from shes.drawing import opengl
 from shes.errors import ConfigError, MissingExtraError
 from shes.viewing.report import page
 from shes.viewing.report.report import report
-from tests.browser import Browser, find_browser
 from tests.e2e import runs
+from tests.viewing.report.elements import Elements
 
-needs_plotly = pytest.mark.skipif(importlib.util.find_spec("plotly") is None, reason="needs plotly (extra report)")
 BAD = "<img src=x onerror=fail()>"
 
 
@@ -31,22 +26,6 @@ def stand_in(monkeypatch):
     module.offline.get_plotlyjs = lambda: "const text = '</script>'"
     monkeypatch.setitem(sys.modules, "plotly", module)
     monkeypatch.setitem(sys.modules, "plotly.offline", module.offline)
-
-
-class Elements(HTMLParser):
-    """Tags and texts of a page, and its data."""
-
-    def __init__(self, path):
-        super().__init__()
-        self.tags, self.texts = [], []
-        self.feed(path.read_text(encoding="utf-8"))
-        self.figures = json.loads(next(text for text in self.texts if text.startswith('{"x":')))
-
-    def handle_starttag(self, tag, attributes):
-        self.tags.append((tag, dict(attributes)))
-
-    def handle_data(self, data):
-        self.texts.append(data)
 
 
 def written(given, tmp_path, **arguments):
@@ -160,129 +139,3 @@ def test_tables_are_escaped_and_empty_without_rows():
     assert page.table(["a<"], [["<b>"]]).count("&lt;") == 2
     assert page.table(["a"], []) == page.plots([]) == page.cards([]) == page.details("a", "") == ""
     assert page.section("title", "", "") == ""
-
-
-# What needs plotly, and what a browser shows.
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """The page of two shipped agents and of a shipped walker."""
-    folder = tmp_path_factory.mktemp("whole")
-    return report(["ant-gather", "ant-gather-coevolved", "ant-walker"], folder / "report.html", episodes=4, video=False)
-
-
-@needs_plotly
-@pytest.mark.extras
-def test_plotly_knows_every_figure(whole):
-    from plotly.graph_objects import Figure
-
-    figures = Elements(whole).figures["figures"]
-    assert len(figures) > 20
-    for each in figures.values():
-        for figure in [each] if "data" in each else each.values():
-            text = re.sub(r'"--[a-z0-9-]+(/[\d.]+)?"', '"red"', json.dumps(figure))
-            Figure(json.loads(text))  # raises for a wrong name or value
-
-
-@pytest.fixture
-def browser(tmp_path):
-    binary = find_browser()
-    if binary is None:
-        pytest.skip("there is no Chromium here")
-    with Browser(binary, tmp_path / "profile") as opened:
-        yield opened
-
-
-FIRST = "document.querySelector('[data-figure]')"
-
-
-def first_plot(browser):
-    """Scroll to the first figure; return the sides of its area: left, top, right and bottom in pixels."""
-    browser.evaluate(f"{FIRST}.scrollIntoView({{block: 'center'}})")
-    browser.wait_for(f"{FIRST}.querySelector('.nsewdrag')")
-    area = f"{FIRST}.querySelector('.nsewdrag').getBoundingClientRect()"
-    return browser.evaluate(f"(() => {{const r = {area}; return [r.left, r.top, r.right, r.bottom]}})()")
-
-
-@needs_plotly
-@pytest.mark.extras
-def test_values_are_shown_below_the_mouse_and_a_drag_zooms(whole, browser):
-    browser.open(whole)
-    left, top, right, bottom = first_plot(browser)
-    middle = (top + bottom) / 2
-    browser.mouse("Moved", left + 10, middle)
-    browser.mouse("Moved", (left + right) / 2, middle)
-    shown = browser.wait_for(f"{FIRST}.querySelector('.hoverlayer').textContent")
-    assert re.search(r"\d\.\d", shown)
-    across = f"{FIRST}._fullLayout.xaxis.range"
-    before = browser.evaluate(across)
-    browser.drag((left + 0.4 * (right - left), middle), (left + 0.6 * (right - left), middle))
-    after = browser.wait_for(f"{FIRST}._fullLayout.xaxis.autorange === false && {across}")
-    assert after[1] - after[0] == pytest.approx(0.2 * (before[1] - before[0]), rel=0.1)
-    assert browser.errors == []
-    assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
-
-
-@needs_plotly
-@pytest.mark.extras
-def test_the_horizontal_axis_the_curves_and_the_episode_can_be_chosen(whole, browser):
-    browser.open(whole)
-    first_plot(browser)
-    title = f"{FIRST}._fullLayout.xaxis.title.text"
-    for x, label in (("generation", "generation"), ("wall_time_s", "wall-clock minutes")):
-        browser.evaluate(f"document.querySelector('input[value={x}]').click()")
-        assert browser.wait_for(f"{title} === '{label}' && {title}")
-    curves = f"{FIRST}.data.filter((trace) => trace.name).length"
-    count = browser.evaluate(curves)
-    browser.evaluate("document.querySelector('#legend button').click()")
-    assert browser.evaluate(curves) == count - 1
-    place = "document.querySelector('[data-figure=\"map 0\"]')"
-    browser.evaluate(f"{place}.scrollIntoView()")
-    browser.wait_for(f"{place}.data")
-    numbers = f"[...new Set({place}.data.map((trace) => trace.meta.episode))]"
-    assert browser.evaluate(numbers) == [0, 1, 2, 3]
-    choice = "document.querySelector('select[data-map=\"map 0\"]')"
-    browser.evaluate(f"{choice}.value = '2'; {choice}.dispatchEvent(new Event('change'))")
-    assert browser.wait_for(f"{place}.data.some((trace) => trace.meta.alone) && {numbers}") == [2]
-    assert browser.errors == []
-
-
-@needs_plotly
-@pytest.mark.extras
-def test_the_curves_of_an_experiment_are_read_below_the_mouse(browser, tmp_path):
-    folder = Path(__file__).parents[3] / "results" / "ablation"
-    browser.open(report([folder], tmp_path / "report.html", video=False))
-    left, top, right, bottom = first_plot(browser)
-    browser.mouse("Moved", left + 10, (top + bottom) / 2)
-    browser.mouse("Moved", right - 10, (top + bottom) / 2)
-    assert "base (10 seeds)" in browser.wait_for(f"{FIRST}.querySelector('.hoverlayer').textContent")
-    transfer = (
-        "[...document.querySelectorAll('[data-figure]')].find((box) => /gather, transfer/.test(box.dataset.figure))"
-    )
-    browser.evaluate(f"void draw({transfer})")
-    names = f"[...{transfer}.querySelectorAll('.legendtext')].map((text) => text.textContent)"
-    assert browser.wait_for(f"{names}.length && {names}") == [
-        f"{name} (10 seeds)" for name in ("scratch", "frozen", "unfrozen")
-    ]
-    assert browser.errors == []
-
-
-@needs_plotly
-@pytest.mark.extras
-@pytest.mark.parametrize("width", [1600, 400])
-@pytest.mark.parametrize("is_dark", [False, True])
-def test_the_page_fits_its_window_and_follows_its_scheme(whole, browser, width, is_dark):
-    browser.open(whole, width, is_dark=is_dark)
-    count = browser.evaluate("document.querySelectorAll('[data-figure]').length")
-    browser.evaluate("document.querySelectorAll('[data-figure]').forEach(draw)")
-    assert browser.evaluate("document.querySelectorAll('.js-plotly-plot').length") == count
-    assert browser.evaluate("document.documentElement.scrollWidth") <= width
-    assert browser.evaluate(
-        "[...document.querySelectorAll('.js-plotly-plot')].every((p) => p.scrollWidth <= p.clientWidth)"
-    )
-    ink = browser.evaluate("getComputedStyle(document.body).color")
-    text = browser.evaluate(f"getComputedStyle({FIRST}.querySelector('.xtitle')).fill")
-    assert text == ink
-    assert (sum(map(int, re.findall(r"\d+", ink))) > 3 * 128) is is_dark
-    assert browser.errors == []

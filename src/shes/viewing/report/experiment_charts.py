@@ -1,108 +1,120 @@
-"""Learning curves of an experiment from its table `curves.csv` alone, as figures of plotly."""
+"""Learning curves of an experiment from its table `curves.csv` alone, as figures of plotly.
+
+They show what the figures of `shes experiment` show, as the experiment's design says, and then the curves of that
+table that are in none of them.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
-from html import escape
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+from shes.viewing.report.curve_charts import X_AXES, Figure
+from shes.viewing.report.designed_chart import MOST_BANDS, Place, Rows, chart_figure, chart_title, current, has_column
+from shes.viewing.report.experiment_design import DesignedChart, DesignedCurve, Designs
+from shes.viewing.report.speedup_chart import speedup_figure
 
-from shes.viewing.report.curve_charts import X_AXES, Figure, mean_traces, numbered_look
-
+EXPERIMENT_AXES = ("env_steps", "wall_time_s")
+"""Those of `X_AXES` that `curves.csv` has."""
 _CURVES = "curves.csv"
 _MEASURES = {"score_mean": "test score", "training_return_mean": "training reward"}
-_COLUMNS = {"env_steps": "env_steps", "wall_time_s": "seconds"}
-"""Columns of `curves.csv` by those of a run's tables."""
-_MOST_CURVES = 10
-"""Curves of a figure: with more variants, each group has figures of its own."""
-_MOST_BANDS = 6
-"""Curves of a figure that have a band: more could not be told apart."""
-_LEGEND_PIXELS, _FRAME_PIXELS = 20, 300
+_MOST_CURVES = MOST_BANDS
+"""Curves of a figure without a design: with more variants, each group has figures of its own."""
 
-_Run = tuple[str, str]
-"""Seed, and digest of the settings; the digest is empty in a table without it."""
-_Rows = Mapping[tuple[str, str], Mapping[_Run, Sequence[Mapping[str, str]]]]
-"""Rows of an environment by group and variant, then by run."""
+Charts = dict[str, Figure | dict[str, Figure]]
+"""Figures by title; one for each of `X_AXES` if it depends on the horizontal axis."""
 
 
-def experiment_charts(folder: Path) -> dict[str, dict[str, Figure]]:
-    """Return the figures of the curves in `folder` by title, each over all of `X_AXES`; none without `curves.csv`.
+def experiment_charts(folder: Path, designs: Designs) -> dict[str, Charts]:
+    """Return the figures of the curves in `folder` by experiment; without `curves.csv` none.
+
+    Those of curves that are in no figure of a design come last, under an empty name.
 
     Raises:
         ValueError: A number cannot be read.
         OSError: The table cannot be read.
     """
     file = folder / _CURVES
-    if not file.is_file():
-        return {}
-    envs: dict[str, dict[tuple[str, str], dict[_Run, list[dict[str, str]]]]] = {}
+    rows = _read(file) if file.is_file() else {}
+    found: dict[str, Charts] = {}
+    for name, design in designs.by_name.items():
+        found[name] = _figures(design["charts"], rows)
+        for speedup in design["speedups"]:
+            figure = speedup_figure(speedup, _current_rows(rows))
+            found[name] |= {f"{speedup['title']}: speed-up": figure} if figure["data"] else {}
+    found[""] = _figures(list(_others(rows, designs)), rows)
+    return {name: charts for name, charts in found.items() if charts}
+
+
+def _read(file: Path) -> Rows:
+    """Return the rows of a table by place and run."""
+    rows: dict[Place, dict[tuple[str, str], list[dict[str, str]]]] = {}
     with file.open(newline="", encoding="utf-8") as lines:
         for row in csv.DictReader(lines):
-            variants = envs.setdefault(row["env"], {})
-            runs = variants.setdefault((row["group"], row["variant"]), {})
+            runs = rows.setdefault((row["env"], row["group"], row["variant"]), {})
             runs.setdefault((row["seed"], row.get("settings") or ""), []).append(row)
-    found: dict[str, dict[str, Figure]] = {}
-    for env, variants in envs.items():
-        groups = {"": variants}
-        if len(variants) > _MOST_CURVES:
-            names = dict.fromkeys(group for group, _ in variants)
-            groups = {name: {place: variants[place] for place in variants if place[0] == name} for name in names}
-        for group, rows in groups.items():
-            for column, words in _MEASURES.items():
-                title = f"{env}, {group}: {words}" if group else f"{env}: {words}"
-                figures = {x: _figure(title, rows, column, x) for x in X_AXES}
-                if any(figure["data"] for figure in figures.values()):
-                    found[title] = figures
+    return rows
+
+
+def _figures(charts: Sequence[DesignedChart], rows: Rows) -> Charts:
+    """Return those of the charts that have a curve, by title."""
+    found: Charts = {}
+    for chart in charts:
+        figures = {x: chart_figure(chart, rows, x) for x in X_AXES}
+        if any(figure["data"] for figure in figures.values()):
+            found[chart_title(chart)] = figures
     return found
 
 
-def _figure(title: str, rows: _Rows, column: str, x: str) -> Figure:
-    """Return a figure of the runs that have `column`, over `x`; over environment steps if a run does not have `x`."""
-    full = {
-        place: {run: found for run, found in runs.items() if all(row.get(column) for row in found)}
-        for place, runs in rows.items()
+def _others(rows: Rows, designs: Designs) -> Iterator[DesignedChart]:
+    """Yield charts of the curves that no chart of a design shows."""
+    shown = {
+        (chart["column"], chart["env"], curve["group"], curve["variant"])
+        for design in designs.by_name.values()
+        for chart in design["charts"]
+        for curve in chart["curves"]
     }
-    drawn = {
-        place: [full[place][run] for run in _current(list(runs)) if run in full[place]] for place, runs in rows.items()
+    for env in dict.fromkeys(place[0] for place in rows):
+        groups = dict.fromkeys(group for each, group, _ in rows if each == env)
+        for column, words in _MEASURES.items():
+            places = [
+                place
+                for place, runs in rows.items()
+                if place[0] == env
+                and (column, *place) not in shown
+                and any(has_column(run, column) for run in runs.values())
+            ]
+            parts, name = {env: places}, designs.method if len(groups) > 1 else designs.variant
+            if len(places) > _MOST_CURVES:
+                parts = {f"{env}, {group}": [each for each in places if each[1] == group] for group in groups}
+                name = designs.variant
+            for title, own in parts.items():
+                if own:
+                    yield _undesigned(title, column, words, {each: name(*each[1:]) for each in own})
+
+
+def _undesigned(title: str, column: str, words: str, names: Mapping[Place, str]) -> DesignedChart:
+    """Return a chart of places of one environment, with their names."""
+    curves: list[DesignedCurve] = [
+        {"group": group, "variant": variant, "words": name, "is_after_primitive": False}
+        for (_, group, variant), name in names.items()
+    ]
+    return {
+        "env": next(iter(names))[0],
+        "title": title,
+        "column": column,
+        "words": words,
+        "axes": list(EXPERIMENT_AXES),
+        "curves": curves,
+        "references": [],
+        "has_running_best": False,
     }
-    num_others = sum(map(len, full.values())) - sum(map(len, drawn.values()))
-    has_time = all(row.get("seconds") for runs in drawn.values() for run in runs for row in run)
-    x = x if x == "wall_time_s" and has_time else "env_steps"
-    label, factor, ticks = X_AXES[x]
-    data: list[dict[str, Any]] = []
-    several = len({group for group, _ in rows}) > 1
-    for number, ((group, variant), runs) in enumerate(drawn.items()):
-        if runs:
-            xs = [np.array([_since_start(row, _COLUMNS[x]) for row in run]) * factor for run in runs]
-            ys = [np.array([float(row[column]) for row in run]) for run in runs]
-            words = f"{group}, {variant}" if several else variant
-            label_of = f"{words} ({len(runs)} seed{'s' * (len(runs) != 1)})"
-            traces = mean_traces(label_of, numbered_look(number), xs, ys)
-            data += [trace for trace in traces if "name" in trace or len(rows) <= _MOST_BANDS]
-    layout = {
-        "title": {"text": escape(title) + _note(num_others)},
-        "height": _FRAME_PIXELS + _LEGEND_PIXELS * sum("name" in trace for trace in data),
-        "showlegend": True,
-        "xaxis": {"title": {"text": label}, "tickformat": ticks},
-    }
-    return {"data": data, "layout": layout}
 
 
-def _since_start(row: Mapping[str, str], column: str) -> float:
-    """Return the environment steps or seconds since the training of a run began, that of its primitive included."""
-    return float(row[column]) + float(row.get(f"primitive_{column}") or 0)
-
-
-def _current(runs: Sequence[_Run]) -> list[_Run]:
-    """Return those of the `runs` of a variant that have the settings of the first one: the table begins with them."""
-    return [run for run in runs if run[1] == runs[0][1]]
-
-
-def _note(num_others: int) -> str:
-    """Return the line below a title that says how many runs are left out; empty if none is."""
-    is_one = num_others == 1
-    words = f"{num_others} run{'s' * (not is_one)} of other settings {'is' if is_one else 'are'} left out"
-    return f"<br><sub>{words}</sub>" if num_others else ""
+def _current_rows(rows: Rows) -> dict[tuple[str, str], list[Mapping[str, str]]]:
+    """Return the rows of the current runs by group and variant."""
+    found: dict[tuple[str, str], list[Mapping[str, str]]] = {}
+    for (_, group, variant), runs in rows.items():
+        found.setdefault((group, variant), []).extend(row for run in current(list(runs)) for row in runs[run])
+    return found

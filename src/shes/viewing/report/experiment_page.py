@@ -4,36 +4,36 @@ from __future__ import annotations
 
 import csv
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
-from html import escape
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from shes.errors import RunFolderError
-from shes.viewing.report.curve_charts import Figure
-from shes.viewing.report.experiment_charts import experiment_charts
-from shes.viewing.report.page import cards, details, image_card, paragraph, plots, section, table
+from shes.viewing.report.experiment_charts import Charts, experiment_charts
+from shes.viewing.report.experiment_design import Designs, read_designs
+from shes.viewing.report.page import cards, details, heading, image_card, paragraph, plots, section, table
 from shes.viewing.report.reading import RUNS_OF_STUDY
 
-_HEADINGS = (
-    *("group", "variant", "environment", "seeds", "mean ± standard error", "interquartile mean [95 %]"),
-    *("success rate", "against", "p (Holm)", "p (Mann-Whitney)", "superiority", "hours"),
+_RESULTS = (
+    *("environment", "runs", "seeds", "mean ± standard error", "interquartile mean [95 %]"),
+    *("success rate", "hours"),
 )
+_COMPARISONS = ("environment", "runs", "compared with", "difference", "p (Holm)", "p (Mann-Whitney)", "superiority")
 _NEEDED = ("group", "variant", "env", "seeds", "score_mean", "score_iqm")
 _HINT = (
-    "Mean and interquartile mean over seeds of the measure of the experiment, with a bootstrap interval; p values of a "
-    "permutation test, corrected by Holm's method, and of a Mann-Whitney U test; superiority: the probability that a "
-    "seed exceeds one of the variant it is compared with; hours: mean of the runs."
+    "Results: mean and interquartile mean over seeds of the measure of the experiment, with a bootstrap interval; "
+    "hours: mean of the runs. Comparisons: p values of a permutation test, corrected by Holm's method, and of a "
+    "Mann-Whitney U test; superiority: the probability that a seed exceeds one of those it is compared with."
 )
 _CURVES_HINT = (
-    "Mean over seeds, with a 95 % bootstrap interval where there are few curves, as far as all seeds reach. A curve "
-    "with a transferred primitive begins where the training of its primitive ended, if curves.csv has that time."
+    "Mean over seeds, with a 95 % bootstrap interval if there are at most ten curves, as far as all seeds reach. A "
+    "curve with a transferred primitive begins where the training of its primitive ended, if curves.csv has that time."
 )
 _ORIGIN = ("hardware", "versions", "commit")
 _SETTINGS = "table1-settings"
 """Table of the settings in Table I, beside those of scale paper."""
 
 
-def experiment_section(folder: Path) -> tuple[str, dict[str, dict[str, Figure]]]:
+def experiment_section(folder: Path) -> tuple[str, Charts]:
     """Return the section of the experiment in `folder`, and the figures of plotly in it by name; empty without one.
 
     Raises:
@@ -42,18 +42,37 @@ def experiment_section(folder: Path) -> tuple[str, dict[str, dict[str, Figure]]]
     if not (folder / RUNS_OF_STUDY).is_file():
         return "", {}
     try:
-        charts = {f"{folder} {title}": figures for title, figures in experiment_charts(folder).items()}
+        designs = read_designs(folder)
+        by_experiment = experiment_charts(folder, designs)
+        charts = {
+            name: {f"{folder} {name} {title}".replace("  ", " "): figure for title, figure in own.items()}
+            for name, own in by_experiment.items()
+        }
         tables = {path.stem: rows for path in sorted(folder.glob("*.csv")) if (rows := _read(path))}
         figures = {path.stem: b64encode(path.read_bytes()).decode() for path in sorted(folder.glob("*.png"))}
-        parts = [paragraph(_CURVES_HINT, "hint") if charts else "", plots(charts)]
-        parts += [cards(image_card(name, f"data:image/png;base64,{data}") for name, data in figures.items())]
-        for name, rows in tables.items():
-            parts += [f"<h3>{escape(name)}</h3>", table(_HEADINGS, map(_cells, rows), "figures")]
-            parts += [paragraph(_origin(rows), "hint")]
+        parts = [
+            paragraph(_questions(folder, designs), "hint"),
+            paragraph(_CURVES_HINT, "hint") if charts else "",
+        ]
+        for name, own in charts.items():
+            title = designs.title(name) if name else "Further curves"
+            parts += [heading(title) if designs.by_name else "", plots(own)]
+        parts += [cards((image_card(name, f"data:image/png;base64,{data}") for name, data in figures.items()), "wide")]
+        parts += [paragraph(_HINT, "hint") if tables else ""]
+        parts += [part for name, rows in tables.items() for part in _tables(name, rows, designs)]
         parts += [_settings_of_table_1(folder)]
-    except (OSError, ValueError, KeyError, csv.Error) as error:
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise RunFolderError(f"the experiment in {folder} cannot be read: {error}.") from error
-    return section(f"Experiment {folder}", paragraph(_HINT, "hint"), *parts), charts
+    return section(f"Experiment {folder}", *parts), {
+        name: each for own in charts.values() for name, each in own.items()
+    }
+
+
+def _questions(folder: Path, designs: Designs) -> str:
+    """Return the questions of the groups that have runs; empty without a design."""
+    with (folder / RUNS_OF_STUDY).open(newline="", encoding="utf-8") as file:
+        groups = {row["group"] for row in csv.DictReader(file)}
+    return "; ".join(f"{group}: {words}" for group, words in designs.questions.items() if group in groups)
 
 
 def _settings_of_table_1(folder: Path) -> str:
@@ -76,23 +95,49 @@ def _read(path: Path) -> list[dict[str, str]]:
         return list(reader) if is_comparison else []
 
 
-def _cells(row: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the cells of `_HEADINGS` for a comparison."""
+def _tables(name: str, rows: Sequence[Mapping[str, str]], designs: Designs) -> Iterator[str]:
+    """Yield the results of an experiment, once for all comparisons of the same runs, then these and their origin."""
+    title = designs.title(name)
+    results = dict.fromkeys(_result(row, designs) for row in rows)
+    comparisons = [_comparison(row, designs) for row in rows if row.get("against")]
+    yield heading(f"{title}: results")
+    yield table(_RESULTS, results, "figures")
+    if comparisons:
+        yield heading(f"{title}: comparisons")
+        yield table(_COMPARISONS, comparisons, "figures")
+    yield paragraph(_origin(rows), "hint")
 
-    def text(name: str, digits: int = 2) -> str:
-        return f"{float(row[name]):.{digits}f}" if row.get(name) else "-"
 
-    def estimate(name: str) -> str:
-        return text(f"{name}_mean") + (f" ± {text(f'{name}_error')}" if row.get(f"{name}_error") else "")
+def _text(row: Mapping[str, str], name: str, digits: int = 2) -> str:
+    return f"{float(row[name]):.{digits}f}" if row.get(name) else "-"
 
+
+def _estimate(row: Mapping[str, str], name: str) -> str:
+    error = f" ± {_text(row, f'{name}_error')}" if row.get(f"{name}_error") else ""
+    return _text(row, f"{name}_mean") + error
+
+
+def _result(row: Mapping[str, str], designs: Designs) -> tuple[str, ...]:
+    """Return the cells of `_RESULTS`."""
     return (
-        *(row[name] for name in ("group", "variant", "env", "seeds")),
-        estimate("score"),
-        f"{text('score_iqm')} [{text('score_iqm_low')}, {text('score_iqm_high')}]",
-        estimate("success"),
-        ", ".join(filter(None, (row.get("against_group"), row.get("against")))) or "-",
-        *(text(name, digits) for name, digits in (("p_holm", 4), ("mann_whitney_p", 4), ("superiority", 2))),
-        text("hours", 3),
+        row["env"],
+        designs.method(row["group"], row["variant"]),
+        row["seeds"],
+        _estimate(row, "score"),
+        f"{_text(row, 'score_iqm')} [{_text(row, 'score_iqm_low')}, {_text(row, 'score_iqm_high')}]",
+        _estimate(row, "success"),
+        _text(row, "hours", 3),
+    )
+
+
+def _comparison(row: Mapping[str, str], designs: Designs) -> tuple[str, ...]:
+    """Return the cells of `_COMPARISONS`."""
+    return (
+        row["env"],
+        designs.method(row["group"], row["variant"]),
+        designs.method(row.get("against_group") or row["group"], row["against"]),
+        f"{float(row['difference']):+.2f}" if row.get("difference") else "-",
+        *(_text(row, name, digits) for name, digits in (("p_holm", 4), ("mann_whitney_p", 4), ("superiority", 2))),
     )
 
 

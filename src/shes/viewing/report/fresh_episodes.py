@@ -41,7 +41,7 @@ def result_rows(groups: Sequence[ReportedGroup], found: dict[str, Evaluation]) -
     for group in groups:
         evaluated = [run for run in group.runs if run.name in found]
         if len(evaluated) > 1:
-            rows.append(_group_row(group.label, [found[run.name] for run in evaluated]))
+            rows.append(_group_row(group.title, [found[run.name] for run in evaluated]))
         rows += [_run_row(run, found[run.name]) for run in evaluated]
     return rows
 

@@ -30,13 +30,12 @@ function layout(own) {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
     font: {color: "--ink", size: 12, family: "system-ui, sans-serif"},
     hoverlabel: {bgcolor: "--surface", bordercolor: "--edge", font: {color: "--ink"}, namelength: 40},
-    legend: {orientation: "h", yref: "container", y: 0, yanchor: "bottom", traceorder: "normal"},
-    margin: {l: 52, r: 14, t: own.title ? 40 : 14, b: 52},
+    legend: {orientation: "h", yref: "container", y: 0, yanchor: "bottom", traceorder: "normal", maxheight: 5000},
+    margin: {l: 52, r: 14, t: 30, b: 52},  // the mode bar has the upper one for itself
     modebar: {bgcolor: "rgba(0,0,0,0)", color: "--faint", activecolor: "--accent"},
     dragmode: matchMedia("(pointer: coarse)").matches ? false : "zoom",  // else a finger could not scroll the page
   };
-  const title = own.title && {x: 0, xref: "paper", font: {size: 14}, ...own.title};
-  return themed({...base, ...own, title, xaxis: axisOf(own.xaxis), yaxis: axisOf(own.yaxis)});
+  return themed({...base, ...own, title: undefined, xaxis: axisOf(own.xaxis), yaxis: axisOf(own.yaxis)});
 }
 
 function isShown(trace, episode) {
@@ -45,14 +44,52 @@ function isShown(trace, episode) {
   return episode === undefined ? !trace.meta.alone : trace.meta.episode === episode;
 }
 
+const LEGEND = {symbol: 60, character: 6.6, line: 20};  // pixels
+
+// Returns a name with breaks where it would be longer than the legend of a box of this width.
+function broken(name, width) {
+  const most = Math.floor((width - LEGEND.symbol) / LEGEND.character);
+  const lines = [""];
+  for (const word of name.split(" ")) {
+    const line = `${lines.at(-1)} ${word}`.trim();
+    if (line.length > most && lines.at(-1)) lines.push(word);
+    else lines[lines.length - 1] = line;
+  }
+  return lines.join("<br>");
+}
+
 function draw(box) {
   const name = box.dataset.figure;
   const figure = figures[name].data ? figures[name] : figures[name][state.x];
-  const traces = figure.data.filter((trace) => isShown(trace, state.episode[name]));
+  const hasLegend = figure.layout.showlegend;
+  const traces = figure.data.filter((trace) => isShown(trace, state.episode[name])).map((trace) =>
+    hasLegend && trace.name ? {...trace, name: broken(trace.name, box.clientWidth)} : trace);
+  const {title, height} = figure.layout;
+  const breaks = traces.filter((trace) => hasLegend && trace.showlegend !== false && trace.name?.includes("<br>")).length;
+  const isNew = !drawn.has(box);
   drawn.add(box);
-  if (figure.layout.height) box.style.height = `${figure.layout.height}px`;
-  const config = {displaylogo: false, responsive: true, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]]};
-  return Plotly.react(box, themed(traces), layout(figure.layout), config);
+  if (title) box.previousElementSibling.innerHTML = title.text;  // whose names are escaped for plotly, too
+  if (height) box.style.height = `${height + breaks * LEGEND.line}px`;
+  const config = {
+    displaylogo: false, responsive: true, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]],
+    toImageButtonOptions: {filename: title && box.previousElementSibling.innerText},
+  };
+  const ready = Plotly.react(box, themed(traces), layout({...figure.layout, height: undefined}), config);
+  if (isNew) box.on("plotly_legendclick", ({curveNumber}) => toggleBest(box, curveNumber));
+  return ready;
+}
+
+// One entry of the legend shows and hides the running best of every curve. Returns whether plotly has to go on.
+function toggleBest(box, number) {
+  if (box.data[number].meta?.best !== "legend") return true;
+  const isShown = box.data[number].visible === "legendonly";
+  const curveOf = (trace) => box.data.find((each) => each.name && each.legendgroup === trace.legendgroup);
+  const change = box.data.map((trace, index) => ({trace, index})).filter(({trace}) => trace.meta?.best);
+  Plotly.restyle(box, {
+    visible: change.map(({trace}) =>
+      trace.meta.best === "legend" ? (isShown || "legendonly") : isShown && (curveOf(trace).visible ?? true)),
+  }, change.map(({index}) => index));
+  return false;
 }
 
 const redraw = () => drawn.forEach(draw);
@@ -62,6 +99,7 @@ function drawLegend() {
   if (!legend) return;
   const chips = axes[state.x].map(({label, color, dash}) => {
     const chip = document.createElement("button");
+    chip.type = "button";
     const dashes = {dash: "6 4", dot: "2 3", dashdot: "6 3 2 3"}[dash] || "none";
     chip.innerHTML = `<svg width="26" height="6"><path d="M0 3H26" stroke="var(${color})" stroke-width="3" stroke-dasharray="${dashes}"/></svg>`;
     chip.append(label);
@@ -76,9 +114,11 @@ function drawLegend() {
   legend.replaceChildren(...chips);
 }
 
-for (const input of document.querySelectorAll("input[name=x]"))
+const choices = document.querySelectorAll("input[name=x]");
+for (const input of choices)
   input.addEventListener("change", () => {
     state.x = input.value;
+    choices.forEach((each) => { each.checked = each.value === state.x; });
     drawLegend();
     redraw();
   });

@@ -79,25 +79,35 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[Any]], kind: str = ""
     )
 
 
-def details(summary: str, content: str) -> str:
-    """Return `content` that is shown on demand; empty if it is."""
-    return f"<details><summary>{escape(summary)}</summary>\n{content}</details>" if content else ""
+def details(summary: str, content: str, *, is_heading: bool = False) -> str:
+    """Return `content` that is shown on demand; empty if it is. The summary may be the heading of a section."""
+    shown = f"<h2>{escape(summary)}</h2>" if is_heading else escape(summary)
+    return f"<details><summary>{shown}</summary>\n{content}</details>" if content else ""
 
 
 def plots(names: Iterable[str]) -> str:
-    """Return places for figures, in a grid; empty without `names`."""
-    places = [f'<div class="plot" data-figure="{escape(name)}"></div>' for name in names]
+    """Return places for figures, each below its title, in a grid; empty without `names`."""
+    places = [
+        f'<figure><figcaption></figcaption><div class="plot" data-figure="{escape(name)}"></div></figure>'
+        for name in names
+    ]
     return f'<div class="plots">{"".join(places)}</div>' if places else ""
 
 
-def toolbar() -> str:
-    """Return the choice of the horizontal axis, and the place of the legend."""
+def toolbar(content: str, axes: Iterable[str] = X_AXES, *, has_legend: bool = True) -> str:
+    """Return `content` below the choice of its horizontal axis and the place of the legend of runs; empty if it is.
+
+    The choice, one of `axes`, stays in the window as long as the content is.
+    """
+    if not content:
+        return ""
     choices = "".join(
         f'<label><input type="radio" name="x" value="{name}" autocomplete="off"{" checked" * (number == 0)}> '
-        f"{label}</label>"
-        for number, (name, (label, *_)) in enumerate(X_AXES.items())
+        f"{X_AXES[name][0]}</label>"
+        for number, name in enumerate(axes)
     )
-    return f'<div class="bar"><fieldset>{choices}</fieldset><div id="legend"></div></div>'
+    legend = '<div id="legend"></div>' if has_legend else ""
+    return f'<div>\n<form class="bar"><fieldset>{choices}</fieldset>{legend}</form>\n{content}\n</div>'
 
 
 def map_card(name: str, title: str, subtitle: str, episodes: Sequence[str]) -> str:
@@ -105,7 +115,7 @@ def map_card(name: str, title: str, subtitle: str, episodes: Sequence[str]) -> s
     options = "".join(f'<option value="{number}">{escape(each)}</option>' for number, each in enumerate(episodes))
     choice = f'<select data-map="{name}" autocomplete="off"><option value="">all episodes</option>{options}</select>'
     return (
-        f'<div class="card">{_heading(title, subtitle)}<label>Show {choice}</label>'
+        f'<div class="card">{heading(title, subtitle)}<label>Show {choice}</label>'
         f'<div class="plot map" data-figure="{name}"></div></div>'
     )
 
@@ -113,19 +123,20 @@ def map_card(name: str, title: str, subtitle: str, episodes: Sequence[str]) -> s
 def video_card(title: str, subtitle: str, uri: str) -> str:
     """Return a video."""
     video = f'<video controls loop muted playsinline src="{uri}"></video>'
-    return f'<div class="card">{_heading(title, subtitle)}{video}</div>'
+    return f'<div class="card">{heading(title, subtitle)}{video}</div>'
 
 
 def image_card(title: str, uri: str) -> str:
     """Return a picture."""
-    return f'<div class="card">{_heading(title, "")}<img alt="{escape(title)}" src="{uri}"></div>'
+    return f'<div class="card">{heading(title)}<img alt="{escape(title)}" src="{uri}"></div>'
 
 
-def _heading(title: str, subtitle: str) -> str:
+def heading(title: str, subtitle: str = "") -> str:
+    """Return a heading within a section, with a line below."""
     return f"<h3>{escape(title)}</h3>" + (paragraph(subtitle, "hint") if subtitle else "")
 
 
-def cards(each: Iterable[str]) -> str:
-    """Return cards in a grid; empty if there are none."""
+def cards(each: Iterable[str], kind: str = "") -> str:
+    """Return cards in a grid, one in a row if they are of kind `wide`; empty if there are none."""
     found = "\n".join(each)
-    return f'<div class="maps">{found}</div>' if found else ""
+    return f'<div class="{f"maps {kind}".strip()}">{found}</div>' if found else ""

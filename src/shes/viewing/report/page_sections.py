@@ -6,7 +6,6 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, TypeVar
 
 from shes.drawing.opengl import find_opengl
@@ -18,7 +17,7 @@ from shes.viewing.report.curve_charts import SECTIONS, X_AXES, Figure, constants
 from shes.viewing.report.experiment_page import experiment_section
 from shes.viewing.report.fresh_episodes import HEADINGS, evaluate_runs, result_rows
 from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes
-from shes.viewing.report.page import cards, details, map_card, paragraph, plots, section, table, video_card
+from shes.viewing.report.page import cards, details, map_card, paragraph, plots, section, table, toolbar, video_card
 from shes.viewing.report.reading import ReportedGroup, ReportedRun, ReportedRuns
 from shes.viewing.report.timing import time_figures
 from shes.viewing.report.videos import video_uri
@@ -27,6 +26,8 @@ _T = TypeVar("_T")
 
 _MOST_SHOWN = 6
 """Groups that have a map and a video."""
+_MOST_SHOWN_OF_EXPERIMENTS = 16
+"""The same of experiments: two for each of eight environments."""
 _SPEED = len(SECTIONS) - 1
 _ORIGIN = ("environment", "algorithm", "preset", "seed")
 _STATE_HEADINGS = (*_ORIGIN, "generation", "steps", "time", "best evaluation", "state")
@@ -49,13 +50,14 @@ class Sections:
     def results(self, episodes: int, seed: int | None, num_workers: int) -> str:
         """Return the results on fresh episodes."""
         self._evaluated = evaluate_runs(self.read.runs, episodes, num_workers, seed, self._on_part)
-        rows = result_rows(self.read.groups, self._evaluated)
+        shown = table(HEADINGS, result_rows(self.read.groups, self._evaluated), "figures runs")
         hint = (
             f"The best checkpoint of each run on {episodes} episodes that its training did not use: mean ± standard "
             "error over episodes, or over runs in the row of a group, and the 95 % interval of the mean (bootstrap; of "
             "the success rate of a run: Wilson)."
         )
-        return section("Fresh episodes", paragraph(hint, "hint"), table(HEADINGS, rows, "figures")) if rows else ""
+        folded = self._folded(f"Results of {_counted(len(self._evaluated), 'run')}", shown)
+        return section("Fresh episodes", paragraph(hint, "hint"), folded) if shown else ""
 
     def curves(self) -> list[str]:
         """Return a section for each of `SECTIONS`."""
@@ -82,13 +84,19 @@ class Sections:
             for number, title in enumerate(SECTIONS)
         ]
 
+    def folded_curves(self, curves: Sequence[str]) -> str:
+        """Return the sections of curves beside an experiment's own, shown on demand."""
+        curves = [each for each in curves if each]
+        return details("Curves of the runs", toolbar("\n".join(curves)), is_heading=True) if curves else ""
+
     def pictures(self, episodes: int, seed: int | None, *, has_videos: bool) -> str:
         """Return maps and videos of the first run of each group that could be evaluated, as far as they can be made."""
         maps: list[str] = []
         videos: list[str] = []
-        for number, group in enumerate(_first_of_each_env(self.read.groups)[:_MOST_SHOWN]):
+        shown = _shown_groups(self.read)
+        for number, group in enumerate(shown):
             run = next((run for run in group.runs if run.name in self._evaluated), group.runs[0])
-            subtitle = group.label if len(self.read.groups) > 1 else ""
+            subtitle = group.label if len(self.read.groups) > 1 and run.place is None else ""
             self._on_part()
             journeys = _attempt(run, "map", lambda run=run: play_episodes(run.folder.path, episodes, seed))
             if journeys is not None:
@@ -100,8 +108,9 @@ class Sections:
                 uri = _attempt(run, "video", lambda run=run: video_uri(run, seed))
                 videos += [] if uri is None else [video_card(run.name, subtitle, uri)]
         some = (
-            f" Shown are {_MOST_SHOWN} groups, beginning with one of each environment."
-            if len(self.read.groups) > _MOST_SHOWN
+            f" Shown are {len(shown)} of {len(self.read.groups)} groups: the first one of each environment, then the "
+            "second ones, and so on."
+            if len(self.read.groups) > len(shown)
             else ""
         )
         where = (
@@ -121,14 +130,12 @@ class Sections:
     def settings(self) -> str:
         """Return the settings in which groups differ, and those in which a run differs from its preset."""
         groups = self.read.groups
-        differing = differing_settings(groups)
-        parts = [
-            table(
-                ("setting", *(group.label for group in groups)),
-                [(name, *row) for name, row in differing.items()],
-                "settings",
-            )
-        ]
+        parts: list[str] = []
+        if self.read.experiments:
+            envs = dict.fromkeys(run.config.run.env for run in self.read.runs)
+            parts += [details(env, _differing(_groups_in(env, groups))) for env in envs]
+        else:
+            parts.append(_differing(groups))
         for group in groups:
             run = group.runs[0]
             changed = _attempt(run, "comparison with the preset", lambda run=run: changed_settings(run.config))
@@ -143,12 +150,12 @@ class Sections:
                 )
                 or paragraph(f"{run.name}: as {preset}.")
             )
-        return section("Settings", *parts)
+        return section("Settings", self._folded(f"Settings of {_counted(len(groups), 'group')}", "\n".join(parts)))
 
-    def experiments(self, given: Sequence[Path]) -> str:
-        """Return the figures and comparisons of those folders in `given` that are an experiment's."""
+    def experiments(self) -> str:
+        """Return the curves, figures and comparisons of the experiments."""
         found: list[str] = []
-        for folder in dict.fromkeys(given):
+        for folder in self.read.experiments:
             try:
                 text, figures = experiment_section(folder)
                 found.append(text)
@@ -160,13 +167,14 @@ class Sections:
     def runs(self) -> str:
         """Return the runs, and the notes on what could not be done so far."""
         groups = self.read.groups
-        has_groups = len(groups) > 1
+        has_labels = len(groups) > 1 and not all(run.place for run in self.read.runs)
         rows = [
-            (run.name, *([group.label] if has_groups else []), *_state(run)) for group in groups for run in group.runs
+            (run.name, *([group.label] if has_labels else []), *_state(run)) for group in groups for run in group.runs
         ]
-        headings = ("run", *(["group"] if has_groups else []), *_STATE_HEADINGS)
+        headings = ("run", *(["group"] if has_labels else []), *_STATE_HEADINGS)
         notes = [*self.read.left_out, *(f"{run.name}: {note}" for run in self.read.runs for note in run.notes)]
-        return section("Runs", table(headings, rows), *(paragraph(note, "note") for note in notes))
+        shown = self._folded(_counted(len(rows), "run"), table(headings, rows))
+        return section("Runs", shown, *(paragraph(note, "note") for note in notes))
 
     def origins(self) -> str:
         """Return command, hardware, versions and commit of each run."""
@@ -177,7 +185,32 @@ class Sections:
             )
             for run in self.read.runs
         ]
-        return section("Hardware, versions and commands", *parts)
+        folded = self._folded(f"Origin of {_counted(len(parts), 'run')}", "\n".join(parts))
+        return section("Hardware, versions and commands", folded)
+
+    def _folded(self, summary: str, content: str) -> str:
+        """Return `content`; beside an experiment, whose results come first, it is shown on demand."""
+        return details(summary, content) if self.read.experiments else content
+
+
+def num_parts(read: ReportedRuns, *, has_videos: bool) -> int:
+    """Return how often `Sections` says that a part of its work begins: evaluations, maps and videos."""
+    return len(read.runs) + len(_shown_groups(read)) * (1 + has_videos)
+
+
+def _shown_groups(read: ReportedRuns) -> list[ReportedGroup]:
+    """Return the groups that have a map and a video."""
+    return _first_of_each_env(read.groups)[: _MOST_SHOWN_OF_EXPERIMENTS if read.experiments else _MOST_SHOWN]
+
+
+def _counted(number: int, word: str) -> str:
+    return f"{number} {word}{'s' * (number != 1)}"
+
+
+def _differing(groups: Sequence[ReportedGroup]) -> str:
+    """Return the settings in which `groups` differ; empty if there are none."""
+    rows = [(name, *row) for name, row in differing_settings(groups).items()]
+    return table(("setting", *(group.label for group in groups)), rows, "settings")
 
 
 def _attempt(run: ReportedRun, what: str, make: Callable[[], _T]) -> _T | None:
@@ -192,10 +225,19 @@ def _attempt(run: ReportedRun, what: str, make: Callable[[], _T]) -> _T | None:
 def _state(run: ReportedRun) -> tuple[Any, ...]:
     """Return the cells of `_STATE_HEADINGS` for a run."""
     state, times = run.state, run.tables["progress"].get("wall_time_s")
-    made, end = f"{state.generation} of {state.generations}", "-" if times is None else _duration(float(times[-1]))
+    end = "-" if times is None else _duration(float(times[-1]))
     origin = (state.env, state.algorithm, state.preset, state.seed)
     score = "-" if state.best_score is None else f"{state.best_score:.2f}"
-    return (*origin, made, f"{state.env_steps:,}", end, score, state.state)
+    return (*origin, *_progress(run), end, score, state.state)
+
+
+def _progress(run: ReportedRun) -> tuple[str, str]:
+    """Return generation and environment steps of a run, with the limit of the one that is nearer to its own."""
+    generation, steps = run.state.generation or 0, run.state.env_steps or 0
+    most, most_steps = run.config.run.generations, run.config.run.env_steps
+    if most_steps is not None and steps / most_steps >= generation / most:
+        return str(generation), f"{steps:,} of {most_steps:,}"
+    return f"{generation} of {most}", f"{steps:,}"
 
 
 def _groups_in(env: str, groups: Sequence[ReportedGroup]) -> list[ReportedGroup]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from shes.runs.tables import read_csv
 from shes.training.runs_folder import find_runs
 from shes.types import F64Array
 from shes.viewing.groups import Group, group_runs, name_groups
+from shes.viewing.report.experiment_runs import RunPlace, group_places, place_runs
 
 Table = dict[str, F64Array]
 """Columns by name, with a value per row."""
@@ -31,13 +32,15 @@ class ReportedRun:
 
     folder: RunFolder
     name: str
-    """Its path, or its name as a shipped agent."""
+    """Its path, its name as a shipped agent, or that of its place in an experiment."""
     config: TrainConfig
     record: dict[str, Any]
     """Content of `config.json`."""
     state: RunState
     tables: dict[str, Table]
     """`progress` and `evaluation`; a table that is missing or damaged is empty."""
+    place: RunPlace | None = None
+    """Its place in an experiment."""
     notes: list[str] = field(default_factory=list)
     """What could not be read, or done with this run."""
 
@@ -56,8 +59,11 @@ class ReportedGroup:
 
     @property
     def title(self) -> str:
-        """The run's name if the group has a single run, otherwise the label."""
-        return self.runs[0].name if len(self.runs) == 1 else self.label
+        """The run's name if the group has a single run, otherwise the label; of an experiment, with environment."""
+        place = self.runs[0].place
+        if len(self.runs) == 1:
+            return self.runs[0].name
+        return self.label if place is None else f"{place.env}: {self.label} ({len(self.runs)} runs)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +75,8 @@ class ReportedRuns:
     """Groups of curves over wall-clock time, on which workers and machine have an effect."""
     left_out: list[str]
     """Why runs that cannot be read are left out."""
+    experiments: list[Path] = field(default_factory=list)
+    """Those of the given folders that are an experiment's."""
 
     @property
     def runs(self) -> list[ReportedRun]:
@@ -98,44 +106,66 @@ def read_runs(runs: Sequence[Path | str], labels: Sequence[str] = ()) -> Reporte
             f"there must be one label for each of the {len(runs)} runs, got {len(labels)}: {', '.join(labels)}. "
             "Set --labels."
         )
+    experiments = list(dict.fromkeys(Path(each) for each in runs if is_experiment(Path(each))))
     read: dict[Path, ReportedRun] = {}  # a run named twice counts once
     label_of: dict[Path, str] = {}
+    places: dict[Path, RunPlace] = {}
     errors: dict[str, ShesError] = {}
     for number, given in enumerate(runs):
-        for folder in [] if is_without_runs(Path(given)) else find_runs(given):
-            place = folder.path.resolve()
-            if place in read:
+        folders = [] if is_without_runs(Path(given)) else find_runs(given)
+        if Path(given) in experiments and not labels:
+            prefix = f"{given}: " if len(experiments) > 1 else ""
+            places |= place_runs(folders, Path(given), prefix)
+        for folder in folders:
+            path = folder.path.resolve()
+            if path in read:
                 continue
             try:
-                read[place] = read_run(folder)
+                read[path] = read_run(folder, places.get(path))
             except ShesError as error:
                 errors[run_name(folder)] = error
             else:
-                label_of[place] = labels[number] if labels else ""
+                label_of[path] = labels[number] if labels else ""
     if errors and not read:
         raise next(iter(errors.values()))
-    folders = [run.folder for run in read.values()]
-    if labels:
-        grouped = over_time = name_groups(folders, [label_of[place] for place in read])
-    else:
-        grouped, over_time = group_runs(folders), group_runs(folders, by_time=True)
-
-    def reported(groups: Sequence[Group]) -> list[ReportedGroup]:
-        return [
-            ReportedGroup(group=group, runs=[read[folder.path.resolve()] for folder in group.folders])
-            for group in groups
-        ]
-
-    return ReportedRuns(
-        groups=reported(grouped),
-        groups_over_time=reported(over_time),
-        left_out=[f"{name} is left out: {error}" for name, error in errors.items()],
+    grouped, over_time = (
+        _groups(read, [label_of[path] for path in read] if labels else [], places, by_time=by_time)
+        for by_time in (False, True)
     )
+    return ReportedRuns(
+        groups=grouped,
+        groups_over_time=over_time,
+        left_out=[f"{name} is left out: {error}" for name, error in errors.items()],
+        experiments=experiments,
+    )
+
+
+def _groups(
+    read: Mapping[Path, ReportedRun], labels: Sequence[str], places: Mapping[Path, RunPlace], *, by_time: bool
+) -> list[ReportedGroup]:
+    """Return the groups of runs: those of one label, or else of one place in an experiment, or as `shes plot` has them.
+
+    `labels` has one for each run, or none.
+    """
+    if labels:
+        groups = name_groups([run.folder for run in read.values()], labels)
+    else:
+        placed = [run.folder for run in read.values() if run.place is not None]
+        others = [run.folder for run in read.values() if run.place is None]
+        groups = group_places(placed, places, group_runs(others, by_time=by_time))
+    return [
+        ReportedGroup(group=group, runs=[read[folder.path.resolve()] for folder in group.folders]) for group in groups
+    ]
+
+
+def is_experiment(folder: Path) -> bool:
+    """Return whether `folder` holds the tables of an experiment."""
+    return (folder / RUNS_OF_STUDY).is_file()
 
 
 def is_without_runs(folder: Path) -> bool:
     """Return whether `folder` holds tables of an experiment and no runs."""
-    return (folder / RUNS_OF_STUDY).is_file() and not any(folder.glob("**/config.json"))
+    return is_experiment(folder) and not any(folder.glob("**/config.json"))
 
 
 def run_name(folder: RunFolder) -> str:
@@ -143,12 +173,13 @@ def run_name(folder: RunFolder) -> str:
     return shipped_name(folder.path) or str(folder.path)
 
 
-def read_run(folder: RunFolder) -> ReportedRun:
+def read_run(folder: RunFolder, place: RunPlace | None = None) -> ReportedRun:
     """Return what the files of a run say; raise ShesError if its record or its state cannot be read."""
     notes: list[str] = []
     run = ReportedRun(
         folder=folder,
-        name=run_name(folder),
+        name=run_name(folder) if place is None else place.name,
+        place=place,
         config=folder.read_config(),
         record=folder.read_record(),
         state=run_state(folder),

@@ -15,8 +15,9 @@ from shes.runs.shipped import shipped_name
 from shes.settings import Ge, Shown
 from shes.storage import write_atomically
 from shes.viewing.report.curve_charts import X_AXES, line_look
+from shes.viewing.report.experiment_charts import EXPERIMENT_AXES
 from shes.viewing.report.page import check_plotly, page, toolbar
-from shes.viewing.report.page_sections import Sections
+from shes.viewing.report.page_sections import Sections, num_parts
 from shes.viewing.report.reading import ReportedGroup, ReportedRun, read_runs
 
 _NAME = "report.html"
@@ -37,8 +38,8 @@ def report(
     """Write a report of `runs`, one HTML page that needs no network.
 
     What cannot be read, or done with one of the runs, is noted in the report. Runs are grouped as by `plot`. The folder
-    of an experiment also has its figures and comparisons. It needs plotly (extra report). Without a graphics card a
-    video takes half a minute; --no-video omits them.
+    of an experiment begins with its figures and comparisons, and its runs have the names of their groups and variants.
+    It needs plotly (extra report). Without a graphics card a video takes half a minute; --no-video omits them.
 
     shes report runs/seeds runs/other --out report.html
 
@@ -66,28 +67,21 @@ def report(
     read = read_runs(given, [labels] if isinstance(labels, str) else list(labels))
     target = _checked_path(out, read.runs)
     check_plotly()
-    parts, total = count(1), len(read.runs) * (2 + video)
+    parts, total = count(1), num_parts(read, has_videos=video)
     sections = Sections(read, lambda: on_step(min(next(parts), total), total) if on_step else None)
-    learning, goals, diagnostics, speed = sections.curves()
+    experiments = toolbar(sections.experiments(), EXPERIMENT_AXES, has_legend=False)
+    curves = sections.curves()
     results = sections.results(episodes, seed, num_workers)
     pictures = sections.pictures(episodes, seed, has_videos=video)
     settings = sections.settings()
-    experiments = sections.experiments([Path(each) for each in given])
     runs_and_notes = sections.runs()  # after all that may add a note
-    body = [
-        runs_and_notes,
-        results,
-        toolbar(),
-        experiments,
-        learning,
-        goals,
-        pictures,
-        diagnostics,
-        speed,
-        settings,
-        sections.origins(),
-    ]
-    axes = {x: [_look(group) for group in read.groups_over(x)] for x in X_AXES}
+    body = (
+        [experiments, runs_and_notes, results, pictures, sections.folded_curves(curves), settings]
+        if read.experiments
+        else [runs_and_notes, results, toolbar("\n".join([*curves[:2], pictures, *curves[2:]])), settings]
+    )
+    body.append(sections.origins())
+    axes = {x: _looks(read.groups_over(x)) for x in X_AXES}
     made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
     text = page(_title(read.runs), made, body, sections.figures, axes)
     write_atomically(target, lambda file: file.write(text.encode()))
@@ -115,7 +109,7 @@ def _title(runs: Sequence[ReportedRun]) -> str:
     return f"Report: {runs[0].name}" if len(runs) == 1 else f"Report: {len(runs)} runs of {envs}"
 
 
-def _look(group: ReportedGroup) -> dict[str, str]:
-    """Return how a curve is to be found: label, colour and dash."""
-    color, dash = line_look(group)
-    return {"label": group.label, "color": color, "dash": dash}
+def _looks(groups: Sequence[ReportedGroup]) -> list[dict[str, str]]:
+    """Return how the curves are to be found, each label once: label, colour and dash."""
+    looks = {group.label: line_look(group) for group in groups}
+    return [{"label": label, "color": color, "dash": dash} for label, (color, dash) in looks.items()]
