@@ -219,6 +219,14 @@ def test_curves_of_different_lengths_end_where_the_shorter_one_does(seeds, tmp_p
     assert drawn[0].axes[1].lines[-1].get_xdata().tolist() == [1, 2]
 
 
+def test_a_curve_of_a_single_generation_is_a_dot(seeds, tmp_path, drawn):
+    short = [runs.train_tiny(tmp_path / str(seed), seed=seed, generations=1) for seed in (5, 6)]
+    plot(short, tmp_path / "a.png")
+    assert all([line.get_marker() for line in axis.lines] == ["."] * 3 for axis in drawn[0].axes)
+    plot(seeds, tmp_path / "a.png")
+    assert all(line.get_marker() != "." for axis in drawn[1].axes for line in axis.lines)
+
+
 def test_runs_that_hardly_overlap_are_drawn_each_by_itself(seeds, tmp_path, drawn):
     """One of them took long for what the others did in a moment."""
     late = shutil.copytree(seeds[0], tmp_path / "late")

@@ -63,7 +63,7 @@ def mean_curve(x: Sequence[F64Array], y: Sequence[F64Array]) -> MeanCurve:
     if len(curves) == 1:
         return MeanCurve(grid=x[0], values=np.stack(y), band=None, singles=())
     common = min(each[-1] for each in x) - max(each[0] for each in x)
-    if common < 0 or common < _LEAST_OVERLAP * np.median([each[-1] - each[0] for each in x]):
+    if common < _LEAST_OVERLAP * np.median([each[-1] - each[0] for each in x]):
         return MeanCurve(grid=np.empty(0), values=np.empty((len(curves), 0)), band=None, singles=curves)
     grid, values = interpolate(x, y)
     if len(curves) == 2:
