@@ -109,7 +109,9 @@ def test_the_same_results_are_drawn_as_the_same_bytes(tmp_path):
 @pytest.mark.parametrize(("study", "name"), DRAWN)
 def test_no_text_lies_over_another_or_leaves_the_picture(all_drawn, study, name):
     figure = all_drawn[study][0][name]
-    boxes = {text: text.get_window_extent() for axes in figure.axes for text in texts_of(axes)}
+    texts = [text for axes in figure.axes for text in texts_of(axes)]
+    texts += [text for legend in figure.legends for text in legend.get_texts() if text.get_text()]
+    boxes = {text: text.get_window_extent() for text in texts}
     # Slanted labels of neighbours lie side by side, though the boxes around them do not.
     for one, other in itertools.combinations((text for text in boxes if text.get_rotation() != 45), 2):
         assert not boxes[one].overlaps(boxes[other]), (one, other)
@@ -159,73 +161,225 @@ def test_the_sweep_has_the_base_in_the_middle_and_values_as_labels(drawn):
     assert axes[0].lines[0].get_xdata().tolist() == [0.25, 0.5, 1, 2, 4]
 
 
-def test_curves_are_means_over_seeds_of_transfer_and_horizon(drawn):
-    gather, maze, horizon = drawn[0]["transfer"].axes
-    words = ["no transfer, same view (3 seeds)", "transfer, frozen (3 seeds)", "transfer, learning on (3 seeds)"]
-    assert [line.get_label() for line in gather.lines] == [line.get_label() for line in maze.lines] == words
-    assert [line.get_label() for line in horizon.lines] == [f"{steps} steps (3 seeds)" for steps in (150, 500, 1000)]
+def legend_of(owner):
+    """Return the words of the legend of a figure or of axes, with their handles."""
+    legend = owner.legends[0] if hasattr(owner, "legends") else owner.get_legend()
+    if legend is None:
+        return {}
+    words = [text.get_text().replace("\n", " ") for text in legend.get_texts()]
+    found = zip(words, legend.legend_handles, strict=True)
+    return {text: handle for text, handle in found if text}
+
+
+def curves_of(axis):
+    """Return the named lines of axes: those of means, and references."""
+    return {line.get_label(): line for line in axis.lines if not line.get_label().startswith("_")}
+
+
+BAND = "band: 95 % t interval of the mean over seeds, which may leave the panel"
+PAIR = "thin lines: each of two seeds, too few for a band"
+APART = "thin lines without a mean: seeds apart, which hardly overlap"
+BEST = "dashed: running best, as the authors plot it"
+SPAN = "dotted: training of the primitive"
+
+
+def test_panels_with_other_curves_have_legends_of_their_own(drawn):
+    figure = drawn[0]["transfer"]
+    gather, maze, horizon = figure.axes
+    words = ["no transfer, same view", "transfer, frozen", "transfer, learning on"]
+    assert list(curves_of(gather)) == list(curves_of(maze)) == words
+    assert list(curves_of(horizon)) == [f"{steps} steps" for steps in (150, 500, 1000)]
+    for axis in figure.axes:
+        assert list(legend_of(axis)) == [f"{word} (3 seeds)" for word in curves_of(axis)]
+        for word, handle in legend_of(axis).items():
+            assert handle.get_color() == curves_of(axis)[word.removesuffix(" (3 seeds)")].get_color()
+    assert list(legend_of(figure)) == [BAND]
     assert len(horizon.collections) == 3
+    own = [found.curve for name, found in summaries_of(STUDY.cells).items() if "/transfer/frozen/" in name]
+    ends = [curve[-1][STUDY.design.curves["point-gather"].column] for curve in own if "gather" in curve[0]["env"]]
+    frozen = curves_of(gather)["transfer, frozen"].get_ydata()
+    assert (len(ends), frozen[-1]) == (3, pytest.approx(np.mean(ends), rel=1e-3))
 
 
 def test_figure_3_has_published_scores_and_a_running_best_that_never_falls(all_drawn):
     gather = all_drawn["fig3"][0]["fig3-hours"].axes[3]
-    lines = {line.get_label(): line for line in gather.lines}
+    lines = curves_of(gather)
     assert lines["HIRO (Nachum 2018)"].get_ydata()[0] == 3.02
     assert lines["SHES (paper)"].get_ydata()[0] == 3.74
     assert lines["FuN, cosine (Nachum 2018)"].get_ydata()[0] == 0.85
     measured, best = gather.lines[0], gather.lines[1]
-    assert (measured.get_label(), best.get_linestyle()) == ("SHES as published (3 seeds)", "--")
+    assert (measured.get_label(), best.get_linestyle()) == ("SHES as published", "--")
     assert np.diff(measured.get_ydata()).min() < 0 <= np.diff(best.get_ydata()).min()
-    assert "HIRO (3 seeds)" in lines
-    assert measured.get_xdata()[[0, -1]] == pytest.approx([0.25, 1.5], rel=0.01)
+    assert "HIRO" in lines
+    assert gather.get_xlabel() == "minutes"
+    assert measured.get_xdata()[[0, -1]] == pytest.approx([15, 90], rel=0.01)
 
 
-def dashes_of(line):
-    return line._unscaled_dash_pattern  # `get_linestyle` is "--" for every pattern
+def look_of(line):
+    return line.get_linestyle(), line.get_marker(), line.get_color()
 
 
-def test_the_legend_of_figure_3_says_what_dashed_curves_are(all_drawn):
-    words = "dashed: running best, as the authors plot it"
-    for name in ("fig3-env-steps", "fig3-hours"):
-        for axis in all_drawn["fig3"][0][name].axes:
-            legend = axis.get_legend()
-            dashes = dict(
-                zip([text.get_text() for text in legend.texts], map(dashes_of, legend.get_lines()), strict=True)
-            )
-            alike = [text for text, found in dashes.items() if found == dashes_of(axis.lines[1])]
-            assert alike == [words]  # no reference has the dashes of the running best
-    (other, *_) = all_drawn["fig5"][0]["fig5-hours"].axes
-    assert words not in [text.get_text() for text in other.get_legend().texts]
+@pytest.mark.parametrize("name", ["fig3-env-steps", "fig3-hours"])
+def test_figure_3_has_one_legend_and_no_reference_looks_like_another_line(all_drawn, name):
+    figure = all_drawn["fig3"][0][name]
+    curves = [f"SHES {form} (3 seeds)" for form in FORMS] + ["HIRO (3 seeds)"]
+    note = MADE["fig3"].design.figures[0].references_note
+    assert list(legend_of(figure)) == [*curves, BAND, BEST, f"grey, with marks: {note}"]
+    for axis, panel in zip(figure.axes, MADE["fig3"].design.figures[0].panels, strict=True):
+        references = {line.get_label(): look_of(line) for line in axis.lines if line.get_label() in legend_of(axis)}
+        assert list(references) == [words for words, _ in panel.references]
+        assert references == {words: look_of(handle) for words, handle in legend_of(axis).items()}
+        others = {look_of(line) for line in axis.lines if line.get_label() not in references}
+        assert len(set(references.values()) | others) == len(references) + len(others)
+        assert all(style == "-" and marker for style, marker, _ in references.values())
 
 
-@pytest.mark.parametrize(("name", "of_primitive"), [("fig5-env-steps", 1500), ("fig5-hours", 1.5)])
-def test_figure_5_begins_a_transferred_run_where_its_primitive_ended(all_drawn, name, of_primitive):
-    for axis in all_drawn["fig5"][0][name].axes:
-        starts = {line.get_label().split(" (")[0]: line.get_xdata()[0] for line in axis.lines}
+@pytest.mark.parametrize(("name", "of_primitive"), [("fig5-env-steps", 1.5), ("fig5-hours", 1.5)])
+def test_figure_5_marks_the_training_of_a_primitive_before_a_transferred_run(all_drawn, name, of_primitive):
+    figure = all_drawn["fig5"][0][name]
+    assert list(legend_of(figure))[-2:] == [BAND, SPAN]
+    for axis in figure.axes:
+        curves = curves_of(axis)
+        spans = {line.get_color(): line for line in axis.lines if line.get_linestyle() == ":"}
+        assert len(spans) == 2
         for form in FORMS:
-            assert starts[f"SHES-TL {form}"] - starts[f"SHES {form}"] == pytest.approx(of_primitive, rel=0.01)
+            transferred, alone = curves[f"SHES-TL {form}"], curves[f"SHES {form}"]
+            start = transferred.get_xdata()[0]
+            assert start - alone.get_xdata()[0] == pytest.approx(of_primitive, rel=0.01)
+            span = spans[transferred.get_color()]
+            assert list(span.get_xdata()) == [0, pytest.approx(of_primitive)]
+            assert set(span.get_ydata()) == {transferred.get_ydata()[0]}
+    assert SPAN not in legend_of(all_drawn["fig4"][0]["fig4"])
 
 
-def test_figure_5_leaves_out_a_curve_that_would_begin_too_early(tmp_path, monkeypatch):
-    figures = []
-    monkeypatch.setattr(plt, "close", figures.append)
+@pytest.fixture
+def opened(monkeypatch):
+    """The figures that are drawn, still open and not written, which takes longest."""
+    found, close = [], plt.close
+    monkeypatch.setattr(figures, "write_atomically", lambda *_: None)
+    monkeypatch.setattr(plt, "close", found.append)
+    yield found
+    for figure in found:
+        close(figure)
+
+
+def changed(study, change):
+    """Return made-up results of a study with the rows of curves that `change` returns."""
+    return {
+        name: CellResults(row=found.row, curve=tuple(change(row) for row in found.curve))
+        for name, found in summaries_of(study.cells).items()
+    }
+
+
+def test_seeds_whose_times_do_not_overlap_are_drawn_as_thin_lines(tmp_path, opened):
+    """A third seed waited for its primitive for hours, and another one of the other task had a slow machine."""
+    study = MADE["fig5"]
+
+    def change(row):
+        is_late = (row["env"], row["variant"], row["seed"]) == ("ant-maze", "pieces", 3) and "primitive_seconds" in row
+        is_slow = (row["env"], row["seed"]) == ("ant-push", 2)
+        return {
+            **row,
+            **({"primitive_seconds": 5400.0 * 9} if is_late else {}),
+            "seconds": row["seconds"] * (1.5 if is_slow else 1),
+        }
+
+    draw_figures(study, changed(study, change), [], tmp_path)
+    by_steps, by_time = opened
+    assert APART not in legend_of(by_steps)
+    assert list(legend_of(by_time))[-3:] == [BAND, APART, SPAN]
+    maze, push = by_time.axes[4:]
+    color = curves_of(maze)["SHES-TL with the learning changes"].get_color()
+    singles = [line for line in maze.lines if line.get_color() == color and line.get_linestyle() == "-"]
+    assert [len(line.get_xdata()) for line in singles] == [6, 6, 6]
+    assert all(line.get_linewidth() < 1 for line in singles)
+    assert singles[2].get_xdata() == pytest.approx([(5400 * 9 + 900 * step + 3) / 3600 for step in range(1, 7)])
+    assert sorted(
+        line.get_xdata()[1] for line in maze.lines if line.get_color() == color and line.get_linestyle() == ":"
+    ) == pytest.approx([1.5, 1.5, 13.5])
+    assert (maze.get_xlabel(), push.get_xlabel()) == ("hours", "hours")
+    for line in curves_of(push).values():  # from where all have begun to where the first one ends
+        start = 1.5 if "TL" in line.get_label() else 0
+        assert line.get_xdata()[[0, -1]] == pytest.approx([start + 0.375, start + 1.5], rel=0.01)
+
+
+def test_two_seeds_are_drawn_beside_their_mean_and_the_legend_tells_the_numbers(tmp_path, opened):
+    study = MADE["fig5"]
+    some = {
+        name: found
+        for name, found in summaries_of(study.cells).items()
+        if not name.startswith("point-maze/methods/published/seed-3") and "pieces/seed-2" not in name
+    }
+    draw_figures(study, some, [], tmp_path)
+    words = list(legend_of(opened[0]))
+    assert words[:2] == ["SHES as published (2 to 3 seeds)", "SHES with the learning changes (2 seeds)"]
+    assert words[4:] == [BAND, PAIR, SPAN]
+    gather = opened[0].axes[0]
+    pieces = [line for line in gather.lines if line.get_color() == "C1"]
+    assert [line.get_linewidth() < 1 for line in pieces] == [True, True, False]
+    for axis in opened[0].axes:
+        seeds = np.concatenate([line.get_ydata() for line in axis.lines])
+        low, high = axis.get_ylim()
+        assert low < seeds.min() < seeds.max() < high
+
+
+def test_a_band_of_few_seeds_does_not_stretch_the_axis(all_drawn):
+    study = MADE["fig4"]
+    summaries = summaries_of(study.cells)
+    for axis, env in zip(all_drawn["fig4"][0]["fig4"].axes, study.design.metrics, strict=True):
+        column = study.design.curves[env].column
+        seeds = [row[column] for found in summaries.values() for row in found.curve if row["env"] == env]
+        bands = np.concatenate([band.get_paths()[0].vertices[:, 1] for band in axis.collections])
+        low, high = axis.get_ylim()
+        assert bands.max() > high > max(seeds)
+        assert (low, high) == pytest.approx((min(seeds), max(seeds)), abs=0.1 * np.ptp(seeds))
+
+
+@pytest.mark.parametrize(
+    ("scale", "steps", "time"),
+    [
+        (0.001, "environment steps", "seconds"),
+        (0.016, "thousand environment steps", "seconds"),  # though the slow seed takes more than two minutes
+        (0.1, "thousand environment steps", "minutes"),
+        (10, "million environment steps", "hours"),
+    ],
+)
+def test_an_axis_has_the_unit_of_its_longest_curve(tmp_path, opened, scale, steps, time):
+    study = MADE["fig3"]
+
+    def change(row):
+        slower = 1.5 if row["seed"] == 1 else 1
+        return {**row, "env_steps": row["env_steps"] * scale, "seconds": row["seconds"] * scale * slower}
+
+    results = changed(study, change)
+    draw_figures(study, results, [], tmp_path)
+    for figure, label, base in zip(opened, (steps, time), (1.5e6, 5400), strict=True):
+        for axis in figure.axes:
+            assert axis.get_xlabel() == label
+            unit = {"thousand environment steps": 1e3, "million environment steps": 1e6, "minutes": 60, "hours": 3600}
+            end = curves_of(axis)["HIRO"].get_xdata()[-1]
+            assert end == pytest.approx(base * scale / unit.get(label, 1), rel=0.01)
+
+
+def test_figure_5_leaves_out_a_curve_that_would_begin_too_early(tmp_path, opened):
     study, summaries = MADE["fig5"], summaries_of(MADE["fig5"].cells)
     for name, found in summaries.items():
         if name.startswith("point"):  # as in the tables of an earlier version
             curve = tuple({key: row[key] for key in row if not key.startswith("primitive_")} for row in found.curve)
             summaries[name] = CellResults(row=found.row, curve=curve)
     draw_figures(study, summaries, compare(study, summaries), tmp_path)
-    labels = [{line.get_label() for line in axis.lines} for axis in figures[0].axes]
+    labels = [curves_of(axis) for axis in opened[0].axes]
     assert [any("SHES-TL" in label for label in found) for found in labels] == [False] * 3 + [True] * 3  # points, ants
     assert all(any(label.startswith("SHES as") for label in found) for found in labels)
 
 
-def test_figure_4_has_a_curve_for_every_number_of_workers_over_hours(all_drawn):
-    (gather, *others) = all_drawn["fig4"][0]["fig4"].axes
-    words = [f"SHES {form}, {n} worker{'s' * (n > 1)} (3 seeds)" for form in FORMS for n in (1, 2)]
-    assert [line.get_label() for line in gather.lines] == words
+def test_figure_4_has_a_curve_for_every_number_of_workers_over_time(all_drawn):
+    figure = all_drawn["fig4"][0]["fig4"]
+    gather, *others = figure.axes
+    words = [f"SHES {form}, {n} worker{'s' * (n > 1)}" for form in FORMS for n in (1, 2)]
+    assert list(curves_of(gather)) == words
+    assert list(legend_of(figure)) == [*(f"{word} (3 seeds)" for word in words), BAND]
     assert len(others) == 5
-    assert gather.get_xlabel() == "hours"
 
 
 def test_figure_6_has_both_forms_and_flat_es_as_means_over_seeds(all_drawn):
@@ -238,7 +392,10 @@ def test_figure_6_has_both_forms_and_flat_es_as_means_over_seeds(all_drawn):
     own = [found for name, found in summaries_of(study.cells).items() if "/published/" in name]
     expected = np.mean([found.curve[1]["speedup"] for found in own])
     assert lines["SHES as published, projected"].get_ydata()[0] == pytest.approx(expected)
-    assert {"perfect", "paper, Figure 6 (slope)", "SHES, authors' code", "S-ES, authors' code"} <= lines.keys()
+    assert {"perfect", "SHES, authors' code", "S-ES, authors' code"} <= lines.keys()
+    paper = dict(zip(*lines["paper, Figure 6 (slope)"].get_data(), strict=True))
+    assert (paper[1], paper[250], paper[600]) == (1, 50, 100)
+    assert paper[24] == pytest.approx(1 + 23 * 49 / 249)  # linear in the cores, and curved on logarithmic axes
 
 
 def test_only_what_is_finished_is_drawn(tmp_path, monkeypatch):
@@ -251,12 +408,8 @@ def test_only_what_is_finished_is_drawn(tmp_path, monkeypatch):
     assert plt.get_fignums() == before
 
 
-def test_curves_have_no_panel_of_an_environment_without_results(tmp_path, monkeypatch):
-    opened = []
-    monkeypatch.setattr(figures, "write_atomically", lambda *_: None)
-    monkeypatch.setattr(plt, "close", opened.append)
-    some = [cell for cell in MADE["fig4"].cells if cell.env in ("point-maze", "ant-maze")]
+def test_curves_have_no_panel_of_an_environment_without_results(tmp_path, opened):
+    some = [cell for cell in MADE["fig4"].cells if cell.env in ("point-maze", "ant-maze") and cell.seed == 1]
     draw(some, tmp_path, MADE["fig4"])
     assert [axis.get_title() for axis in opened[0].axes] == ["Point Maze", "Ant Maze"]
-    monkeypatch.undo()
-    plt.close(opened[0])
+    assert all(text.endswith("(1 seed)") for text in legend_of(opened[0]))  # a single one has no band

@@ -1,5 +1,6 @@
 """Learning curves of single runs and of repetitions."""
 
+import csv
 import itertools
 import json
 import shutil
@@ -8,7 +9,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from scipy import stats
 
 from shes.errors import ConfigError, RunFolderError, StorageError, UnknownNameError
 from shes.runs.folder import RunFolder
@@ -74,9 +74,13 @@ def test_repetitions_become_a_mean_with_an_interval(seeds, tmp_path, drawn):
     low, high = confidence_interval(values)
     heights = band.get_paths()[0].vertices[:, 1]
     assert (heights.min(), heights.max()) == (pytest.approx(low.min()), pytest.approx(high.max()))
+    limits = controller.get_ylim()
+    assert low.min() < limits[0] < values.min() < values.max() < limits[1] < high.max()
 
 
-RUNS = "band: 95 % bootstrap interval of the mean over runs"
+RUNS = "band: 95 % t interval of the mean over runs, which may leave the panel"
+PAIR = "thin lines: each of two runs, too few for a band"
+APART = "thin lines without a mean: runs apart, which hardly overlap"
 EPISODES = "band: mean ± 2 standard errors over the episodes of an evaluation"
 
 
@@ -126,7 +130,7 @@ def test_over_time_runs_of_other_machines_are_no_repetitions(seeds, tmp_path, dr
     other = on_another_machine(seeds[1], tmp_path / "other", processor="Z80")
     for number, (x, curves) in enumerate([("env_steps", 1), ("generation", 1), ("wall_time_s", 2)]):
         plot([seeds[0], other], tmp_path / "a.png", x=x)
-        assert len(drawn[number].axes[0].lines) == curves
+        assert len({line.get_color() for line in drawn[number].axes[0].lines}) == curves
 
 
 def test_no_label_leaves_the_picture_or_meets_another(seeds, tmp_path, drawn):
@@ -201,13 +205,46 @@ def test_a_curve_has_the_same_colour_in_every_panel(seeds, flat, alone, tmp_path
 def test_execution_does_not_part_repetitions(seeds, tmp_path, drawn):
     other = runs.train_tiny(tmp_path / "other", seed=9, keep_checkpoints=3)
     plot([seeds[0], other], tmp_path / "a.png")
-    assert legend(drawn[0]) == ["point-gather smoke (2 runs)", RUNS]
+    assert legend(drawn[0]) == ["point-gather smoke (2 runs)", PAIR]
+    for axis in drawn[0].axes:
+        one, two, mean = axis.lines
+        np.testing.assert_allclose(mean.get_ydata(), (one.get_ydata() + two.get_ydata()) / 2)
+        assert one.get_linewidth() == two.get_linewidth() < mean.get_linewidth()
+        assert len({line.get_color() for line in axis.lines}) == 1
 
 
 def test_curves_of_different_lengths_end_where_the_shorter_one_does(seeds, tmp_path, drawn):
     short = runs.train_tiny(tmp_path / "short", seed=9, generations=2)
     plot([seeds[0], short], tmp_path / "a.png", x="generation")
-    assert drawn[0].axes[1].lines[0].get_xdata().tolist() == [1, 2]
+    assert drawn[0].axes[1].lines[-1].get_xdata().tolist() == [1, 2]
+
+
+def test_a_curve_of_a_single_generation_is_a_dot(seeds, tmp_path, drawn):
+    short = [runs.train_tiny(tmp_path / str(seed), seed=seed, generations=1) for seed in (5, 6)]
+    plot(short, tmp_path / "a.png")
+    assert all([line.get_marker() for line in axis.lines] == ["."] * 3 for axis in drawn[0].axes)
+    plot(seeds, tmp_path / "a.png")
+    assert all(line.get_marker() != "." for axis in drawn[1].axes for line in axis.lines)
+
+
+def test_runs_that_hardly_overlap_are_drawn_each_by_itself(seeds, tmp_path, drawn):
+    """One of them took long for what the others did in a moment."""
+    late = shutil.copytree(seeds[0], tmp_path / "late")
+    for table in ("progress.csv", "evaluation.csv"):
+        header, *rows = csv.reader((late / table).read_text().splitlines())
+        place = header.index("wall_time_s")
+        lines = [header, *([*row[:place], str(float(row[place]) + 1000), *row[place + 1 :]] for row in rows)]
+        (late / table).write_text("".join(",".join(line) + "\n" for line in lines))
+    plot([late, *seeds[1:]], tmp_path / "a.png", x="wall_time_s")
+    assert legend(drawn[0]) == ["point-gather smoke (3 runs)", APART]
+    for axis, table, column in zip(
+        drawn[0].axes[:2], ("evaluation", "progress"), ("score_mean", "controller_return_mean"), strict=True
+    ):
+        assert len(axis.collections) == 0
+        for line, path in zip(axis.lines, [late, *seeds[1:]], strict=True):
+            rows = read_csv(path / f"{table}.csv")
+            assert line.get_ydata().tolist() == rows[column]
+            np.testing.assert_allclose(line.get_xdata() * 60, rows["wall_time_s"])
 
 
 @pytest.mark.parametrize(
@@ -222,27 +259,6 @@ def test_curves_are_drawn_over_what_is_asked_for(seeds, tmp_path, drawn, x, labe
     np.testing.assert_allclose(
         drawn[0].axes[1].lines[0].get_xdata() * scale, read_csv(seeds[0] / "progress.csv")[x], rtol=1e-12
     )
-
-
-def test_an_interval_holds_the_mean_and_stays_between_the_runs():
-    values = np.random.default_rng(0).normal(size=(10, 4))
-    low, high = confidence_interval(values)
-    mean = values.mean(axis=0)
-    assert ((values.min(axis=0) <= low) & (low < mean) & (mean < high) & (high <= values.max(axis=0))).all()
-    assert np.array_equal(confidence_interval(values), (low, high))  # the same every time
-
-
-def test_runs_that_agree_have_no_width():
-    low, high = confidence_interval(np.full((3, 2), 1.5))
-    assert low.tolist() == high.tolist() == [1.5, 1.5]
-
-
-def test_an_interval_is_scipys_percentile_bootstrap():
-    values = np.random.default_rng(1).lognormal(size=(12, 3))
-    found = stats.bootstrap((values,), np.mean, axis=0, method="percentile", rng=1).confidence_interval
-    width = found.high - found.low
-    for bound, expected in zip(confidence_interval(values), found, strict=True):
-        assert np.abs(bound - expected).max() < 0.05 * width.min()
 
 
 def test_wrong_arguments_are_refused(seeds, tmp_path):

@@ -35,7 +35,7 @@ class Comparison:
     seeds: int
     score_mean: float
     score_low: float
-    """Lower end of the 95 % bootstrap interval of the mean over seeds."""
+    """Lower end of the 95 % t interval of the mean over seeds; the mean itself of a single seed."""
     score_high: float
     score_error: float | None = None
     """Standard error of the mean over seeds; None for a single seed."""

@@ -73,6 +73,7 @@ class CurvePanel(NamedTuple):
     measure: Measure | None = None
     """Column of `curves.csv`; that of the environment if None."""
     x: Literal["env_steps", "hours"] = "env_steps"
+    """Abscissa: environment steps or time, each in a unit that suits the longest curve."""
     references: tuple[Reference, ...] = ()
     has_running_best: bool = False
     """Whether the mean of the running maxima is drawn, too, as a dashed line."""
@@ -88,6 +89,8 @@ class Curves:
     panels: tuple[CurvePanel, ...]
     columns: int | None = None
     """Panels in a row; all if None."""
+    references_note: str = "published results"
+    """What the references of its panels are, for the legend."""
 
 
 @dataclass(frozen=True, kw_only=True)

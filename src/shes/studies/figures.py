@@ -16,11 +16,12 @@ from matplotlib.transforms import blended_transform_factory
 from shes.bench.speedup_figure import SpeedupLine, speedup_figure
 from shes.storage import write_atomically
 from shes.studies.comparison import Comparison
-from shes.studies.design import Curve, CurvePanel, Curves, Forest, Speedup, Sweep, sweep_name
+from shes.studies.curves_figure import draw_curves
+from shes.studies.design import Curves, Forest, Speedup, Sweep, sweep_name
+from shes.studies.placed_results import Place, PlacedResults
 from shes.studies.study import Study
-from shes.studies.study_tables import Cell, CellResults
-from shes.types import F64Array
-from shes.viewing.curves import confidence_interval, interpolate
+from shes.studies.study_tables import CellResults
+from shes.viewing.curves import confidence_interval
 
 _WIDTH = 10.0
 """Width in inches."""
@@ -32,58 +33,13 @@ _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "shes",  # the same ids in every drawing of the same results
 }
 _BASE_COLOR, _COLOR = "#1f77b4", "#c44e00"
-_DASHES = ("-", (0, (8, 3)), ":", "-.", (0, (1, 4)))
-"""Dashes of references, other than those of the running best."""
-_RUNNING_BEST = "dashed: running best, as the authors plot it"
-_Place = tuple[str, str, str]
-"""Environment, group, variant."""
-
-
-class _Results:
-    """The results of a study by place, ordered by seed."""
-
-    def __init__(self, study: Study, summaries: Mapping[str, CellResults], comparisons: Sequence[Comparison]) -> None:
-        self.design = study.design
-        self.summaries: dict[_Place, list[CellResults]] = {}
-        self.cells: dict[_Place, Cell] = {}
-        for cell in study.cells:
-            place = (cell.env, cell.group, cell.variant)
-            self.cells[place] = cell
-            if cell.name in summaries:
-                self.summaries.setdefault(place, []).append(summaries[cell.name])
-        self._p = {
-            (c.env, c.group, c.variant): c.p_holm
-            for c in comparisons
-            if (c.against_group, c.against) == study.design.base
-        }
-
-    def scores(self, place: _Place) -> F64Array:
-        """Return the compared measure of every seed."""
-        column = self.design.metrics[place[0]].column
-        return np.array([summary.row[column] for summary in self.summaries.get(place, ())], dtype=np.float64)
-
-    def p(self, place: _Place) -> str:
-        """Return the corrected p against the base as text; beside the base itself, the heading."""
-        p = self._p.get(place)
-        if p is None:
-            return "against base" if place[1:] == self.design.base else ""
-        return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
-
-    def has(self, *groups: str) -> bool:
-        """Return whether a cell of one of `groups`, other than the base, is finished."""
-        return any(place[1] in groups and place[1:] != self.design.base for place in self.summaries)
-
-    def variants(self, env: str, group: str) -> list[_Place]:
-        """Return the base of `env` and the variants of `group` that have finished runs, in the order of the study."""
-        own = [place for place in self.cells if place[:2] == (env, group) and place[1:] != self.design.base]
-        return [place for place in ((env, *self.design.base), *own) if place in self.summaries]
 
 
 def draw_figures(
     study: Study, summaries: Mapping[str, CellResults], comparisons: Sequence[Comparison], out: Path
 ) -> list[Path]:
     """Draw the figures of a study that have finished cells into `out`; return their paths."""
-    results = _Results(study, summaries, comparisons)
+    results = PlacedResults(study, summaries, comparisons)
     drawn: list[Path] = []
     for asked in study.design.figures:
         if results.has(*(asked.groups if isinstance(asked, Curves) else (asked.group,))):
@@ -92,7 +48,7 @@ def draw_figures(
     return drawn
 
 
-def _draw(results: _Results, asked: Forest | Sweep | Curves | Speedup, out: Path) -> list[Path]:
+def _draw(results: PlacedResults, asked: Forest | Sweep | Curves | Speedup, out: Path) -> list[Path]:
     """Draw a figure into `out` in every format; return the paths. The same results give the same bytes."""
     figure = _DRAW[type(asked)](results, asked)
     paths = {form: (out / asked.file).with_suffix(f".{form}") for form in results.design.formats}
@@ -109,7 +65,7 @@ def _title(env: str) -> str:
     return env.replace("-", " ").title()
 
 
-def _draw_forest(results: _Results, figure_of: Forest) -> Figure:
+def _draw_forest(results: PlacedResults, figure_of: Forest) -> Figure:
     """Return a figure with a panel per environment: variants with their seeds, mean and interval."""
     envs = list(results.design.metrics)
     panels = {env: results.variants(env, figure_of.group) for env in envs}
@@ -124,11 +80,11 @@ def _draw_forest(results: _Results, figure_of: Forest) -> Figure:
     )
     for axis, (env, places) in zip(axes[:, 0], panels.items(), strict=True):
         _forest(axis, results, env, places)
-        axis.set_xlabel(f"{results.design.metrics[env].words}: each seed, mean with its 95 % interval")
+        axis.set_xlabel(f"{results.design.metrics[env].words}: each seed, mean with its 95 % t interval")
     return figure
 
 
-def _forest(axis: Axes, results: _Results, env: str, places: Sequence[_Place]) -> None:
+def _forest(axis: Axes, results: PlacedResults, env: str, places: Sequence[Place]) -> None:
     """Draw the variants at `places`, one per row."""
     rng = np.random.default_rng(0)
     for y, place in enumerate(places):
@@ -150,7 +106,7 @@ def _forest(axis: Axes, results: _Results, env: str, places: Sequence[_Place]) -
     axis.grid(axis="x", alpha=0.3)
 
 
-def _draw_sweep(results: _Results, figure_of: Sweep) -> Figure:
+def _draw_sweep(results: PlacedResults, figure_of: Sweep) -> Figure:
     """Return a figure with a row per environment and a column per setting: mean and interval over the factor."""
     metrics = results.design.metrics
     height = max(3.4, 2.6 * len(metrics))
@@ -168,10 +124,11 @@ def _draw_sweep(results: _Results, figure_of: Sweep) -> Figure:
         row[0].set_ylabel(f"{_title(env)}\n{metrics[env].short or metrics[env].words}")
     for axis, setting in zip(axes[0], figure_of.settings, strict=True):
         axis.set_title(setting.replace("_", " "), fontsize="medium")
+    figure.supxlabel("band: 95 % t interval of the mean over seeds", fontsize="small")
     return figure
 
 
-def _sensitivity(axis: Axes, results: _Results, env: str, figure_of: Sweep, setting: str) -> None:
+def _sensitivity(axis: Axes, results: PlacedResults, env: str, figure_of: Sweep, setting: str) -> None:
     """Draw the effect of the factors of a setting on a task, with the base at 1."""
     places = {factor: (env, figure_of.group, sweep_name(setting, factor)) for factor in figure_of.factors}
     places = dict(sorted({**places, 1.0: (env, *results.design.base)}.items()))
@@ -198,65 +155,7 @@ def _sensitivity(axis: Axes, results: _Results, env: str, figure_of: Sweep, sett
     axis.grid(alpha=0.3)
 
 
-def _draw_curves(results: _Results, figure_of: Curves) -> Figure:
-    """Return a figure with panels of measures over environment steps or hours: those of which there are results."""
-    panels = [each for each in figure_of.panels if _has_results(results, each)] or figure_of.panels
-    columns = min(figure_of.columns or len(panels), len(panels))
-    rows = -(-len(panels) // columns)
-    lines = max(len(panel.curves) + panel.has_running_best + len(panel.references) for panel in panels)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(_WIDTH, rows * (3.2 + 0.2 * lines)), layout="constrained", squeeze=False
-    )
-    for axis, panel in zip(axes.ravel(), panels, strict=False):
-        measure = panel.measure or results.design.curves[panel.env]
-        for number, curve in enumerate(panel.curves):
-            if (place := (panel.env, curve.group, curve.variant)) in results.summaries:
-                _draw_curve(axis, results, place, curve, panel, measure.column, f"C{number}")
-        if panel.has_running_best and axis.lines:
-            axis.plot([], [], color="black", linewidth=1, linestyle="--", label=_RUNNING_BEST)
-        for number, (words, value) in enumerate(panel.references):
-            axis.axhline(value, color="0.35", linewidth=1, linestyle=_DASHES[number % len(_DASHES)], label=words)
-        axis.set_title(panel.title, fontsize="medium", fontweight="bold")
-        axis.set_ylabel(measure.words)
-        axis.set_xlabel("hours" if panel.x == "hours" else "thousand environment steps")
-        axis.grid(alpha=0.3)
-        if axis.lines:
-            axis.legend(fontsize="small", frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.22))
-    for axis in axes.ravel()[len(panels) :]:
-        axis.set_axis_off()
-    return figure
-
-
-def _has_results(results: _Results, panel: CurvePanel) -> bool:
-    """Return whether a curve of the panel has a finished run."""
-    return any((panel.env, curve.group, curve.variant) in results.summaries for curve in panel.curves)
-
-
-def _draw_curve(
-    axis: Axes, results: _Results, place: _Place, curve: Curve, panel: CurvePanel, column: str, color: str
-) -> None:
-    """Draw the mean over seeds and its interval, as far as all seeds reach."""
-    name, unit = ("seconds", 3600) if panel.x == "hours" else ("env_steps", 1000)
-    runs, steps = list[CellResults](), list[F64Array]()
-    for run in results.summaries[place]:
-        starts = [row.get(f"primitive_{name}") if curve.is_after_primitive else 0.0 for row in run.curve]
-        if starts and None not in starts:  # a curve that begins too early is not drawn
-            runs.append(run)
-            steps.append(np.array([row[name] + start for row, start in zip(run.curve, starts, strict=True)]) / unit)
-    if not runs:
-        return
-    scores = [np.array([row[column] for row in run.curve], dtype=np.float64) for run in runs]
-    grid, values = interpolate(steps, scores)
-    low, high = confidence_interval(values)
-    words = f"{curve.words or results.design.label(place[2])} ({len(runs)} seed{'s' * (len(runs) != 1)})"
-    axis.plot(grid, values.mean(axis=0), color=color, label=words)
-    axis.fill_between(grid, low, high, color=color, alpha=0.2, linewidth=0)
-    if panel.has_running_best:
-        best = interpolate(steps, [np.maximum.accumulate(each) for each in scores])[1].mean(axis=0)
-        axis.plot(grid, best, color=color, linewidth=1, linestyle="--")
-
-
-def _draw_speedup(results: _Results, figure_of: Speedup) -> Figure:
+def _draw_speedup(results: PlacedResults, figure_of: Speedup) -> Figure:
     """Return a figure of speed-up over cores, the mean over seeds."""
     places = [place for place in results.summaries if place[1] == figure_of.group]
     lines = [
@@ -273,6 +172,6 @@ def _draw_speedup(results: _Results, figure_of: Speedup) -> Figure:
 _DRAW: dict[type, Callable[..., Figure]] = {
     Forest: _draw_forest,
     Sweep: _draw_sweep,
-    Curves: _draw_curves,
+    Curves: partial(draw_curves, width=_WIDTH),
     Speedup: _draw_speedup,
 }

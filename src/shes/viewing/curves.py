@@ -1,21 +1,80 @@
-"""Learning curves of several runs: their values on a common grid, and the confidence interval of their mean."""
+"""Learning curves of several runs: their mean on a common grid, and the confidence interval of a mean.
+
+Source of the distribution of t: Abramowitz and Stegun, Handbook of Mathematical Functions, 26.7.3 and 26.7.4.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from math import pi, sqrt
 
 import numpy as np
 
 from shes.types import F64Array
 
 _CONFIDENCE = 0.95
-_RESAMPLES = 2000
+_LEAST_OVERLAP = 0.5
+"""Part of the median length of the runs that all of them must cover for a mean."""
+_BISECTIONS = 60  # to the precision of a float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanCurve:
+    """The mean of curves of several runs with its interval, and the runs that are to be shown singly."""
+
+    grid: F64Array
+    """Abscissae [grid]; empty if the runs lie apart, so that there is no mean."""
+    values: F64Array
+    """Values there [runs, grid]."""
+    band: tuple[F64Array, F64Array] | None
+    """Bounds [grid] of the 95 % interval of the mean; None of fewer than three runs."""
+    singles: tuple[tuple[F64Array, F64Array], ...]
+    """Abscissae and values of each run that is to be shown: of two, whose interval says nothing, and of runs apart."""
+
+    @property
+    def mean(self) -> F64Array:
+        """Mean over runs [grid]."""
+        return self.values.mean(axis=0)
+
+    @property
+    def is_apart(self) -> bool:
+        """Whether the runs overlap too little for a mean."""
+        return not len(self.grid)
+
+    @property
+    def end(self) -> float:
+        """Last abscissa of what is shown."""
+        return float(max(x[-1] for x in (self.grid, *(x for x, _ in self.singles)) if len(x)))
+
+
+def mean_curve(x: Sequence[F64Array], y: Sequence[F64Array]) -> MeanCurve:
+    """Return the mean of curves where all have values.
+
+    Without a common range of at least half of their median length there is no mean: it would leave out most of what
+    the runs did.
+
+    Args:
+        x: Ascending abscissae of each curve.
+        y: Its values.
+    """
+    curves = tuple(zip(x, y, strict=True))
+    if len(curves) == 1:
+        return MeanCurve(grid=x[0], values=np.stack(y), band=None, singles=())
+    common = min(each[-1] for each in x) - max(each[0] for each in x)
+    if common < _LEAST_OVERLAP * np.median([each[-1] - each[0] for each in x]):
+        return MeanCurve(grid=np.empty(0), values=np.empty((len(curves), 0)), band=None, singles=curves)
+    grid, values = interpolate(x, y)
+    if len(curves) == 2:
+        return MeanCurve(grid=grid, values=values, band=None, singles=curves)
+    return MeanCurve(grid=grid, values=values, band=confidence_interval(values), singles=())
 
 
 def interpolate(x: Sequence[F64Array], y: Sequence[F64Array]) -> tuple[F64Array, F64Array]:
     """Return the grid that all curves cover [grid], and their linearly interpolated values there [runs, grid].
 
-    `x` are the ascending abscissae of each curve, `y` its values.
+    `x` are the ascending abscissae of each curve, `y` its values. The grid is empty if they have no common range.
     """
     start, end = max(each[0] for each in x), min(each[-1] for each in x)
     every = np.concatenate(x)
@@ -24,14 +83,38 @@ def interpolate(x: Sequence[F64Array], y: Sequence[F64Array]) -> tuple[F64Array,
 
 
 def confidence_interval(values: F64Array) -> tuple[F64Array, F64Array]:
-    """Return the bounds, each [grid], of the 95 % bootstrap interval of the mean over runs of `values` [runs, grid].
+    """Return the bounds, each [grid], of the 95 % t interval of the mean over runs of `values` [runs, grid].
 
-    One matrix product serves the whole grid; `scipy.stats.bootstrap` would store every resample of every curve.
+    The interval is the mean itself where all runs agree, and of a single run.
     """
-    rng = np.random.default_rng(0)
-    runs = len(values)
-    shares = rng.multinomial(runs, np.full(runs, 1 / runs), _RESAMPLES) / runs  # share of each run in each resample
-    means = shares @ values
-    tail = (1 - _CONFIDENCE) / 2
-    low, high = np.quantile(means, [tail, 1 - tail], axis=0)
-    return low, high
+    mean, runs = values.mean(axis=0), len(values)
+    if runs == 1:
+        return mean, mean
+    half = t_quantile(runs - 1) * values.std(axis=0, ddof=1) / sqrt(runs)
+    return mean - half, mean + half
+
+
+@cache
+def t_quantile(freedom: int) -> float:
+    """Return the t that a variable of Student's distribution exceeds in absolute value with probability 5 %.
+
+    It is found by bisection of the closed form for whole degrees of freedom; the base installation has no SciPy.
+    """
+    low, high = 0.0, pi / 2
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _probability(middle, freedom) < _CONFIDENCE else (low, middle)
+    return float(np.tan(low) * sqrt(freedom))
+
+
+def _probability(angle: float, freedom: int) -> float:
+    """Return the probability that t is at most √freedom · tan(angle) in absolute value."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    is_odd = freedom % 2
+    # Each term is the one before times cos² and k / (k + 1), with k = 2, 4, … for odd and 1, 3, … for even degrees.
+    factors = np.arange(1 + is_odd, freedom - 2, 2)
+    terms = np.cumprod(np.concatenate([[1.0], cosine**2 * factors / (factors + 1)]))
+    if not is_odd:
+        return float(sine * terms.sum())
+    series = sine * cosine * terms.sum() if freedom > 1 else 0.0
+    return float(2 / pi * (angle + series))

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
@@ -23,7 +24,8 @@ from shes.runs.tables import read_csv
 from shes.storage import write_atomically
 from shes.training.runs_folder import find_runs
 from shes.types import F64Array
-from shes.viewing.curves import confidence_interval, interpolate
+from shes.viewing.curve_drawing import draw_mean_curve, legend_keys
+from shes.viewing.curves import MeanCurve, mean_curve
 from shes.viewing.groups import Group, group_runs
 
 X_AXES = {
@@ -32,7 +34,6 @@ X_AXES = {
     "wall_time_s": ("minutes", 1 / 60),
 }
 """Abscissae: column of the tables -> label, and factor of the column's values."""
-_OVER_RUNS = "band: 95 % bootstrap interval of the mean over runs"
 _OVER_EPISODES = "band: mean ± 2 standard errors over the episodes of an evaluation"
 _PANEL_INCHES = (5.0, 3.8)
 _TICKS = 5  # more would overlap where the numbers have many digits
@@ -54,9 +55,10 @@ def plot(
 ) -> Path:
     """Draw the learning curves of `runs`.
 
-    Runs that differ in the seed only form a group: the figure shows its mean and a 95 % bootstrap interval over its
-    runs. A single run shows its evaluation's mean plus or minus two standard errors over episodes instead. Runs with
-    the same seed are no repetitions: if they differ in the machine or the workers, each is drawn.
+    Runs that differ in the seed only form a group: the figure shows its mean and a 95 % t interval over its runs. Two
+    runs are drawn as thin lines beside their mean, and runs that hardly overlap without one. A single run shows its
+    evaluation's mean plus or minus two standard errors over episodes instead. Runs with the same seed are no
+    repetitions: if they differ in the machine or the workers, each is drawn.
 
     shes plot runs/seeds runs/other --out mean.pdf --x generation
 
@@ -87,15 +89,15 @@ def plot(
         picture_format = target.suffix.lstrip(".").lower()
         if picture_format not in figure.canvas.get_supported_filetypes():
             raise ConfigError(f"out must end in .png, .pdf or .svg, got {str(out)!r}. Set --out.")
+        drawn: list[MeanCurve] = []
         for axis, (table, column, label) in zip(axes, panels, strict=True):
-            for group in groups:
-                if _has_level(group.folders[0], column):
-                    _draw_group(axis, group, table, column, x)
+            shown = [group for group in groups if _has_level(group.folders[0], column)]
+            drawn += [_draw_group(axis, group, table, column, x) for group in shown]
             axis.set_xlabel(X_AXES[x][0])
             axis.set_title(label)
             axis.xaxis.set_major_locator(MaxNLocator(nbins=_TICKS))
             axis.grid(alpha=0.3)
-        _draw_legend(figure, axes[0], groups)
+        _draw_legend(figure, groups, drawn)
         write_atomically(target, lambda file: figure.savefig(file, format=picture_format, dpi=150))
     finally:
         plt.close(figure)
@@ -115,37 +117,32 @@ def _has_level(folder: RunFolder, column: str) -> bool:
     return level == column or level in folder.read_config().level_names
 
 
-def _draw_group(axis: Axes, group: Group, table: str, column: str, x: str) -> None:
+def _draw_group(axis: Axes, group: Group, table: str, column: str, x: str) -> MeanCurve:
+    """Draw a column of the runs of a group; return their mean."""
     xs, ys = zip(*(_read_curve(folder, table, column, x) for folder in group.folders), strict=True)
-    is_single = len(group.folders) == 1
-    grid, values = (xs[0], np.stack(ys)) if is_single else interpolate(xs, ys)
-    mean = values.mean(axis=0)
-    axis.plot(grid, mean, label=group.label, color=group.color, linestyle=group.style)
-    if not is_single:
-        low, high = confidence_interval(values)
-    elif column == "score_mean":
+    curve = mean_curve(xs, ys)
+    draw_mean_curve(axis, curve, group.color, group.label, group.style)
+    if len(group.folders) == 1 and column == "score_mean":
         columns = read_csv(group.folders[0].evaluation)
         error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])
-        low, high = mean - error, mean + error
-    else:
-        return
-    axis.fill_between(grid, low, high, alpha=0.2, color=group.color, linewidth=0)
+        axis.fill_between(xs[0], ys[0] - error, ys[0] + error, alpha=0.2, color=group.color, linewidth=0)
+    return curve
 
 
-def _draw_legend(figure: Figure, axis: Axes, groups: list[Group]) -> None:
-    """Draw a legend of the groups and bands below the panels, as high as its wrapped lines need."""
-    handles: list[Artist] = list(axis.lines)
-    labels = [group.label for group in groups]
-    for text, is_single in ((_OVER_RUNS, False), (_OVER_EPISODES, True)):
-        if any((len(group.folders) == 1) == is_single for group in groups):
-            handles.append(Patch(color="grey", alpha=0.3))
-            labels.append(text)
-    width, height = figure.get_size_inches()
-    wrapped = [
-        "\n".join(textwrap.wrap(text, round(width * _CHARACTERS_PER_INCH) - 8)).replace("$", r"\$") for text in labels
+def _draw_legend(figure: Figure, groups: Sequence[Group], drawn: Sequence[MeanCurve]) -> None:
+    """Draw a legend of the groups and of what is drawn below the panels, as high as its wrapped lines need."""
+    keys: list[tuple[Artist, str]] = [
+        (Line2D([], [], color=group.color, ls=group.style), group.label) for group in groups
     ]
+    keys += legend_keys(drawn, "runs")
+    if any(len(group.folders) == 1 for group in groups):
+        keys.append((Patch(color="grey", alpha=0.3), _OVER_EPISODES))
+    width, height = figure.get_size_inches()
+    characters = round(width * _CHARACTERS_PER_INCH) - 8
+    wrapped = ["\n".join(textwrap.wrap(text, characters)).replace("$", r"\$") for _, text in keys]
     lines = sum(1 + text.count("\n") for text in wrapped)
     figure.set_size_inches(width, height + lines * _LINE_INCHES)
+    handles = [handle for handle, _ in keys]
     figure.legend(handles, wrapped, loc="outside lower center", fontsize="small", frameon=False)
 
 

@@ -5,10 +5,20 @@ import shutil
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from shes.runs.tables import read_csv
 from shes.viewing.report import page_sections
-from shes.viewing.report.curve_charts import SECTIONS, X_AXES, Panel, constants, curve_figure, numbers, panels_of
+from shes.viewing.report.curve_charts import (
+    SECTIONS,
+    X_AXES,
+    Panel,
+    constants,
+    curve_figure,
+    mean_traces,
+    numbers,
+    panels_of,
+)
 from shes.viewing.report.reading import read_runs
 from shes.viewing.report.timing import time_figures, wall_parts, worker_parts
 
@@ -62,13 +72,35 @@ def test_a_curve_of_one_run_is_its_column_with_two_standard_errors(kinds, x):
     assert len(curve_figure(PRIMITIVE, read.groups, x)["data"]) == 1
 
 
-def test_a_curve_of_repetitions_is_their_mean_where_all_have_values(kinds):
+def test_a_curve_of_two_repetitions_is_their_mean_beside_both(kinds):
     read = read_runs([kinds["first"], kinds["second"]])
-    low, high, mean = curve_figure(PRIMITIVE, read.groups, "generation")["data"]
-    each = [read_csv(kinds[name] / "progress.csv")["primitive_return_mean"][:3] for name in ("first", "second")]
+    both, mean = curve_figure(PRIMITIVE, read.groups, "generation")["data"]
+    first, second = (read_csv(kinds[name] / "progress.csv")["primitive_return_mean"] for name in ("first", "second"))
     assert mean["x"] == [1, 2, 3]
-    np.testing.assert_allclose(mean["y"], np.mean(each, axis=0), rtol=1e-5)
-    assert all(a <= b <= c for a, b, c in zip(low["y"], mean["y"], high["y"], strict=True))
+    np.testing.assert_allclose(mean["y"], np.mean([first[:3], second[:3]], axis=0), rtol=1e-5)
+    gap = len(first)
+    assert (both["x"][gap], both["y"][gap], both["x"][-1], both["y"][-1]) == (None,) * 4
+    np.testing.assert_allclose([*both["y"][:gap], *both["y"][gap + 1 : -1]], [*first, *second], rtol=1e-5)
+    assert "name" not in both
+    assert both["line"]["width"] < mean["line"]["width"]
+
+
+def test_a_curve_of_more_repetitions_is_their_mean_with_an_interval_where_all_have_values():
+    xs = [np.linspace(0, end, 6) for end in (10, 10, 15)]
+    low, high, mean = mean_traces("a < b", ("--curve-1", "dash"), xs, [x + number for number, x in enumerate(xs)])
+    assert mean["x"] == low["x"] == high["x"] == numbers(np.unique(np.concatenate([*xs[:1], xs[2][xs[2] <= 10]])))
+    np.testing.assert_allclose(mean["y"], np.array(mean["x"]) + 1)
+    np.testing.assert_allclose(np.array(high["y"]) - mean["y"], stats.t.ppf(0.975, 2) / np.sqrt(3), rtol=1e-4)
+    np.testing.assert_allclose(np.array(mean["y"]) - low["y"], stats.t.ppf(0.975, 2) / np.sqrt(3), rtol=1e-4)
+    assert (mean["name"], mean["line"]) == ("a &lt; b", {"color": "--curve-1", "dash": "dash", "width": 2})
+
+
+def test_repetitions_that_hardly_overlap_are_one_trace_with_gaps():
+    xs = [np.arange(3.0) + start for start in (0, 0, 100)]
+    (trace,) = mean_traces("a < b", ("--curve-1", "solid"), xs, [np.full(3, each) for each in (1.0, 2.0, 3.0)])
+    assert trace["name"] == "a &lt; b, apart"
+    assert trace["x"] == [0, 1, 2, None, 0, 1, 2, None, 100, 101, 102, None]
+    assert trace["y"] == [1, 1, 1, None, 2, 2, 2, None, 3, 3, 3, None]
 
 
 def test_runs_without_a_column_have_no_curve(kinds):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from shes.types import F64Array, FloatArray
-from shes.viewing.curves import confidence_interval, interpolate
+from shes.viewing.curves import mean_curve
 from shes.viewing.report.reading import ReportedGroup, ReportedRun, Table
 
 X_AXES = {
@@ -26,6 +26,8 @@ X_AXES = {
 SECTIONS = ("Returns and scores", "Goals", "Diagnostics", "Speed")
 _MOST_POINTS = 1000
 """Of a longer curve every k-th point is drawn: a screen has no more pixels."""
+_FEW_POINTS = 30
+"""Below so many a curve has markers."""
 _DASHES = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
 _COLORS = 10
 _SIGNIFICANT = 6
@@ -132,43 +134,44 @@ def mean_traces(
 ) -> Iterator[dict[str, Any]]:
     """Yield the band and the curve of runs, as traces of plotly.
 
+    Of several runs it is the mean where all have values, with a 95 % t interval. Two are drawn as thin lines beside it,
+    and runs that hardly overlap as thin lines alone, which are called apart.
+
     Args:
         label: Name of the curve.
         look: Its colour and dash.
         xs: Ascending abscissae of each run.
-        ys: Values of each run. Of several, the mean is drawn where all have values, with a 95 % bootstrap interval.
+        ys: Values of each run.
         band: Lower and upper bound of the values of a single run; no band if None.
     """
-    grid, values = (xs[0], np.stack(ys)) if len(xs) == 1 else interpolate(xs, ys)
-    kept = np.arange(0, len(grid), max(1, -(-len(grid) // _MOST_POINTS)))
-    grid, values = grid[kept], values[:, kept]
-    color, dash = look
-    if len(xs) > 1 and len(grid):
-        bounds = confidence_interval(values)
-    else:
-        bounds = None if band is None else (band[0][kept], band[1][kept])
+    curve, (color, dash) = mean_curve(xs, ys), look
+    grid, bounds = numbers(_thinned(curve.grid)), curve.band or band
+    line = {"type": "scatter", "mode": "lines"}
+    silent = {"hoverinfo": "skip", "showlegend": False}
     if bounds is not None:
-        low, high = bounds
-        edge = {
-            "type": "scatter",
-            "x": numbers(grid),
-            "mode": "lines",
-            "line": {"width": 0, "color": color},
-            "hoverinfo": "skip",
-            "showlegend": False,
+        low, high = (numbers(_thinned(each)) for each in bounds)
+        edge = {**line, **silent, "x": grid, "line": {"width": 0, "color": color}}
+        yield {**edge, "y": low}
+        yield {**edge, "y": high, "fill": "tonexty", "fillcolor": f"{color}/{_BAND_OPACITY}"}
+    if curve.singles:  # one trace, with a gap after each run
+        x, y = (numbers(np.concatenate([[*_thinned(each[axis]), np.nan] for each in curve.singles])) for axis in (0, 1))
+        named = {"name": escape(f"{label}, apart"), "hovertemplate": "%{y:.4~g}"} if curve.is_apart else silent
+        yield {**line, **named, "x": x, "y": y, "line": {"color": color, "dash": dash, "width": 1}}
+    if not curve.is_apart:
+        yield {
+            **line,
+            "name": escape(label),
+            "x": grid,
+            "y": numbers(_thinned(curve.mean)),
+            "mode": "lines+markers" if len(grid) < _FEW_POINTS else "lines",
+            "marker": {"size": 5},
+            "line": {"color": color, "dash": dash, "width": 2},
+            "hovertemplate": "%{y:.4~g}",
         }
-        yield {**edge, "y": numbers(low)}
-        yield {**edge, "y": numbers(high), "fill": "tonexty", "fillcolor": f"{color}/{_BAND_OPACITY}"}
-    yield {
-        "type": "scatter",
-        "name": escape(label),
-        "x": numbers(grid),
-        "y": numbers(values.mean(axis=0)),
-        "mode": "lines+markers" if len(grid) < 30 else "lines",
-        "marker": {"size": 5},
-        "line": {"color": color, "dash": dash, "width": 2},
-        "hovertemplate": "%{y:.4~g}",
-    }
+
+
+def _thinned(values: F64Array) -> F64Array:
+    return values[:: max(1, -(-len(values) // _MOST_POINTS))]
 
 
 def line_look(group: ReportedGroup) -> tuple[str, str]:
