@@ -9,6 +9,7 @@ from PIL import Image
 
 from shes.studies import figures
 from shes.studies.comparison import compare
+from shes.studies.design import Curves
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
 from shes.studies.study import choose
@@ -20,7 +21,9 @@ pytestmark = [pytest.mark.extras, pytest.mark.timeout(400)]
 MADE = {name: make(seeds=3) for name, make in STUDIES.items()}
 STUDY = MADE["ablation"]
 COMPARED = [measure.column for study in MADE.values() for measure in study.design.metrics.values()]
-COURSE = ["score_mean", "training_return_mean", "primitive_return_mean", "return_mean", "success_rate"]
+PANELS = [p for study in MADE.values() for f in study.design.figures if isinstance(f, Curves) for p in f.panels]
+MEASURES = [*(panel.measure for panel in PANELS), *(m for study in MADE.values() for m in study.design.curves.values())]
+COURSE = sorted({measure.column for measure in MEASURES if measure is not None})
 COURSES = (0.0, 0.2, 0.5, 0.4, 0.9, 0.8)
 """The course of a run's measure, as parts of its score."""
 FORMS = ("as published", "with the learning changes")
@@ -285,7 +288,7 @@ def test_seeds_whose_times_do_not_overlap_are_drawn_as_thin_lines(tmp_path, open
         }
 
     draw_figures(study, changed(study, change), [], tmp_path)
-    by_steps, by_time = opened
+    by_steps, by_time, _ = opened
     assert APART not in legend_of(by_steps)
     assert list(legend_of(by_time))[-3:] == [BAND, APART, SPAN]
     maze, push = by_time.axes[4:]
@@ -353,7 +356,7 @@ def test_an_axis_has_the_unit_of_its_longest_curve(tmp_path, opened, scale, step
 
     results = changed(study, change)
     draw_figures(study, results, [], tmp_path)
-    for figure, label, base in zip(opened, (steps, time), (1.5e6, 5400), strict=True):
+    for figure, label, base in zip(opened[:2], (steps, time), (1.5e6, 5400), strict=True):
         for axis in figure.axes:
             assert axis.get_xlabel() == label
             unit = {"thousand environment steps": 1e3, "million environment steps": 1e6, "minutes": 60, "hours": 3600}

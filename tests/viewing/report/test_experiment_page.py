@@ -130,7 +130,7 @@ def test_a_curve_with_a_transferred_primitive_begins_where_its_training_ended(ta
 def test_each_group_of_many_variants_has_a_figure_and_time_is_shown_where_it_is_known(tables):
     columns = ("group", "variant", "env", "seed", "env_steps", "score_mean")
     places = [("choices", f"c{number}") for number in range(8)] + [("sweep", f"s{number}") for number in range(11)]
-    write_curves(tables, columns, [(*place, "point-maze", seed, 9, 0.5) for place in places for seed in (1, 2)])
+    write_curves(tables, columns, [(*place, "point-maze", seed, 9, 0.5) for place in places for seed in (1, 2, 3)])
     _, figures = experiment_section(tables)
     assert [name.removeprefix(f"{tables} ") for name in figures] == [
         "point-maze, choices: test score",
@@ -138,7 +138,7 @@ def test_each_group_of_many_variants_has_a_figure_and_time_is_shown_where_it_is_
     ]
     choices, sweep = figures.values()
     assert choices["wall_time_s"] == choices["env_steps"]
-    assert list(named(choices["env_steps"])) == [f"c{number} (2 seeds)" for number in range(8)]
+    assert list(named(choices["env_steps"])) == [f"c{number} (3 seeds)" for number in range(8)]
     bands = [sum("fill" in trace for trace in each["env_steps"]["data"]) for each in (choices, sweep)]
     assert bands == [8, 0]  # eleven could not be told apart
 

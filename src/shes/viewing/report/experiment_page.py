@@ -20,13 +20,15 @@ _RESULTS = (
 _COMPARISONS = ("environment", "runs", "compared with", "difference", "p (Holm)", "p (Mann-Whitney)", "superiority")
 _NEEDED = ("group", "variant", "env", "seeds", "score_mean", "score_iqm")
 _HINT = (
-    "Results: mean and interquartile mean over seeds of the measure of the experiment, with a bootstrap interval; "
-    "hours: mean of the runs. Comparisons: p values of a permutation test, corrected by Holm's method, and of a "
-    "Mann-Whitney U test; superiority: the probability that a seed exceeds one of those it is compared with."
+    "Results: mean over seeds of the measure of the experiment, with a t interval, and interquartile mean, with a "
+    "bootstrap interval; hours: mean of the runs. Comparisons: p values of a permutation test, corrected by Holm's "
+    "method, and of a Mann-Whitney U test; superiority: the probability that a seed exceeds one of those it is "
+    "compared with."
 )
 _CURVES_HINT = (
-    "Mean over seeds, with a 95 % bootstrap interval if there are at most ten curves, as far as all seeds reach. A "
-    "curve with a transferred primitive begins where the training of its primitive ended, if curves.csv has that time."
+    "Mean over seeds, with a 95 % t interval of three seeds or more if there are at most ten curves, as far as all "
+    "seeds reach. A curve with a transferred primitive begins where the training of its primitive ended, if curves.csv "
+    "has that time."
 )
 _ORIGIN = ("hardware", "versions", "commit")
 _SETTINGS = "table1-settings"

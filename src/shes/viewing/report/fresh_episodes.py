@@ -90,7 +90,7 @@ def _best_generation(run: ReportedRun) -> int | str:
 
 
 def estimate(values: F64Array) -> str:
-    """Return mean, standard error and 95 % bootstrap interval of the mean of a sample, as text."""
+    """Return mean, standard error and 95 % t interval of the mean of a sample, as text."""
     if len(values) < 2:
         return f"{values.mean():.2f}"
     error = values.std(ddof=1) / sqrt(len(values))

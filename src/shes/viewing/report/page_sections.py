@@ -32,8 +32,9 @@ _SPEED = len(SECTIONS) - 1
 _ORIGIN = ("environment", "algorithm", "preset", "seed")
 _STATE_HEADINGS = (*_ORIGIN, "generation", "steps", "time", "best evaluation", "state")
 _BANDS = (
-    "A curve of several runs is their mean, its band a 95 % bootstrap interval over runs. The band of a single run's "
-    "evaluation is two standard errors over episodes wide on either side."
+    "A curve of several runs is their mean, its band a 95 % t interval over runs; two runs are thin lines beside their "
+    "mean, and runs that hardly overlap are drawn singly. The band of a single run's evaluation is two standard errors "
+    "over episodes wide on either side."
 )
 
 
@@ -53,8 +54,8 @@ class Sections:
         shown = table(HEADINGS, result_rows(self.read.groups, self._evaluated), "figures runs")
         hint = (
             f"The best checkpoint of each run on {episodes} episodes that its training did not use: mean ± standard "
-            "error over episodes, or over runs in the row of a group, and the 95 % interval of the mean (bootstrap; of "
-            "the success rate of a run: Wilson)."
+            "error over episodes, or over runs in the row of a group, and the 95 % interval of the mean (Student's t; "
+            "of the success rate of a run: Wilson)."
         )
         folded = self._folded(f"Results of {_counted(len(self._evaluated), 'run')}", shown)
         return section("Fresh episodes", paragraph(hint, "hint"), folded) if shown else ""
