@@ -73,6 +73,19 @@ def test_a_variant_has_one_result_and_a_row_for_each_comparison(tables):
         assert f"<td>methods, &lt;b&gt;pieces&lt;/b&gt;</td><td>{other}</td>" in comparisons
 
 
+def test_equal_budgets_and_ratios_are_shown_where_there_are_any(tables):
+    assert "equal steps" not in experiment_section(tables)[0].partition("comparisons")[2].partition("</table>")[0]
+    columns = {"steps_score": 1.25, "steps_score_against": 0.5, "steps_p": 0.0286, "hours_score": 2, "hours_p": 0.5}
+    columns |= {"hours_score_against": 1, "ratio": 0.5, "ratio_low": 0.49, "ratio_high": 0.52}
+    rows = [ROWS[0] + "," * len(columns), ",".join([ROWS[1], *map(str, columns.values())])]
+    (tables / "fig3.csv").write_text("\n".join([",".join([HEADER, *columns]), *rows]), encoding="utf-8")
+    text = experiment_section(tables)[0]
+    for cell in ("1.25 to 0.50, p 0.029", "2.00 to 1.00, p 0.500", "0.50 [0.49, 0.52]"):
+        assert f"<td>{cell}</td>" in text
+    for heading in ("equal steps", "equal time", "ratio"):
+        assert f'<th scope="col">{heading}</th>' in text
+
+
 def test_the_comparisons_of_a_study_are_in_its_one_table(tables):
     (tables / "fig3.csv").rename(tables / "comparison.csv")
     assert "<h3>comparison: results</h3>" in experiment_section(tables)[0]

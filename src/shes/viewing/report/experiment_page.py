@@ -17,13 +17,17 @@ _RESULTS = (
     *("environment", "runs", "seeds", "mean ± standard error", "interquartile mean [95 %]"),
     *("success rate", "hours"),
 )
-_COMPARISONS = ("environment", "runs", "compared with", "difference", "p (Holm)", "p (Mann-Whitney)", "superiority")
+_COMPARISONS = (
+    *("environment", "runs", "compared with", "difference", "p (Holm)", "p (Mann-Whitney)", "superiority"),
+    *("ratio", "equal steps", "equal time"),
+)
 _NEEDED = ("group", "variant", "env", "seeds", "score_mean", "score_iqm")
 _HINT = (
     "Results: mean over seeds of the measure of the experiment, with a t interval, and interquartile mean, with a "
     "bootstrap interval; hours: mean of the runs. Comparisons: p values of a permutation test, corrected by Holm's "
     "method, and of a Mann-Whitney U test; superiority: the probability that a seed exceeds one of those it is "
-    "compared with."
+    "compared with; ratio: of the times of each seed, with the lowest and the highest; equal steps, equal time: mean "
+    "test score over the steps and the time that both have, a transferred primitive's included."
 )
 _CURVES_HINT = (
     "Mean over seeds, with a 95 % t interval of three seeds or more if there are at most ten curves, as far as all "
@@ -106,7 +110,7 @@ def _tables(name: str, rows: Sequence[Mapping[str, str]], designs: Designs) -> I
     yield table(_RESULTS, results, "figures")
     if comparisons:
         yield heading(f"{title}: comparisons")
-        yield table(_COMPARISONS, comparisons, "figures")
+        yield table(*_without_empty(_COMPARISONS, comparisons), "figures")
     yield paragraph(_origin(rows), "hint")
 
 
@@ -140,7 +144,27 @@ def _comparison(row: Mapping[str, str], designs: Designs) -> tuple[str, ...]:
         designs.method(row.get("against_group") or row["group"], row["against"]),
         f"{float(row['difference']):+.2f}" if row.get("difference") else "-",
         *(_text(row, name, digits) for name, digits in (("p_holm", 4), ("mann_whitney_p", 4), ("superiority", 2))),
+        _ratio(row),
+        *(_at_equal(row, name) for name in ("steps", "hours")),
     )
+
+
+def _ratio(row: Mapping[str, str]) -> str:
+    return f"{_text(row, 'ratio')} [{_text(row, 'ratio_low')}, {_text(row, 'ratio_high')}]" if row.get("ratio") else "-"
+
+
+def _at_equal(row: Mapping[str, str], name: str) -> str:
+    """Return the mean test scores of both over the steps, or the hours, that both have."""
+    if not row.get(f"{name}_p"):
+        return "-"
+    scores = f"{_text(row, f'{name}_score')} to {_text(row, f'{name}_score_against')}"
+    return f"{scores}, p {_text(row, f'{name}_p', 3)}"
+
+
+def _without_empty(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Return a table without the columns in which every cell is a dash."""
+    kept = [i for i in range(len(headings)) if any(row[i] != "-" for row in rows)]
+    return [headings[i] for i in kept], [tuple(row[i] for i in kept) for row in rows]
 
 
 def _origin(rows: Sequence[Mapping[str, str]]) -> str:
