@@ -242,7 +242,7 @@ def _step_curves(size: Scale) -> Curves:
     panels = tuple(
         CurvePanel(
             env=f"{body}-{STEPS_TASK}",
-            title=f"{body} {STEPS_TASK}".title(),
+            title=f"{body} {STEPS_TASK}".title() + ", step by step",
             curves=(
                 Curve(METHODS, PUBLISHED),
                 *(Curve(STEPWISE, form) for form in STEPS[body]),

@@ -34,7 +34,7 @@ def experiment(tmp_path):
     return folder
 
 
-def rows_of(group, variant, env="ant-gather", scores=((1, 3, 2), (3, 1, 4)), start=("", "")):
+def rows_of(group, variant, env="ant-gather", scores=((1, 3, 2), (3, 1, 4), (2, 2, 3)), start=("", "")):
     return [
         (group, variant, env, seed, 100 * step, 60 * step, score, -score, *start)
         for seed, values in enumerate(scores, start=1)
@@ -67,16 +67,16 @@ def test_a_chart_shows_what_figure_3_shows(experiment):
     references = [f"{words}: {value:g}" for words, value in REFERENCES["ant-gather"]]
     names = ["SHES as published", "SHES with the learning changes", "HIRO"]
     assert legend(figure) == [
-        *(f"{name} (2 seeds)" for name in names),
+        *(f"{name} (3 seeds)" for name in names),
         "running best, as the authors plot it",
         *references,
     ]
     lines = {trace.get("name"): trace for trace in figure["data"]}
-    best = lines["HIRO (2 seeds), running best"]
-    assert (lines["HIRO (2 seeds)"]["y"], best["y"]) == ([2, 2, 3], [2, 3, 3.5])
+    best = lines["HIRO (3 seeds), running best"]
+    assert (lines["HIRO (3 seeds)"]["y"], best["y"]) == ([2, 2, 3], [2, 2.66667, 3.33333])
     assert best["line"]["dash"] == "dash"
-    assert best["legendgroup"] == lines["HIRO (2 seeds)"]["legendgroup"]
-    assert best["line"]["color"] == lines["HIRO (2 seeds)"]["line"]["color"]
+    assert best["legendgroup"] == lines["HIRO (3 seeds)"]["legendgroup"]
+    assert best["line"]["color"] == lines["HIRO (3 seeds)"]["line"]["color"]
     assert sum("fill" in trace for trace in figure["data"]) == 3
     assert [lines[name]["y"] for name in references] == [[value] * 2 for _, value in REFERENCES["ant-gather"]]
     assert lines[references[0]]["x"] == [100, 300]
@@ -87,20 +87,20 @@ def test_a_chart_shows_what_figure_3_shows(experiment):
 
 def test_a_chart_over_hours_alone_has_no_other_axis(experiment):
     rows = [row for number in (1, 2) for row in rows_of("workers", f"pieces-{number}")]
-    figures = charts(experiment, rows)[0]["fig4 Ant Gather: training reward"]
+    figures = charts(experiment, rows)[0]["fig4 Ant Gather: training reward, perturbed policies"]
     assert figures["env_steps"] == figures["wall_time_s"]
     assert figures["env_steps"]["layout"]["xaxis"]["title"]["text"] == "wall-clock minutes"
     assert legend(figures["env_steps"]) == [
-        "SHES with the learning changes, 1 worker (2 seeds)",
-        "SHES with the learning changes, 2 workers (2 seeds)",
+        "SHES with the learning changes, 1 worker (3 seeds)",
+        "SHES with the learning changes, 2 workers (3 seeds)",
     ]
 
 
 def test_a_transferred_run_without_the_time_of_its_primitive_is_in_no_chart_of_figure_5(experiment):
     rows = [*rows_of("methods", "pieces"), *rows_of("transfer", "published")]
     rows += rows_of("transfer", "pieces", scores=((1, 2),), start=(1000, 600))
-    figure = charts(experiment, rows)[0]["fig5 Ant Gather: training reward"]["wall_time_s"]
-    assert legend(figure) == ["SHES with the learning changes (2 seeds)", "SHES-TL with the learning changes (1 seed)"]
+    figure = charts(experiment, rows)[0]["fig5 Ant Gather: training reward, perturbed policies"]["wall_time_s"]
+    assert legend(figure) == ["SHES with the learning changes (3 seeds)", "SHES-TL with the learning changes (1 seed)"]
     assert figure["data"][-1]["x"] == [11, 12]
 
 
@@ -128,15 +128,16 @@ def test_curves_that_are_in_no_figure_follow_and_speed_ups_do_not_count_among_th
     rows += [measured(variant, 1, 1) for variant in ("published", "pieces", "es")]
     found, text = charts(experiment, [*rows, *rows_of("transfer", "pieces", "ant-maze", start=(1000, 600))])
     assert list(found) == [
-        "fig5 Ant Maze: training reward",
+        "fig5 Ant Maze: training reward, perturbed policies",
+        "fig5 Ant Maze: test score",
         "fig6 Ant Maze: speed-up",
         "ant-maze: test score",
         "ant-maze: training reward",
     ]
     assert "<h3>Further curves</h3>" in text
     score = found["ant-maze: test score"]["env_steps"]
-    assert legend(score)[-1] == "transfer, with the learning changes (2 seeds)"
-    assert sum("fill" in trace for trace in score["data"]) == 10
+    assert legend(score)[-1] == "g0, v8 (3 seeds)"
+    assert sum("fill" in trace for trace in score["data"]) == 9
     assert len(legend(found["ant-maze: training reward"]["env_steps"])) == 9
 
 
