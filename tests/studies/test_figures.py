@@ -30,6 +30,13 @@ FORMS = ("as published", "with the learning changes")
 DRAWN = [(name, figure.file.removesuffix(".png")) for name, study in MADE.items() for figure in study.design.figures]
 
 
+@pytest.fixture(autouse=True, scope="module")
+def many_figures():
+    """Let all figures be open at once."""
+    with plt.rc_context({"figure.max_open_warning": 0}):
+        yield
+
+
 def summaries_of(cells):
     """Return made-up results: good ones, on a course that rises with setbacks."""
     rng = np.random.default_rng(0)
