@@ -1,0 +1,127 @@
+"""The numbers of docs/paper.md are those of the tables that it links."""
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shes.viewing.curves import confidence_interval
+
+ROOT = Path(__file__).parents[1]
+PAGE = " ".join((ROOT / "docs" / "paper.md").read_text(encoding="utf-8").split())
+
+
+def column(table, name, **where):
+    """Return the numbers of a column of a table of results in its rows with these values, and the table's link."""
+    path = Path("results") / f"{table}.csv"
+    assert f"(../{path.as_posix()})" in PAGE
+    with (ROOT / path).open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if all(row[key] == value for key, value in where.items())]
+    assert rows, where
+    return [float(row[name]) for row in rows]
+
+
+def interval(values):
+    low, high = confidence_interval(np.array(values)[:, None])
+    return low[0], high[0]
+
+
+def scores(values, sign="{:.2f}"):
+    return ", ".join(sign.format(value) for value in values)
+
+
+def listed(values, sign="{:g}"):
+    texts = [sign.format(value) for value in values]
+    return f"{', '.join(texts[:-1])} and {texts[-1]}"
+
+
+def gather(way):
+    values = column("learning/gather_runs", "score_mean", way=way)
+    low, high = interval(values)
+    return f"| {scores(values)} | {np.mean(values):.2f}, {low:.2f} to {high:.2f} |"
+
+
+def gather_nearest():
+    values = column("learning/gather_runs_nearest", "score_mean", way="coevolved")
+    low, high = interval(values)
+    return f"reach {listed(values, '{:.2f}')} (mean {np.mean(values):.2f}, interval {low:.2f} to {high:.2f})"
+
+
+def to_target(task):
+    values = [100 * value for value in column(f"learning/{task}_runs", "success_rate", way="coevolved")]
+    low, high = interval(values)
+    mean = f"(mean {np.mean(values):g}, interval {low:.0f} to {min(high, 100):.0f}"
+    return f"{listed([round(value, 1) for value in values])} %", mean
+
+
+def pieces():
+    def mean(variant):
+        return f"{np.mean(column('learning/runs', 'last_return', group='pieces', variant=variant)):.0f}"
+
+    return (
+        f"has {mean('base')}. Without the egocentric view it has {mean('no-view')}, without the symmetry "
+        f"{mean('no-symmetry')}, with a random output layer {mean('glorot-output')}, with whole episodes "
+        f"{mean('episodes')}."
+    )
+
+
+def hiro():
+    best = column("hiro/time_to_score", "best_score", method="hiro-ant-gather", score="1.0")
+    return f"has at most {best[0]:.2f} in 101 minutes", f"and {best[1]:.2f} and {best[2]:.2f} in 51 minutes"
+
+
+def seconds(method, score):
+    found = column("hiro/time_to_score", "seconds", method=method, score=f"{score}.0")
+    return f"{int(min(found) + 0.5)} to {int(max(found) + 0.5)}"
+
+
+def fall():
+    (mean,) = column("learning/exploration", "metres_behind_mean", env="ant-fall", way="waypoints")
+    (most,) = column("learning/exploration", "metres_behind_max", env="ant-fall", way="waypoints")
+    (near,) = column("learning/exploration", "metres_behind_mean", env="ant-fall", way="goals within 8 m")
+    return f"makes {mean:.0f} m of the 20 m to the chasm ({most:.0f} m at most), and {near:.0f} m on average"
+
+
+def ablation():
+    def row(name, variant, env):
+        return column("ablation/comparison", name, group="choices", variant=variant, env=env)[0]
+
+    of_maze = {name: row("score_mean", name, "point-maze") for name in ("base", "mirrored-none", "reward-cosine")}
+    p = {name: row("p_holm", name, "point-maze") for name in ("mirrored-none", "reward-cosine")}
+    reached = f"({of_maze['base']:.2f} of the targets reached, {of_maze['mirrored-none']:.2f} without"
+    return (
+        f"{reached}, p = {p['mirrored-none']:.3f})",
+        f"({of_maze['reward-cosine']:.2f} with the cosine, p = {p['reward-cosine']:.3f})",
+    )
+
+
+CLAIMS = {
+    "gather from scratch": lambda: [gather("coevolved")],
+    "gather on a walker": lambda: [gather("transfer")],
+    "gather, the view of before": lambda: [gather_nearest()],
+    "maze": lambda: to_target("maze"),
+    "push": lambda: to_target("push"),
+    "pieces": lambda: [pieces()],
+    "hiro": hiro,
+    "time to a score": lambda: [
+        f"score of at least 1 comes after {seconds('coevolved', 1)} s, of 2 after {seconds('coevolved', 2)} s",
+        f"and of 3 after {seconds('coevolved', 3)} s",
+        f"needs {seconds('transfer', 1)}, {seconds('transfer', 2)} and {seconds('transfer', 3)} s",
+    ],
+    "fall": lambda: [fall()],
+    "ablation": ablation,
+}
+
+
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_the_page_says_what_its_tables_say(claim):
+    for words in CLAIMS[claim]():
+        assert words in PAGE
+
+
+def test_every_linked_table_is_there():
+    links = re.findall(r"\]\(\.\./([\w/.-]+\.(?:csv|json|png))\)", PAGE)
+    assert len(links) > 20
+    assert [link for link in links if not (ROOT / link).is_file()] == []
