@@ -24,21 +24,18 @@ from shes.errors import RunFolderError, ShesError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.sections import WorkerSettings
-from shes.runs.tables import Row, read_csv, read_wall_time
+from shes.runs.tables import read_wall_time
 from shes.storage import storage_errors
 from shes.studies.one_core_backend import OneCoreBackend
-from shes.studies.provenance_columns import provenance_columns
+from shes.studies.run_summary import summarise
 from shes.studies.significance import check_scipy
-from shes.studies.study import ALONE, CHECKPOINTS, Study, cell_config, cell_workers
+from shes.studies.study import ALONE, Study, cell_config, cell_workers
 from shes.studies.study_tables import Cell, CellResults
 from shes.studies.summaries import cells_left, read_summary, write_summary
-from shes.training.build import open_run
-from shes.training.evaluate import evaluate
 from shes.training.train import differing, resume_run, start_run
 
 _SHORTEST = 1e-6
 """Minutes in which no generation begins."""
-_CURVE = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +90,7 @@ def run_cell(
         if not (is_late or _is_over(config, folder)):
             return None
     primitive = None if cell.primitive is None else RunFolder(out / cell.primitive.name)
-    return write_summary(cell, out, _summarise(cell, folder, episodes, primitive))
+    return write_summary(cell, out, summarise(cell, folder, episodes, primitive))
 
 
 def _is_over(config: TrainConfig, folder: RunFolder) -> bool:
@@ -108,67 +105,6 @@ def _is_over(config: TrainConfig, folder: RunFolder) -> bool:
 def _minutes(folder: RunFolder) -> float:
     """Return for how many minutes the run in `folder` has been trained."""
     return read_wall_time(folder.progress) / 60
-
-
-def _summarise(cell: Cell, folder: RunFolder, episodes: int, primitive: RunFolder | None) -> CellResults:
-    """Evaluate a finished run and return its summary; `primitive` is the run that trained its primitive."""
-    last, workers = folder.load("last"), folder.read_config().workers
-    is_local = workers.backend in ("processes", "serial")
-    row: Row = {
-        **cell.identity,
-        "generations": last.generation,
-        "env_steps": last.env_steps,
-        "seconds": _times(folder, read_csv(folder.progress))[-1],
-        "workers": workers.count if is_local else workers.num_workers,  # 0 is all of a cluster
-    }
-    for checkpoint in CHECKPOINTS:
-        found = evaluate(folder.path, episodes=episodes, checkpoint=checkpoint, num_workers=1).summary()
-        row |= {
-            f"{checkpoint}_score": found["score_mean"],
-            f"{checkpoint}_return": found["return_mean"],
-            f"{checkpoint}_steps": found["episode_steps_mean"],
-            f"{checkpoint}_success": found["success_rate"],
-            f"{checkpoint}_primitive_return": found.get("primitive_return_mean"),
-            f"{checkpoint}_goals_reached": found.get("goals_reached_mean"),
-        }
-    random = evaluate(folder.path, episodes=episodes, checkpoint="last", num_workers=1, targets="training").summary()
-    row |= {"last_training_success": random["success_rate"], "last_training_return": random["return_mean"]}
-    record = folder.read_record()
-    row |= provenance_columns([record, *record.get("resumed", [])])
-    table, progress = read_csv(folder.evaluation), read_csv(folder.progress)
-    outer = f"{open_run(folder.path, 'last').algorithm.level_names[0]}_return_mean"
-    curve: list[Row] = []
-    before = _length_of_primitive(primitive)
-    first, seconds = 0.0, _times(folder, table)
-    for i, generation in enumerate(table["generation"]):
-        shown = {name: table[name][i] if name in table else None for name in _CURVE}
-        since = [k for k, number in enumerate(progress["generation"]) if first < number <= generation]
-        for name, column in (("training_success_rate", "success_rate"), ("training_return_mean", outer)):
-            shown[name] = sum(progress[column][k] for k in since) / len(since)
-        curve.append({**cell.identity, **shown, "seconds": seconds[i], **before})
-        first = generation
-    return CellResults(row=row, curve=tuple(curve))
-
-
-def _length_of_primitive(primitive: RunFolder | None) -> Row:
-    """Return how long the run of a primitive was trained, as columns of `curves.csv`; None without one."""
-    if primitive is None:
-        return {"primitive_env_steps": None, "primitive_seconds": None}
-    progress = read_csv(primitive.progress)
-    return {
-        "primitive_env_steps": progress["env_steps"][-1],
-        "primitive_seconds": _times(primitive, progress)[-1],
-    }
-
-
-def _times(folder: RunFolder, table: Mapping[str, list[float]]) -> list[float]:
-    """Return the time of a run at the rows of one of its tables, in seconds.
-
-    That of a run in one process is its processor time: with other work on the machine, as one run has in another one,
-    it would take longer, but no more of a core.
-    """
-    is_one_process = folder.read_config().workers.backend == "serial"
-    return table["process_time_s" if is_one_process and "process_time_s" in table else "wall_time_s"]
 
 
 def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:
