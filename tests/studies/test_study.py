@@ -136,7 +136,7 @@ def test_a_cell_is_an_ordinary_run_and_a_row(finished, tiny_run):
 
 
 def test_a_finished_cell_is_not_run_again(finished, monkeypatch):
-    for name in ("start_run", "resume_run", "evaluate"):
+    for name in ("start_run", "resume_run", "summarise"):
         monkeypatch.setattr(running, name, None)
     out, summary = finished
     assert run_cell(cell(), out, 3) == summary

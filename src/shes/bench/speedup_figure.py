@@ -76,7 +76,7 @@ def speedup_figure(lines: Sequence[SpeedupLine], title: str, size: tuple[float, 
     figure, axis = plt.subplots(figsize=size, layout="constrained")
     most = max(int(row["cores"]) for line in lines for row in line.rows)
     axis.plot([1, most], [1, most], color="black", linewidth=0.8, label="perfect")
-    axis.plot(*_paper_line(), color="black", linestyle=":", label="paper, Figure 6 (slope)")
+    axis.plot(*paper_line(), color="black", linestyle=":", label="paper, Figure 6 (slope)")
     for line, color in zip(lines, _COLORS, strict=False):
         if authors := authors_speedup(line.authors):
             axis.plot(authors.cores, authors.speedup, "x", color=color, label=authors.words)
@@ -90,7 +90,7 @@ def speedup_figure(lines: Sequence[SpeedupLine], title: str, size: tuple[float, 
     return figure
 
 
-def _paper_line() -> tuple[F64Array, F64Array]:
+def paper_line() -> tuple[F64Array, F64Array]:
     """Return cores and speed-ups of the paper's line, at every core: on logarithmic axes it is curved."""
     knots, speedups = zip(*PAPER_SLOPE, strict=True)
     cores = np.arange(knots[0], knots[-1] + 1, dtype=np.float64)

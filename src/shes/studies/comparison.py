@@ -207,7 +207,7 @@ def _compare_group(
         pairs.append((variant, None if is_alone else design.base))
     pairs += [
         (second[1], first)
-        for first, second in design.paired
+        for first, second in (*design.paired, *design.paired_on.get(env, ()))
         if second[0] == group and second[1] in variants and first in others
     ]
     tests = [

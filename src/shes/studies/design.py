@@ -117,9 +117,11 @@ class StudyDesign:
     """Names of variants in words."""
     paired: tuple[tuple[tuple[str, str], tuple[str, str]], ...] = ()
     """Further comparisons, of the second with the first: groups and variants."""
+    paired_on: Mapping[str, tuple[tuple[tuple[str, str], tuple[str, str]], ...]] = field(default_factory=dict)
+    """The same of single environments."""
     has_ratios: bool = False
-    """Whether variants are compared by ratios, seed by seed, and not by tests: of times, three of which can tell, where
-    a test of three cannot."""
+    """Whether variants are compared by the ratios of each seed and not by tests: three seeds show a difference of times
+    that no test of three samples can."""
     has_equal_budgets: bool = False
     """Whether learning curves are compared over equal environment steps and equal time, where runs have different
     ones."""

@@ -31,8 +31,8 @@ def compare_curves(first: Sequence[CellResults], second: Sequence[CellResults], 
     """Compare the test scores of two variants over the span of column `x` that all of their runs have.
 
     The training of a transferred primitive counts: until it ends, the score is that of the run's first evaluation, of
-    a controller that has learned nothing. The mean over a span also tells apart variants that both end at the highest
-    score, and is no maximum, which more evaluations would raise.
+    a controller that has learned for one generation. The mean over a span also tells apart variants that both end at
+    the highest score. Unlike a maximum, it does not rise with the number of evaluations.
 
     Returns:
         The comparison; None if a curve has no test scores or no `x`, or begins where another one has ended.

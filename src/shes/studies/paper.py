@@ -48,7 +48,7 @@ from shes.studies.study_tables import Cell
 FLAT = "es"
 _GROUPS = {
     METHODS: "controller and primitive together from scratch: as published, and with the learning changes",
-    STEPWISE: "from the first to the second step by step, in Gather",
+    STEPWISE: "from the form as published to the one with the learning changes, one change at a time, in Gather",
     TRANSFER: "the same with a primitive that was trained alone (SHES-TL)",
     WORKERS: "the same as from scratch with several numbers of workers",
     SPEEDUP: "the time of a generation on more cores",
@@ -75,13 +75,12 @@ _PUBLISHED_NOTE = (
 )
 _STEPS_PER_S = 16_000  # of one core: 10,000 for the ant, 35,000 for the point
 _HIRO_STEPS_PER_S = 500
-_LEVELS = ((METHODS, HIRO), (METHODS, PIECES))
+_HIRO_PAIR = ((METHODS, HIRO), (METHODS, PIECES))
 
 
 def table_1(scale: str = "laptop", seeds: int | None = None) -> Study:
     """Return the runs of Table I, which are those of figure 3; otherwise as `figure_3`."""
-    figures = (Forest(file="table1.png", group=METHODS), Forest(file="table1-steps.png", group=STEPWISE))
-    return _scores(_size(scale, seeds), figures)
+    return _scores(_size(scale, seeds), (Forest(file="table1.png", group=METHODS),))
 
 
 def figure_3(scale: str = "laptop", seeds: int | None = None) -> Study:
@@ -104,9 +103,15 @@ def figure_3(scale: str = "laptop", seeds: int | None = None) -> Study:
 def _scores(size: Scale, figures: tuple[Forest | Curves, ...]) -> Study:
     """Return the study of all methods from scratch."""
     cells = [*make_runs(size, {METHODS: (*_FORMS, HIRO)}), *stepwise_runs(size)]
-    steps = {pair: None for forms in STEPS.values() for pair in itertools.pairwise(forms)}
-    last = ((STEPWISE, STEPS["ant"][-1]), (METHODS, PIECES))
-    return _study(size, cells, _SCORE, paired=(_LEVELS, *within(STEPWISE, *steps), last), figures=figures)
+    study = _study(size, cells, _SCORE, paired=(_HIRO_PAIR,), figures=figures)
+    steps = {
+        f"{body}-{STEPS_TASK}": (
+            *within(STEPWISE, *itertools.pairwise(forms)),
+            ((STEPWISE, forms[-1]), (METHODS, PIECES)),
+        )
+        for body, forms in STEPS.items()
+    }
+    return replace(study, design=replace(study.design, paired_on=steps))
 
 
 def figure_4(scale: str = "laptop", seeds: int | None = None) -> Study:

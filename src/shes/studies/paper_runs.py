@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from shes.studies.design import whole
 from shes.studies.paper_scales import OF_PRIMITIVE, STEPS, STEPS_TASK, TASKS, Scale
-from shes.studies.study import generation_steps
+from shes.studies.study import generation_steps, planned_config
 from shes.studies.study_tables import Cell
-from shes.training.make_config import make_config
 
 METHODS, STEPWISE, TRANSFER, WORKERS, SPEEDUP = "methods", "steps", "transfer", "workers", "speedup"
 """Groups of runs."""
@@ -41,11 +41,10 @@ def _cells(size: Scale, body: str, group: str, form: str, seed: int) -> Iterator
             steps = size.env_steps if primitive is None else {**size.env_steps, **size.transfer_env_steps}
             preset = size.preset_of(body, form)
             settings = {**settings, **size.settings, **training, **_budget(env, steps)}
-            if body in size.evaluations:
-                settings["evaluation_interval"] = _interval(env, preset, settings, size.evaluations[body])
-        return Cell(
+        made = Cell(
             group=group, variant=form, env=env, seed=seed, settings=settings, primitive=primitive, preset=preset
         )
+        return made if form == HIRO or body not in size.evaluations else _evaluated(made, size.evaluations[body])
 
     if form == HIRO:
         yield from (cell(task, {}) for task in TASKS)
@@ -79,10 +78,10 @@ def stepwise_runs(size: Scale) -> list[Cell]:
     ]
 
 
-def _interval(env: str, preset: str, settings: Mapping[str, Any], evaluations: int) -> int:
-    """Return the generations between evaluations, for so many in a run, whose form says how long a generation is."""
-    alone = {name: value for name, value in settings.items() if name != "freeze_primitive"}
-    return whole(settings["env_steps"] / evaluations / generation_steps(make_config(env, preset, alone)))
+def _evaluated(cell: Cell, evaluations: int) -> Cell:
+    """Return `cell` with about so many evaluations, whatever the length of its generations."""
+    interval = whole(cell.settings["env_steps"] / evaluations / generation_steps(planned_config(cell)))
+    return replace(cell, settings={**cell.settings, "evaluation_interval": interval})
 
 
 def _budget(env: str, env_steps: Mapping[str, int]) -> dict[str, int]:

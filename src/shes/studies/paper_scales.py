@@ -129,7 +129,7 @@ class Scale:
     timed_env: str = "ant-maze"
     """Environment of the generations that are timed; that of the authors' raw times."""
     timed_scale: str | None = None
-    """Scale whose generations are timed, if not this one: a projection is true of its own population alone."""
+    """Scale whose generations are timed, once: a projection is true of its own population alone. If none, this one."""
     sleepers: tuple[int, ...] = (200, 600)
     """Numbers of sleeping workers that validate the projection of their time."""
 
@@ -175,6 +175,7 @@ SCALES: dict[str, Scale] = {
         hiro_preset="hiro-table1",
         timed_seeds={"ant": 10},
         num_workers=(48, 240, 600),
+        timed_scale="paper",
     ),
     "laptop": Scale(
         preset="laptop",

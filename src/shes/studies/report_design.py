@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import chain
 from pathlib import Path
 
-from shes.bench.speedup_figure import KINDS, PAPER_SLOPE, authors_speedup
+from shes.bench.speedup_figure import KINDS, authors_speedup, paper_line
 from shes.storage import write_atomically
 from shes.studies.design import CurvePanel, Curves, Speedup, StudyDesign
 from shes.studies.study import Study
@@ -16,7 +16,7 @@ from shes.viewing.report.experiment_design import (
     DesignedSpeedup,
     ExperimentDesign,
     Series,
-    write_design,
+    design_text,
 )
 
 _TITLES = {"ablation": "Ablation", "learning": "Learning changes", "table1": "Table I"}
@@ -26,7 +26,7 @@ _AXES = {"env_steps": "env_steps", "hours": "wall_time_s"}
 def write_report_design(name: str, study: Study, table: str, out: Path) -> Path:
     """Write the design of the study `name`, whose comparisons are in `table`.csv, into `out`; return its path."""
     path = out / f"{table}{SUFFIX}"
-    text = write_design(report_design(name, study))
+    text = design_text(report_design(name, study))
     write_atomically(path, lambda file: file.write(text.encode()))
     return path
 
@@ -81,12 +81,12 @@ def _speedup(study: Study, asked: Speedup) -> DesignedSpeedup:
     """Return the chart of speed-ups: the paper's slope and the authors' times beside the curves."""
     cells = [cell for cell in study.cells if cell.group == asked.group]
     curves: list[DesignedCurve] = []
-    cores, speedups = zip(*PAPER_SLOPE, strict=True)
+    cores, speedups = paper_line()
     series: list[Series] = [
         {
             "words": "paper, Figure 6 (slope)",
-            "cores": list(cores),
-            "speedup": list(speedups),
+            "cores": cores.tolist(),
+            "speedup": [round(value, 3) for value in speedups.tolist()],
             "color": -1,
             "is_line": True,
         }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import Literal
 
 from shes.runs.folder import RunFolder
 from shes.runs.tables import Row, read_csv
@@ -23,7 +23,7 @@ def summarise(cell: Cell, folder: RunFolder, episodes: int, primitive: RunFolder
         **cell.identity,
         "generations": last.generation,
         "env_steps": last.env_steps,
-        "seconds": _times(folder, read_csv(folder.progress))[-1],
+        "seconds": _times(folder)[-1],
         "workers": workers.count if is_local else workers.num_workers,  # 0 is all of a cluster
     }
     for checkpoint in CHECKPOINTS:
@@ -49,7 +49,7 @@ def _curve(cell: Cell, folder: RunFolder, primitive: RunFolder | None) -> tuple[
     outer = f"{open_run(folder.path, 'last').algorithm.level_names[0]}_return_mean"
     curve: list[Row] = []
     before = _length_of_primitive(primitive)
-    first, seconds = 0.0, _times(folder, table)
+    first, seconds = 0.0, _times(folder, "evaluation")
     for i, generation in enumerate(table["generation"]):
         shown = {name: table[name][i] if name in table else None for name in _COLUMNS}
         since = [k for k, number in enumerate(progress["generation"]) if first < number <= generation]
@@ -64,18 +64,17 @@ def _length_of_primitive(primitive: RunFolder | None) -> Row:
     """Return how long the run of a primitive was trained, as columns of `curves.csv`; None without one."""
     if primitive is None:
         return {"primitive_env_steps": None, "primitive_seconds": None}
-    progress = read_csv(primitive.progress)
-    return {
-        "primitive_env_steps": progress["env_steps"][-1],
-        "primitive_seconds": _times(primitive, progress)[-1],
-    }
+    steps = read_csv(primitive.progress)["env_steps"]
+    return {"primitive_env_steps": steps[-1], "primitive_seconds": _times(primitive)[-1]}
 
 
-def _times(folder: RunFolder, table: Mapping[str, list[float]]) -> list[float]:
+def _times(folder: RunFolder, name: Literal["progress", "evaluation"] = "progress") -> list[float]:
     """Return the time of a run at the rows of one of its tables, in seconds.
 
     That of a run in one process is its processor time: with other work on the machine, as one run has in another one,
-    it would take longer, but no more of a core.
+    it would take longer, but no more of a core. Both tables must have it, or their times would not go together.
     """
+    tables = {"progress": read_csv(folder.progress), "evaluation": read_csv(folder.evaluation)}
     is_one_process = folder.read_config().workers.backend == "serial"
-    return table["process_time_s" if is_one_process and "process_time_s" in table else "wall_time_s"]
+    is_known = all("process_time_s" in table for table in tables.values())
+    return tables[name]["process_time_s" if is_one_process and is_known else "wall_time_s"]

@@ -112,11 +112,17 @@ def cell_config(cell: Cell, out: Path, workers: Mapping[str, Any] = ALONE) -> Tr
     return make_config(cell.env, cell.preset, {**cell.settings, **own})
 
 
+def planned_config(cell: Cell) -> TrainConfig:
+    """Return the settings of a cell's run before its primitive is there: a frozen one plays no branches."""
+    settings = {name: value for name, value in cell.settings.items() if name not in _TRANSFER}
+    if cell.primitive is not None and cell.settings.get("freeze_primitive", True):
+        settings["primitive_estimate"] = "episode"
+    return make_config(cell.env, cell.preset, settings)
+
+
 def cell_steps(cell: Cell, episodes: int) -> tuple[int, int]:
     """Return the environment steps of a cell's training, and those of its evaluations, if no episode ends early."""
-    config = make_config(
-        cell.env, cell.preset, {name: value for name, value in cell.settings.items() if name not in _TRANSFER}
-    )
+    config = planned_config(cell)
     per_generation, generations = generation_steps(config), config.run.generations
     if config.run.env_steps is not None:
         generations = min(generations, math.ceil(config.run.env_steps / per_generation))

@@ -182,7 +182,7 @@ class Session:
         self._tell("on_evaluation", row)
 
     def _process_time(self) -> float:
-        """Return the processor time of this process for the run so far, in seconds; that of its workers is theirs."""
+        """Return the processor time of this process for the run so far, in seconds; without that of its workers."""
         return round(self._earlier_process_s + process_time() - self._process_start, 3)
 
     def _keep(self, checkpoint: Checkpoint, arrays: Mapping[str, np.ndarray]) -> None:

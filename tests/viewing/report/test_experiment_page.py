@@ -76,11 +76,18 @@ def test_a_variant_has_one_result_and_a_row_for_each_comparison(tables):
 def test_equal_budgets_and_ratios_are_shown_where_there_are_any(tables):
     assert "equal steps" not in experiment_section(tables)[0].partition("comparisons")[2].partition("</table>")[0]
     columns = {"steps_score": 1.25, "steps_score_against": 0.5, "steps_p": 0.0286, "hours_score": 2, "hours_p": 0.5}
-    columns |= {"hours_score_against": 1, "ratio": 0.5, "ratio_low": 0.49, "ratio_high": 0.52}
+    columns |= {
+        "steps_span": 2_500_000,
+        "hours_span": 0.025,
+        "hours_score_against": 1,
+        "ratio": 0.5,
+        "ratio_low": 0.49,
+        "ratio_high": 0.52,
+    }
     rows = [ROWS[0] + "," * len(columns), ",".join([ROWS[1], *map(str, columns.values())])]
     (tables / "fig3.csv").write_text("\n".join([",".join([HEADER, *columns]), *rows]), encoding="utf-8")
     text = experiment_section(tables)[0]
-    for cell in ("1.25 to 0.50, p 0.029", "2.00 to 1.00, p 0.500", "0.50 [0.49, 0.52]"):
+    for cell in ("1.25 to 0.50 in 2.50 M, p 0.029", "2.00 to 1.00 in 1.5 min, p 0.500", "0.50 [0.49, 0.52]"):
         assert f"<td>{cell}</td>" in text
     for heading in ("equal steps", "equal time", "ratio"):
         assert f'<th scope="col">{heading}</th>' in text
@@ -193,7 +200,7 @@ def test_runs_without_the_drawn_measure_do_not_hide_the_time(tables):
     _, figures = experiment_section(tables)
     timed = figures[f"{tables} e: test score"]["wall_time_s"]
     assert named(timed)["methods, v (1 seed)"]["x"] == [1, 2]
-    assert timed["layout"]["xaxis"]["title"]["text"] == "wall-clock minutes"
+    assert timed["layout"]["xaxis"]["title"]["text"] == "minutes"
     untimed = figures[f"{tables} e: training reward"]["wall_time_s"]
     assert named(untimed)["methods, old (1 seed)"]["x"] == [1, 2]
     assert untimed["layout"]["xaxis"]["title"]["text"] == "environment steps"

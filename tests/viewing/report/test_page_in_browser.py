@@ -110,7 +110,7 @@ def test_the_horizontal_axis_the_curves_and_the_episode_can_be_chosen(whole, bro
     browser.open(whole)
     first_plot(browser)
     title = f"{FIRST}._fullLayout.xaxis.title.text"
-    for x, label in (("generation", "generation"), ("wall_time_s", "wall-clock minutes")):
+    for x, label in (("generation", "generation"), ("wall_time_s", "minutes")):
         browser.evaluate(f"document.querySelector('input[value={x}]').click()")
         assert browser.wait_for(f"{title} === '{label}' && {title}")
     curves = f"{FIRST}.data.filter((trace) => trace.name).length"

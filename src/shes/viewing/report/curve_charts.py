@@ -19,7 +19,7 @@ from shes.viewing.report.reading import ReportedGroup, ReportedRun, Table
 
 X_AXES = {
     "env_steps": ("environment steps", 1.0, "~s"),
-    "wall_time_s": ("wall-clock minutes", 1 / 60, ""),
+    "wall_time_s": ("minutes", 1 / 60, ""),
     "generation": ("generation", 1.0, ""),
 }
 """Abscissae: column of the tables -> label, factor of the column's values, and format of the ticks."""

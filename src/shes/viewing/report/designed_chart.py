@@ -58,7 +58,8 @@ def chart_figure(chart: DesignedChart, rows: Rows, x: str) -> Figure:
     data: list[dict[str, Any]] = []
     best: list[dict[str, Any]] = []
     for number, runs in drawn.items():
-        xs = [np.array([_since_start(row, _COLUMNS[x]) for row in run]) * factor for run in runs]
+        is_after = chart["curves"][number]["is_after_primitive"]
+        xs = [np.array([_since_start(row, _COLUMNS[x], is_after) for row in run]) * factor for run in runs]
         ys = [np.array([float(row[chart["column"]]) for row in run]) for run in runs]
         words = f"{chart['curves'][number]['words']} ({len(runs)} seed{'s' * (len(runs) != 1)})"
         data += _curve(words, number, xs, ys, has_band=len(drawn) <= MOST_BANDS)
@@ -95,9 +96,9 @@ def _has_start(run: Sequence[Row], curve: DesignedCurve) -> bool:
     return not curve["is_after_primitive"] or all(has_column(run, column) for column in columns)
 
 
-def _since_start(row: Row, column: str) -> float:
-    """Return the environment steps or seconds since the training of a run began, that of its primitive included."""
-    return float(row[column]) + float(row.get(f"primitive_{column}") or 0)
+def _since_start(row: Row, column: str, is_after_primitive: bool) -> float:
+    """Return the environment steps or seconds since a run began, or since the training of its primitive did."""
+    return float(row[column]) + (float(row.get(f"primitive_{column}") or 0) if is_after_primitive else 0.0)
 
 
 def _curve(

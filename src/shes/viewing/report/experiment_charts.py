@@ -91,15 +91,18 @@ def _others(rows: Rows, designs: Designs) -> Iterator[DesignedChart]:
                 name = designs.variant
             for title, own in parts.items():
                 if own:
-                    yield _undesigned(title, column, words, {each: name(*each[1:]) for each in own})
+                    yield _undesigned(title, column, words, {each: name(*each[1:]) for each in own}, rows)
 
 
-def _undesigned(title: str, column: str, words: str, names: Mapping[Place, str]) -> DesignedChart:
-    """Return a chart of places of one environment, with their names."""
-    curves: list[DesignedCurve] = [
-        {"group": group, "variant": variant, "words": name, "is_after_primitive": False}
-        for (_, group, variant), name in names.items()
-    ]
+def _undesigned(title: str, column: str, words: str, names: Mapping[Place, str], rows: Rows) -> DesignedChart:
+    """Return a chart of places of one environment, with their names; a curve begins after its primitive's training."""
+    curves: list[DesignedCurve] = []
+    for place, name in names.items():
+        is_after = any(
+            has_column(run, "primitive_env_steps") and has_column(run, "primitive_seconds")
+            for run in rows[place].values()
+        )
+        curves.append({"group": place[1], "variant": place[2], "words": name, "is_after_primitive": is_after})
     return {
         "env": next(iter(names))[0],
         "title": title,

@@ -117,7 +117,7 @@ class Designs:
         return f"{group}, {self.variant(group, variant)}"
 
 
-def write_design(design: ExperimentDesign) -> str:
+def design_text(design: ExperimentDesign) -> str:
     """Return the content of a file of `design`."""
     return json.dumps(design, indent=1, ensure_ascii=False) + "\n"
 
@@ -133,6 +133,8 @@ def read_designs(folder: Path) -> Designs:
     for file in sorted(folder.glob(f"*{SUFFIX}")):
         content = json.loads(file.read_text(encoding="utf-8"))
         if not isinstance(content, dict) or not ExperimentDesign.__required_keys__ <= content.keys():
-            raise ValueError(f"{file.name} is no design of an experiment; the same command of shes experiment mends it")
+            raise ValueError(
+                f"{file.name} is no design of an experiment. Write it again: shes experiment NAME --no-run"
+            )
         found[file.name.removesuffix(SUFFIX)] = cast("ExperimentDesign", content)
     return Designs(found)

@@ -23,10 +23,10 @@ _COMPARISONS = (
 )
 _NEEDED = ("group", "variant", "env", "seeds", "score_mean", "score_iqm")
 _HINT = (
-    "Results: mean over seeds of the measure of the experiment, with a t interval, and interquartile mean, with a "
+    "Results: mean over seeds of the measure of the experiment ± standard error, and interquartile mean, with a "
     "bootstrap interval; hours: mean of the runs. Comparisons: p values of a permutation test, corrected by Holm's "
     "method, and of a Mann-Whitney U test; superiority: the probability that a seed exceeds one of those it is "
-    "compared with; ratio: of the times of each seed, with the lowest and the highest; equal steps, equal time: mean "
+    "compared with; ratio: of the measure of each seed, with the lowest and the highest; equal steps, equal time: mean "
     "test score over the steps and the time that both have, a transferred primitive's included."
 )
 _CURVES_HINT = (
@@ -158,7 +158,9 @@ def _at_equal(row: Mapping[str, str], name: str) -> str:
     if not row.get(f"{name}_p"):
         return "-"
     scores = f"{_text(row, f'{name}_score')} to {_text(row, f'{name}_score_against')}"
-    return f"{scores}, p {_text(row, f'{name}_p', 3)}"
+    span = float(row[f"{name}_span"])
+    words = f"{span / 1e6:.2f} M" if name == "steps" else f"{60 * span:.1f} min"
+    return f"{scores} in {words}, p {_text(row, f'{name}_p', 3)}"
 
 
 def _without_empty(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[tuple[str, ...]]]:
