@@ -104,6 +104,10 @@ def test_the_ant_as_published_at_scale_laptop_is_preset_paper_but_for_its_size(t
     for cell in (replace(cell, primitive=None) for cell in cells):
         ours, paper = cell_config(cell, tmp_path).numbers(), make_config(cell.env, "paper").numbers()
         assert {name for name in ours if ours[name] != paper[name]} <= sizes | task
+        changed = make_config(cell.env, "laptop").numbers()
+        assert [ours[name] for name in ("reset_noise", "horizon")] == [
+            changed[name] for name in ("reset_noise", "horizon")
+        ]
 
 
 def test_each_step_has_the_changes_of_those_before_it_and_the_last_differs_from_the_tuned_form(tmp_path):
@@ -204,7 +208,7 @@ def test_figure_6_measures_the_settings_of_table_1_and_flat_es(scale, tmp_path):
     for form in ("published", "pieces"):
         ours, theirs = measured[form].numbers(), trained[form].numbers()
         assert {name for name in ours if ours[name] != theirs[name]} <= {"generations", "env_steps", "minutes"}
-    assert (measured["published"].evolution.population_size, len(STUDIES["fig6"]("laptop").cells)) == (1000, 3)
+    assert (measured["published"].evolution.population_size, len(STUDIES["fig6"](scale).cells)) == (1000, 3)
     flat, published = measured["es"], measured["published"]
     assert flat.run.algorithm == "es"
     assert flat.networks.hidden == published.networks.hidden

@@ -1,4 +1,4 @@
-"""What a controller sees, in words, for every view."""
+"""The inputs of a controller in words, for every view."""
 
 import numpy as np
 import pytest

@@ -90,7 +90,7 @@ class Curves:
     columns: int | None = None
     """Panels in a row; all if None."""
     references_note: str = "published results"
-    """What the references of its panels are, for the legend."""
+    """Description of the references, for the legend."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What a report shows of a study, as a file beside the study's tables: names in words, and charts."""
+"""The design of a study for its report: names in words and charts, in a file beside the tables of the study."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is kept of a finished run of a study: its row of `runs.csv`, and its rows of `curves.csv`."""
+"""The summary of a finished run of a study: its row of `runs.csv` and its rows of `curves.csv`."""
 
 from __future__ import annotations
 

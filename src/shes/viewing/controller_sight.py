@@ -1,4 +1,4 @@
-"""What a controller sees: its inputs in words, before they are normalised, and the direction of its frame."""
+"""The inputs of a controller in words, before normalisation, and the direction of its frame."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class Moment:
     facts: tuple[str, ...]
     """Label of the agent, if any, its training so far, time, score, and how the episode ended."""
     seen: tuple[str, ...] = ()
-    """What the controller sees, if that and the sensors are asked for; see `ControllerSight`."""
+    """Inputs of the controller in words if sensors are shown; see `ControllerSight`."""
 
 
 class Playback:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from html import unescape
 
 import numpy as np
@@ -14,6 +15,7 @@ from shes.studies.paper_scales import REFERENCES
 from shes.studies.report_design import write_report_design
 from shes.viewing.report import page_sections
 from shes.viewing.report.experiment_page import experiment_section
+from shes.viewing.report.experiment_runs import group_places
 from shes.viewing.report.maps import play_episodes
 from shes.viewing.report.page_sections import Sections
 from shes.viewing.report.reading import read_runs
@@ -151,6 +153,10 @@ def test_a_design_that_cannot_be_read_is_named_and_runs_keep_their_names(experim
     with pytest.raises(RunFolderError, match=r"fig3-design\.json is no design of an experiment"):
         experiment_section(experiment)
     design = json.loads((experiment / "fig5-design.json").read_text())
+    (experiment / "fig3-design.json").write_text(json.dumps({**design, "variants": []}))
+    assert [run.name for run in read_runs([experiment]).runs] == ["point-gather: methods, pieces, seed 5"]
+    with pytest.raises(RunFolderError, match=r"a design of fig3, .* is damaged.*shes experiment NAME --no-run"):
+        experiment_section(experiment)
     design["charts"][0].pop("curves")
     (experiment / "fig3-design.json").write_text(json.dumps(design))
     with pytest.raises(RunFolderError, match=r"the experiment in .*paper cannot be read: 'curves'"):
@@ -192,6 +198,17 @@ def test_the_runs_of_an_experiment_are_named_and_grouped_by_its_design(with_runs
     labelled = read_runs(both, ["one", "two"])
     assert [group.label for group in labelled.groups] == ["one (7 runs)", "two (7 runs)"]
     assert {run.place for run in labelled.runs} == {None}
+
+
+def test_other_runs_whose_label_is_that_of_a_method_or_of_each_other_are_groups_of_their_own(with_runs):
+    read = read_runs([with_runs])
+    method, alone = read.groups[0].label, read.groups[-1]
+    folders = [run.folder for run in read.runs if run.place is not None]
+    others = [replace(alone.group, label=label) for label in (method, method)]
+    places = {run.folder.path.resolve(): run.place for run in read.runs if run.place is not None}
+    found = group_places(folders, places, others)
+    assert [group.label for group in found[-2:]] == [method, method]
+    assert len({(group.color, group.style) for group in (*found[:1], *found[-2:])}) == 3
 
 
 def test_maps_begin_with_each_variant_on_each_environment(with_runs, monkeypatch):

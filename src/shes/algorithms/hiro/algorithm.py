@@ -20,7 +20,7 @@ import numpy as np
 
 from shes.algorithms.contract import Algorithm, Report
 from shes.algorithms.hiro.agent import HiroDesign
-from shes.algorithms.hiro.collector import Actor, Collector, HiroCollector
+from shes.algorithms.hiro.collector import Actor, Collector
 from shes.algorithms.hiro.columns import columns
 from shes.algorithms.hiro.designs import (
     check_memory,
@@ -31,6 +31,7 @@ from shes.algorithms.hiro.designs import (
     hiro_design,
     hiro_levels,
 )
+from shes.algorithms.hiro.hiro_collector import HiroCollector
 from shes.algorithms.hiro.levels import LearnerState, Level, within
 from shes.algorithms.hiro.presets import HIRO_PRESETS
 from shes.algorithms.hiro.sections import HIRO_SECTIONS, TD3_SECTIONS

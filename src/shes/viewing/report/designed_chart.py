@@ -10,7 +10,7 @@ import numpy as np
 
 from shes.types import F64Array
 from shes.viewing.report.curve_charts import X_AXES, Figure, mean_traces, numbered_look, numbers
-from shes.viewing.report.experiment_design import DesignedChart, DesignedCurve, Reference
+from shes.viewing.report.experiment_design import DesignedChart, DesignedCurve, DesignedReference
 
 MOST_BANDS = 10
 """Curves of a figure that have a band: more could not be told apart."""
@@ -123,7 +123,7 @@ def _best_legend() -> dict[str, Any]:
     return {"type": "scatter", "name": _RUNNING_BEST, "x": [None], "y": [None], **look, "meta": {"best": "legend"}}
 
 
-def _references(references: Sequence[Reference], curves: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _references(references: Sequence[DesignedReference], curves: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return a horizontal line for each reference, as wide as the `curves`."""
     every = [x for trace in curves for x in trace["x"] if x is not None]
     return [

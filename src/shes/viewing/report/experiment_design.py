@@ -1,6 +1,6 @@
-"""What the files NAME-design.json beside an experiment's tables hold: its names in words, and its charts.
+"""Names and charts of an experiment, which `shes experiment` writes beside its tables as NAME-design.json.
 
-`shes experiment` writes them, and a report reads them: it knows no study.
+A report reads them there, because it may not import the studies.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class DesignedCurve(TypedDict):
     """Whether it begins where the training of its primitive ended: runs without that time are not drawn."""
 
 
-class Reference(TypedDict):
+class DesignedReference(TypedDict):
     """A published result: a horizontal line."""
 
     words: str
@@ -42,7 +42,7 @@ class DesignedChart(TypedDict):
     axes: list[str]
     """Abscissae, the first by default: `env_steps`, `wall_time_s`."""
     curves: list[DesignedCurve]
-    references: list[Reference]
+    references: list[DesignedReference]
     has_running_best: bool
     """Whether the mean of the running maxima is drawn, too, as a dashed line."""
 
@@ -70,7 +70,7 @@ class DesignedSpeedup(TypedDict):
 
 
 class ExperimentDesign(TypedDict):
-    """What a report shows of an experiment."""
+    """Names and charts of an experiment."""
 
     title: str
     groups: dict[str, str]
@@ -137,4 +137,9 @@ def read_designs(folder: Path) -> Designs:
                 f"{file.name} is no design of an experiment. Write it again: shes experiment NAME --no-run"
             )
         found[file.name.removesuffix(SUFFIX)] = cast("ExperimentDesign", content)
-    return Designs(found)
+    try:
+        return Designs(found)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"a design of {', '.join(found)} is damaged: {error!r}. Write it again: shes experiment NAME --no-run"
+        ) from error

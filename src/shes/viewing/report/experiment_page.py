@@ -32,7 +32,7 @@ _HINT = (
 _CURVES_HINT = (
     "Mean over seeds, with a 95 % t interval of three seeds or more if there are at most ten curves, as far as all "
     "seeds reach. A curve with a transferred primitive begins where the training of its primitive ended, if curves.csv "
-    "has that time."
+    "has that time. The training reward of a primitive alone is that of a branch where branches evaluate it."
 )
 _ORIGIN = ("hardware", "versions", "commit")
 _SETTINGS = "table1-settings"

@@ -65,7 +65,8 @@ def group_places(folders: Sequence[RunFolder], places: Mapping[Path, RunPlace], 
     place_of = {folder.path: places[folder.path.resolve()] for folder in folders}
     by_rank = sorted(folders, key=lambda folder: place_of[folder.path].order)
     drawn = [(folder, place_of[folder.path].method) for folder in by_rank]
-    drawn += [(folder, group.label) for group in others for folder in group.folders]
+    # Numbered, because a label may be that of a method or of another one.
+    drawn += [(folder, f"{number} {group.label}") for number, group in enumerate(others) for folder in group.folders]
     looks = name_groups([folder for folder, _ in drawn], [label for _, label in drawn])
     methods = looks[: len(looks) - len(others)]
     found: list[Group] = []
