@@ -329,7 +329,9 @@ def test_every_question_of_an_experiment_has_one_row(name):
         steps = {(("steps", first), ("steps", second)) for first, second in itertools.pairwise(own)}
         assert set(pairs) == {pair for pair in COMPARED[name] if set(pair) <= variants} | steps
         assert len({each.texts(study.design)[:2] for each in found}) == len(found)
-    assert study.design.metrics["ant-maze"].column == ("seconds" if name == "fig4" else "best_score")
+    design = study.design
+    assert design.metrics["ant-maze"].column == ("seconds" if name == "fig4" else "best_score")
+    assert (design.has_ratios, design.has_equal_budgets) == (name == "fig4", name != "fig4")
 
 
 # The command.
