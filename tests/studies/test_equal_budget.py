@@ -1,5 +1,7 @@
 """Comparisons of learning curves over the steps and the time that both methods have, and of times by their ratios."""
 
+from dataclasses import replace
+
 import pytest
 
 from shes.studies.comparison import compare
@@ -84,3 +86,5 @@ def test_a_comparison_over_equal_budgets_has_both_variants_over_steps_and_hours(
     assert (other.steps_p, other.hours_p) == (pytest.approx(0.1), 1.0)
     texts = ("2.00 to 1.00 in 2.00 M, p 0.1000", "1.00 to 1.00 in 2 h 00 min, p 1.0000")
     assert other.equal_texts(made.design)[2:] == texts
+    assert replace(other, hours_span=None).equal_texts(made.design)[2:] == (texts[0], "-")
+    assert replace(other, steps_span=None).equal_texts(made.design)[2:] == ("-", texts[1])

@@ -106,13 +106,17 @@ class Comparison:
         return self.group, variant, str(self.seeds), score, last
 
     def equal_texts(self, design: StudyDesign) -> tuple[str, ...] | None:
-        """Return the row of the comparison over equal steps and equal time; None if there is none."""
-        if self.steps_span is None or self.hours_span is None:
+        """Return the row of the comparison over equal steps and equal time, one of which may be unknown; else None."""
+        steps, time = "-", "-"
+        if self.steps_span is not None:
+            scores = f"{self.steps_score:.2f} to {self.steps_score_against:.2f}"
+            steps = f"{scores} in {self.steps_span / 1e6:.2f} M, p {self.steps_p:.4f}"
+        if self.hours_span is not None:
+            scores = f"{self.hours_score:.2f} to {self.hours_score_against:.2f}"
+            time = f"{scores} in {format_duration(3600 * self.hours_span)}, p {self.hours_p:.4f}"
+        if steps == time:
             return None
-        steps = f"{self.steps_score:.2f} to {self.steps_score_against:.2f} in {self.steps_span / 1e6:.2f} M"
-        time = f"{self.hours_score:.2f} to {self.hours_score_against:.2f} in {format_duration(3600 * self.hours_span)}"
-        variant = f"{design.label(self.variant)} (to {self._other(design)})"
-        return self.group, variant, f"{steps}, p {self.steps_p:.4f}", f"{time}, p {self.hours_p:.4f}"
+        return self.group, f"{design.label(self.variant)} (to {self._other(design)})", steps, time
 
     def _other(self, design: StudyDesign) -> str:
         """Return the name of the other variant, with its group if that is not this one's."""
