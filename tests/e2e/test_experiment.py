@@ -324,7 +324,8 @@ def test_an_experiment_of_the_paper_has_tables_from_which_anyone_draws_its_figur
         filled += [] if name == "fig6" else ["success_mean"]
         if row["against"]:
             tests = ["mann_whitney_u", "mann_whitney_p", "superiority"]
-            # Of this scale's other pairs one run ends where the other one, or its primitive, begins; over time that depends on the machine.
+            # Of this scale's other pairs one run ends where the other one, or its primitive, begins. Over time, that
+            # depends on the machine.
             is_long = (row["group"], row["variant"], row["against"]) == ("methods", "pieces", "published")
             tests += ["steps_span", "steps_score", "steps_score_against", "steps_p"] if is_long else []
             filled += ["ratio", "ratio_low"] if name in ("fig4", "fig6") else tests
