@@ -6,13 +6,14 @@ import inspect
 import io
 import os
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import griffe  # a dependency of mkdocstrings-python
+from markdown_table import table
 
 import shes
 from shes.algorithms.presets import PRESETS
@@ -28,12 +29,6 @@ _SRC = Path(__file__).parents[1] / "src"
 _TERMINAL = {"NO_COLOR": "1", "TERM": "dumb"}
 _COLUMNS = {"wide": "96", "narrow": "42"}  # of a window and of a telephone; extra.css shows one of them
 _DEVIATION = re.compile(r"^Deviation: (.+?)(?=\n\n|\n(?:Source|Deviation): |\Z)", flags=re.MULTILINE | re.DOTALL)
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[object]], numbers: Sequence[str] = ()) -> str:
-    """Return a Markdown table; the columns named in `numbers` are right-aligned."""
-    lines = [header, ["---:" if name in numbers else "---" for name in header], *rows]
-    return "\n".join(f"| {' | '.join(str(cell).replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
 
 
 def commands() -> str:

@@ -8,7 +8,8 @@ from math import isinf
 
 import gymnasium
 import numpy as np
-from code_tables import first_paragraph, table
+from code_tables import first_paragraph
+from markdown_table import table
 from PIL import Image
 
 from shes.drawing.renderer import CAMERAS

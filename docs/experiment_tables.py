@@ -1,0 +1,141 @@
+"""Markdown tables of `experiments.md`, made from the comparisons in `results/paper` and from the experiments' plans.
+
+`python docs/experiment_tables.py` writes them into the page, each between `<!-- KIND of EXPERIMENT -->` and
+`<!-- end -->`.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from markdown_table import table
+
+from shes.studies.named_studies import STUDIES
+from shes.studies.paper_runs import HIRO
+from shes.studies.study import cell_steps
+
+PAGE = Path(__file__).parent / "experiments.md"
+RESULTS = Path(__file__).parents[1] / "results" / "paper"
+SPEEDS = (14_700, 6_350)
+"""Environment steps per second and core at the paper's size, with 3 x 256 hidden units: of an Intel Xeon
+(`results/policy_limit.csv`) and of an AMD EPYC (`results/speed.csv`)."""
+_AT_THE_PAPERS_SCALE = (("fig3", "methods"), ("fig3", "steps"), ("fig4", "workers"), ("fig5", "transfer"))
+"""Experiments and groups of runs; `table1` has those of `fig3`, and so has `fig5` beside its own."""
+_PLACE = re.compile(r"(<!-- (\w+) of (\w+) -->)\n.*?(<!-- end -->)", flags=re.DOTALL)
+
+Row = Mapping[str, str]
+
+
+def filled(page: str, results: Path = RESULTS) -> str:
+    """Return `page` with its tables made anew from the comparisons in the folder `results`."""
+
+    def fill(place: re.Match[str]) -> str:
+        begin, kind, experiment, end = place.groups()
+        made = missing() if kind == "missing" else _KINDS[kind](list(_named(experiment, results)))
+        return f"{begin}\n\n{made}\n\n{end}"
+
+    return _PLACE.sub(fill, page)
+
+
+def scores(rows: list[tuple[Row, str]]) -> str:
+    """Return the table of all methods: statistics of the score over seeds, and tests against the base."""
+    header = ("task", "method", "seeds", "mean ± s.e.", "IQM", "p", "U", "minutes")
+    lines, base = [], ("", "")
+    for row, words in rows:
+        if not row["against"]:
+            base = row["group"], row["variant"]
+        elif (row["against_group"], row["against"]) != base:
+            continue
+        error = f" ± {float(row['score_error']):.2f}" if row["score_error"] else ""
+        interval = f"({float(row['score_iqm_low']):.2f} to {float(row['score_iqm_high']):.2f})"
+        before = f"{_minutes(row['primitive_hours'])} + " if row["primitive_hours"] else ""
+        lines.append(
+            (
+                *(row["env"], words, row["seeds"], f"{float(row['score_mean']):.2f}{error}"),
+                *(f"{float(row['score_iqm']):.2f} {interval}", _p(row["p_holm"]), _p(row["mann_whitney_p"])),
+                before + _minutes(row["hours"]),
+            )
+        )
+    return table(header, lines)
+
+
+def budgets(rows: list[tuple[Row, str]]) -> str:
+    """Return the table of the comparisons over equal environment steps and equal time."""
+    header = ("task", "method", "against", "steps", "mean test scores", "p", "minutes", "mean test scores ", "p ")
+    words_of = {(row["env"], row["group"], row["variant"]): words for row, words in rows}
+    lines = []
+    for row, words in rows:
+        if row["steps_span"] or row["hours_span"]:
+            steps = f"{float(row['steps_span']) / 1e6:.1f} M" if row["steps_span"] else "–"
+            other = words_of[row["env"], row["against_group"], row["against"]]
+            budget = _minutes(row["hours_span"]) if row["hours_span"] else "–"
+            lines.append((row["env"], words, other, steps, *_both(row, "steps"), budget, *_both(row, "hours")))
+    return table(header, lines)
+
+
+def ratios(rows: list[tuple[Row, str]]) -> str:
+    """Return the table of variants that are compared by the ratio of each seed."""
+    words_of = {(row["env"], row["group"], row["variant"]): words for row, words in rows}
+    lines = []
+    for row, words in rows:
+        other = words_of[row["env"], row["against_group"], row["against"]] if row["against"] else "–"
+        ends = f"({float(row['ratio_low']):.2f} to {float(row['ratio_high']):.2f})" if row["ratio_low"] else ""
+        ratio = f"{float(row['ratio']):.2f} {ends}" if row["ratio"] else "–"
+        lines.append((row["env"], words, row["seeds"], f"{float(row['score_mean']):.4g}", ratio, other))
+    return table(("task", "method", "seeds", "mean", "ratio (of seeds)", "to"), lines)
+
+
+_KINDS: Mapping[str, Callable[[list[tuple[Row, str]]], str]] = {"scores": scores, "budgets": budgets, "ratios": ratios}
+
+
+def missing() -> str:
+    """Return the table of the runs of every experiment at the paper's scale, those of SHES in core-hours."""
+    lines = []
+    for name, group in _AT_THE_PAPERS_SCALE:
+        study = STUDIES[name]("paper", None)
+        cells = [cell for cell in study.cells if cell.group == group and cell.variant != HIRO]
+        steps = sum(sum(cell_steps(cell, study.episodes)) for cell in cells)
+        fewest, most = (f"{round(steps / speed / 3600, -2):,.0f}" for speed in SPEEDS)
+        lines.append((name, study.design.groups[group], len(cells), f"{steps / 1e9:,.0f}", f"{fewest} to {most}"))
+    return table(("experiment", "methods", "runs", "billion steps", "core-hours"), lines)
+
+
+def _named(experiment: str, results: Path) -> Iterator[tuple[Row, str]]:
+    """Yield each comparison of an experiment with the name of its method: that of the figures, if they have one."""
+    design = json.loads((results / f"{experiment}-design.json").read_text(encoding="utf-8"))
+    words = {(group, name): text for group, names in design["variants"].items() for name, text in names.items()}
+    for chart in reversed(design["charts"]):  # the names of the first figure take precedence
+        words |= {(curve["group"], curve["variant"]): curve["words"] for curve in chart["curves"]}
+    with (results / f"{experiment}.csv").open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            yield row, words[row["group"], row["variant"]]
+
+
+def _both(row: Row, budget: str) -> tuple[str, str]:
+    """Return the mean scores of both methods over a budget, and p."""
+    if not row[f"{budget}_score"]:
+        return "–", "–"
+    score, other = (float(row[f"{budget}_score{end}"]) for end in ("", "_against"))
+    return f"{score:.2f}, {other:.2f}", _p(row[f"{budget}_p"])
+
+
+def _p(text: str) -> str:
+    """Return a p value; a dash if there is none."""
+    if not text:
+        return "–"
+    p = float(text)
+    return "<0.001" if p < 0.001 else f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
+
+
+def _minutes(hours: str) -> str:
+    """Return `hours` in minutes."""
+    minutes = 60 * float(hours)
+    return f"{minutes:.1f}" if minutes < 9.95 else f"{minutes:.0f}"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

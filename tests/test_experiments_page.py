@@ -1,0 +1,101 @@
+"""The tables of docs/experiments.md are those of the comparisons, and these are those of the runs."""
+
+import csv
+import json
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from shes.studies.comparison import compare
+from shes.studies.named_studies import STUDIES
+from shes.studies.summaries import read_summaries
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "results" / "paper"
+COMPARED = sorted(path.name.removesuffix("-design.json") for path in RESULTS.glob("*-design.json"))
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import experiment_tables
+
+    yield experiment_tables
+    for name in ("experiment_tables", "markdown_table"):
+        del sys.modules[name]
+
+
+def rows_of(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def split(row):
+    """Return the numbers of a row of texts, and its other cells."""
+    numbers = {}
+    for name, text in row.items():
+        with suppress(ValueError):
+            numbers[name] = float(text)
+    return numbers, {name: text for name, text in row.items() if name not in numbers}
+
+
+def test_the_tables_of_the_page_are_up_to_date(tables):
+    page = tables.PAGE.read_text(encoding="utf-8")
+    assert tables.filled(page) == page, "run: python docs/experiment_tables.py"
+    places = [match[2] for match in tables._PLACE.finditer(page)]
+    assert page.count("<!-- ") == 2 * len(places)
+    assert {*tables._KINDS, "missing"} >= set(places) >= {"scores", "budgets", "missing"}
+
+
+@pytest.mark.parametrize("experiment", COMPARED)
+def test_the_comparisons_are_those_of_the_runs(experiment):
+    study = STUDIES[experiment]("laptop", None)
+    made = [comparison.row() for comparison in compare(study, read_summaries(study, RESULTS))]
+    there = rows_of(RESULTS / f"{experiment}.csv")
+    assert len(made) == len(there) > 0
+    for mine, row in zip(made, there, strict=True):
+        numbers, words = split({name: "" if value is None else str(value) for name, value in mine.items()})
+        expected, words_there = split(row)
+        assert words == words_there
+        assert numbers == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_table_has_every_method_once_and_the_tests_against_the_base(tables, tmp_path):
+    empty = dict.fromkeys(rows_of(RESULTS / "fig5.csv")[0], "")
+    score = {"seeds": "3", "score_mean": "0.5", "score_error": "0.288", "hours": "0.1"}
+    score |= {"score_iqm": "0.5", "score_iqm_low": "0", "score_iqm_high": "1"}
+    ends = {"steps_span": "3e6", "steps_score": "0.25", "steps_score_against": "0.125", "steps_p": "0.0004"}
+    base, other = ({"group": "methods", "variant": name} for name in ("first", "second"))
+    against = {"against_group": "methods", "against": "first", "p_holm": "0.0512", "mann_whitney_p": "0.3"}
+    rows = [
+        {**base, **score},
+        {**other, **score, **against, **ends, "score_error": "", "primitive_hours": "0.5"},
+        {**base, **score, **against, "against": "second"},
+    ]
+    with (tmp_path / "fig9.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(empty))
+        writer.writeheader()
+        writer.writerows({**empty, "env": "ant-maze", **row} for row in rows)
+    design = {
+        "variants": {"methods": {"first": "one", "second": "two"}},
+        "charts": [{"curves": [{**base, "words": words}]} for words in ("the first", "a later figure's")],
+    }
+    (tmp_path / "fig9-design.json").write_text(json.dumps(design), encoding="utf-8")
+    page = "before\n<!-- scores of fig9 -->\nold\n<!-- end -->\n<!-- budgets of fig9 -->\n<!-- end -->\nafter"
+    lines = tables.filled(page, tmp_path).splitlines()
+    assert "old" not in lines
+    assert (lines[0], lines[-1]) == ("before", "after")
+    assert [line for line in lines if line.startswith("| ant-maze")] == [
+        "| ant-maze | the first | 3 | 0.50 ± 0.29 | 0.50 (0.00 to 1.00) | – | – | 6.0 |",
+        "| ant-maze | two | 3 | 0.50 | 0.50 (0.00 to 1.00) | 0.051 | 0.30 | 30 + 6.0 |",
+        "| ant-maze | two | the first | 3.0 M | 0.25, 0.12 | <0.001 | – | – | – |",
+    ]
+
+
+def test_every_group_of_runs_is_at_the_papers_scale_once(tables):
+    groups = [group for name in ("fig3", "fig4", "fig5") for group in STUDIES[name]("paper", None).design.groups]
+    assert sorted(group for _, group in tables._AT_THE_PAPERS_SCALE) == sorted(set(groups))
+    lines = tables.missing().splitlines()[2:]
+    assert [line.split(" | ")[0] for line in lines] == [f"| {name}" for name, _ in tables._AT_THE_PAPERS_SCALE]
