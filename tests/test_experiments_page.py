@@ -14,7 +14,11 @@ from shes.studies.summaries import read_summaries
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "paper"
-COMPARED = sorted(path.name.removesuffix("-design.json") for path in RESULTS.glob("*-design.json"))
+COMPARISONS = {
+    "ablation": "ablation/comparison",
+    "learning": "learning/comparison",
+    **{name: f"paper/{name}" for name in STUDIES if (RESULTS / f"{name}-design.json").is_file()},
+}
 
 
 @pytest.fixture
@@ -49,11 +53,11 @@ def test_the_tables_of_the_page_are_up_to_date(tables):
     assert {*tables._KINDS, "missing"} >= set(places) >= {"scores", "budgets", "missing"}
 
 
-@pytest.mark.parametrize("experiment", COMPARED)
+@pytest.mark.parametrize("experiment", COMPARISONS)
 def test_the_comparisons_are_those_of_the_runs(experiment):
-    study = STUDIES[experiment]("laptop", None)
-    made = [comparison.row() for comparison in compare(study, read_summaries(study, RESULTS))]
-    there = rows_of(RESULTS / f"{experiment}.csv")
+    study, path = STUDIES[experiment]("laptop", None), ROOT / "results" / f"{COMPARISONS[experiment]}.csv"
+    made = [comparison.row() for comparison in compare(study, read_summaries(study, path.parent))]
+    there = rows_of(path)
     assert len(made) == len(there) > 0
     for mine, row in zip(made, there, strict=True):
         numbers, words = split({name: "" if value is None else str(value) for name, value in mine.items()})
