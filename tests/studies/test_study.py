@@ -570,6 +570,11 @@ def test_an_experiment_of_scale_laptop_takes_at_most_nine_hours_on_two_cores_wit
         cell = next(found for found in MADE["fig4"]().cells if found.name.endswith("published-1/seed-1"))
         steps = sum(cell_steps(replace(cell, env="point-push"), MADE["fig4"]().episodes))
         assert timed == pytest.approx(steps / MADE["fig4"]().design.steps_per_s / number)
+    # A generation of figure 6 on each of three cores alone, then on two and on three workers.
+    study = MADE["fig6"]()
+    for found in study.cells:
+        alone = cell_steps(found, 0)[0] / study.design.steps_per_s
+        assert forecast(study, 3)[found.name] == pytest.approx(alone * (3 + 1 / 2 + 1 / 3))
 
 
 def test_a_sweep_multiplies_the_base_and_rounds_whole_numbers():

@@ -187,7 +187,10 @@ def forecast(study: Study, num_workers: int) -> dict[str, float]:
         workers = cell.settings.get("num_workers", num_workers) if study.has_large_runs else num_workers
         training, evaluation = cell_steps(cell, study.episodes)
         speed = design.slower.get(cell.variant, design.steps_per_s)
-        found[cell.name] = (training / speed + evaluation / design.steps_per_s) / min(workers, num_workers)
+        if study.run_cell is not None:  # a generation is timed on every core alone, then on 2, 3, ... workers
+            found[cell.name] = training / speed * (num_workers + sum(1 / count for count in range(2, 1 + num_workers)))
+        else:
+            found[cell.name] = (training / speed + evaluation / design.steps_per_s) / min(workers, num_workers)
     return found
 
 
