@@ -43,7 +43,7 @@ def filled(page: str, results: Path = RESULTS) -> str:
 
 def scores(rows: list[tuple[Row, str]]) -> str:
     """Return the table of all methods: statistics of the score over seeds, and tests against the base."""
-    header = ("task", "method", "seeds", "mean ± s.e.", "IQM", "p", "U", "minutes")
+    header = ("task", "method", "seeds", "mean ± s.e.", "IQM", "p", "U", "million steps", "minutes")
     lines, base = [], ("", "")
     for row, words in rows:
         if not row["against"]:
@@ -52,12 +52,15 @@ def scores(rows: list[tuple[Row, str]]) -> str:
             continue
         error = f" ± {float(row['score_error']):.2f}" if row["score_error"] else ""
         interval = f"({float(row['score_iqm_low']):.2f} to {float(row['score_iqm_high']):.2f})"
-        before = f"{_minutes(row['primitive_hours'])} + " if row["primitive_hours"] else ""
+        spent = [
+            " + ".join(show(row[name]) for name in (f"primitive_{column}", column) if row[name])
+            for column, show in (("env_steps", _millions), ("hours", _minutes))
+        ]
         lines.append(
             (
                 *(row["env"], words, row["seeds"], f"{float(row['score_mean']):.2f}{error}"),
                 *(f"{float(row['score_iqm']):.2f} {interval}", _p(row["p_holm"]), _p(row["mann_whitney_p"])),
-                before + _minutes(row["hours"]),
+                *spent,
             )
         )
     return table(header, lines)
@@ -65,12 +68,22 @@ def scores(rows: list[tuple[Row, str]]) -> str:
 
 def budgets(rows: list[tuple[Row, str]]) -> str:
     """Return the table of the comparisons over equal environment steps and equal time."""
-    header = ("task", "method", "against", "steps", "mean test scores", "p", "minutes", "mean test scores ", "p ")
+    header = (
+        "task",
+        "method",
+        "against",
+        "million steps",
+        "mean test scores",
+        "p",
+        "minutes",
+        "mean test scores ",
+        "p ",
+    )
     words_of = {(row["env"], row["group"], row["variant"]): words for row, words in rows}
     lines = []
     for row, words in rows:
         if row["steps_span"] or row["hours_span"]:
-            steps = f"{float(row['steps_span']) / 1e6:.1f} M" if row["steps_span"] else "–"
+            steps = _millions(row["steps_span"]) if row["steps_span"] else "–"
             other = words_of[row["env"], row["against_group"], row["against"]]
             budget = _minutes(row["hours_span"]) if row["hours_span"] else "–"
             lines.append((row["env"], words, other, steps, *_both(row, "steps"), budget, *_both(row, "hours")))
@@ -129,6 +142,11 @@ def _p(text: str) -> str:
         return "–"
     p = float(text)
     return "<0.001" if p < 0.001 else f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
+
+
+def _millions(steps: str) -> str:
+    """Return a number of environment steps in millions."""
+    return f"{float(steps) / 1e6:.1f}"
 
 
 def _minutes(hours: str) -> str:

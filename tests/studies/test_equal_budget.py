@@ -30,11 +30,11 @@ def test_scores_are_averaged_over_the_steps_that_every_run_has():
     assert (between.span, *between.second) == pytest.approx((75, (25 + 25) / 75))
 
 
-def test_the_training_of_a_primitive_counts_and_has_the_score_of_its_beginner():
-    alone, after = run((0, 0.0), (100, 1.0)), run((0, 0.2), (60, 1.0), primitive=40)
+def test_the_training_of_a_primitive_counts_and_has_the_score_0():
+    alone, after = run((0, 0.0), (100, 1.0)), run((10, 0.2), (60, 1.0), primitive=40)
     found = compare_curves([alone], [after], "env_steps")
     assert found.span == 100
-    assert found.second == pytest.approx([(40 * 0.2 + 60 * 0.6) / 100])
+    assert found.second == pytest.approx([(40 * 0.0 + 10 * 0.2 + 50 * 0.6) / 100])
     assert compare_curves([alone], [run((0, 0.2), (60, 1.0), primitive=100)], "env_steps") is None
 
 

@@ -66,9 +66,10 @@ class Comparison:
     """Lowest ratio of a seed."""
     ratio_high: float | None = None
     steps_span: float | None = None
-    """Environment steps from the start that all runs of both have, with those of a transferred primitive."""
+    """Environment steps from the start to the earliest last evaluation of a run of both, with those of a transferred
+    primitive."""
     steps_score: float | None = None
-    """Mean test score over `steps_span`; None without test scores."""
+    """Mean test score over `steps_span`, 0 while a primitive is trained; None without test scores."""
     steps_score_against: float | None = None
     """The same of the other variant."""
     steps_p: float | None = None
@@ -82,6 +83,10 @@ class Comparison:
     """Mean success rate of the best checkpoints; None without evaluations."""
     success_error: float | None = None
     """Its standard error over seeds."""
+    env_steps: float | None = None
+    """Mean environment steps of a run, without those of a transferred primitive."""
+    primitive_env_steps: float | None = None
+    """Mean environment steps of the training of a transferred primitive; None without one."""
     hours: float | None = None
     """Mean time of a run, without that of a transferred primitive."""
     primitive_hours: float | None = None
@@ -148,16 +153,14 @@ def _facts(design: StudyDesign, found: Comparison, runs: Mapping[_Place, Sequenc
     other = None
     if found.against is not None and found.against_group is not None:
         other = runs[found.env, found.against_group, found.against]
-    success, seconds = (
-        [run.row[name] for run in own if run.row.get(name) is not None] for name in ("best_success", "seconds")
-    )
-    primitive = [run.curve[0]["primitive_seconds"] for run in own if run.curve and "primitive_seconds" in run.curve[0]]
-    primitive = [each for each in primitive if each is not None]
+    rows, firsts = [run.row for run in own], [run.curve[0] for run in own if run.curve]
     facts = {
-        "success_mean": float(np.mean(success)) if success else None,
+        "success_mean": _mean(success := _known(rows, "best_success")),
         "success_error": _standard_error(success),
-        "hours": float(np.mean(seconds)) / 3600 if seconds else None,
-        "primitive_hours": float(np.mean(primitive)) / 3600 if primitive else None,
+        "env_steps": _mean(_known(rows, "env_steps")),
+        "primitive_env_steps": _mean(_known(firsts, "primitive_env_steps")),
+        "hours": _mean(_known(rows, "seconds"), unit=3600),
+        "primitive_hours": _mean(_known(firsts, "primitive_seconds"), unit=3600),
         **{name: joined(run.row.get(name) for run in own) for name in PROVENANCE},
     }
     if other is not None and design.has_ratios:
@@ -190,6 +193,16 @@ def _equal(own: Sequence[CellResults], other: Sequence[CellResults]) -> dict[str
                 f"{name}_p": found.p,
             }
     return facts
+
+
+def _known(rows: Sequence[Row], name: str) -> list[float]:
+    """Return the values of a column that are known."""
+    return [row[name] for row in rows if row.get(name) is not None]
+
+
+def _mean(values: Sequence[float], unit: float = 1) -> float | None:
+    """Return the mean of a sample in `unit`; None if it is empty."""
+    return float(np.mean(values)) / unit if values else None
 
 
 def _standard_error(values: Sequence[float] | F64Array) -> float | None:

@@ -28,11 +28,12 @@ class EqualBudget:
 
 
 def compare_curves(first: Sequence[CellResults], second: Sequence[CellResults], x: str) -> EqualBudget | None:
-    """Compare the test scores of two variants over the span of column `x` that all of their runs have.
+    """Compare the test scores of two variants over the span of column `x` that all of their curves have.
 
-    The training of a transferred primitive counts: until it ends, the score is that of the run's first evaluation, of
-    a controller that has learned for one generation. The mean over a span also tells apart variants that both end at
-    the highest score. Unlike a maximum, it does not rise with the number of evaluations.
+    The span ends with the curve whose last evaluation comes first. The training of a transferred primitive counts: as
+    long as it takes, the score is 0, the lowest of the tasks with scores. From there to a run's first evaluation it is
+    that of this evaluation. The mean over a span also tells apart variants that both end at the highest score. Unlike a
+    maximum, it does not rise with the number of evaluations.
 
     Returns:
         The comparison; None if a curve has no test scores or no `x`, or begins where another one has ended.
@@ -41,23 +42,33 @@ def compare_curves(first: Sequence[CellResults], second: Sequence[CellResults], 
     curves = [each for side in sides for each in side if each is not None]
     if not curves or len(curves) < len(first) + len(second):
         return None
-    span = min(float(steps[-1]) for steps, _ in curves)
-    if span <= max(float(steps[0]) for steps, _ in curves):
+    span = min(float(each.at[-1]) for each in curves)
+    if span <= max(float(each.at[0]) for each in curves):
         return None
-    one, other = (np.array([_mean(*each, span) for each in side if each is not None]) for side in sides)
+    one, other = (np.array([each.mean(span) for each in side if each is not None]) for side in sides)
     return EqualBudget(span=span, first=one, second=other, p=permutation_test(one, other))
 
 
-def _curve(run: CellResults, x: str) -> tuple[F64Array, F64Array] | None:
-    """Return the abscissae of a run's evaluations, with its primitive's training before them, and the scores."""
-    start = f"primitive_{x}"
+@dataclass(frozen=True)
+class _Scores:
+    """The test scores of a run."""
+
+    start: float
+    """Abscissa at which the training of its primitive ended; 0 without a transferred one."""
+    at: F64Array
+    """Abscissae of its evaluations."""
+    scores: F64Array
+
+    def mean(self, span: float) -> float:
+        """Return the mean over [0, span] of the line through the evaluations; 0 until `start`."""
+        grid = np.unique(np.concatenate([[self.start], self.at[self.at < span], [span]]))
+        return float(np.trapezoid(np.interp(grid, self.at, self.scores), grid) / span)
+
+
+def _curve(run: CellResults, x: str) -> _Scores | None:
+    """Return the test scores of a run over `x`; None if one of them is unknown."""
     if not run.curve or any(row.get(x) is None or row.get(_SCORE) is None for row in run.curve):
         return None
-    steps = np.array([row[x] + (row.get(start) or 0) for row in run.curve], dtype=np.float64)
-    return steps, np.array([row[_SCORE] for row in run.curve], dtype=np.float64)
-
-
-def _mean(steps: F64Array, scores: F64Array, span: float) -> float:
-    """Return the mean over [0, span] of the line through the points of a curve, continued by its first value."""
-    grid = np.unique(np.concatenate([[0.0], steps[steps < span], [span]]))
-    return float(np.trapezoid(np.interp(grid, steps, scores), grid) / span)
+    start = float(run.curve[0].get(f"primitive_{x}") or 0)
+    at, scores = (np.array([row[name] for row in run.curve], dtype=np.float64) for name in (x, _SCORE))
+    return _Scores(start, start + at, scores)
