@@ -68,17 +68,8 @@ def scores(rows: list[tuple[Row, str]]) -> str:
 
 def budgets(rows: list[tuple[Row, str]]) -> str:
     """Return the table of the comparisons over equal environment steps and equal time."""
-    header = (
-        "task",
-        "method",
-        "against",
-        "million steps",
-        "mean test scores",
-        "p",
-        "minutes",
-        "mean test scores ",
-        "p ",
-    )
+    means = ("mean test scores", "p")
+    header = ("task", "method", "against", "million steps", *means, "minutes", *means)
     words_of = {(row["env"], row["group"], row["variant"]): words for row, words in rows}
     lines = []
     for row, words in rows:
