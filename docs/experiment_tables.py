@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from markdown_table import table
@@ -26,6 +26,8 @@ SPEEDS = (14_700, 6_350)
 _AT_THE_PAPERS_SCALE = (("fig3", "methods"), ("fig3", "steps"), ("fig4", "workers"), ("fig5", "transfer"))
 """Experiments and groups of runs; `table1` has those of `fig3`, and so has `fig5` beside its own."""
 _PLACE = re.compile(r"(<!-- (\w+) of (\w+) -->)\n.*?(<!-- end -->)", flags=re.DOTALL)
+_UNBROKEN = re.compile(r" (?!\()")
+"""Spaces within a number, its error or its interval."""
 
 Row = Mapping[str, str]
 
@@ -39,6 +41,16 @@ def filled(page: str, results: Path = RESULTS) -> str:
         return f"{begin}\n\n{made}\n\n{end}"
 
     return _PLACE.sub(fill, page)
+
+
+def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table whose first column has each task once, and whose numbers are not broken."""
+    shown, before = [], ""
+    for env, *others in lines:
+        cells = [_UNBROKEN.sub("\N{NO-BREAK SPACE}", cell) if cell[:1].isdigit() else cell for cell in others]
+        shown.append(["" if env == before else env.replace("-", " ").title(), *cells])
+        before = env
+    return table(header, shown)
 
 
 def scores(rows: list[tuple[Row, str]]) -> str:
@@ -63,7 +75,7 @@ def scores(rows: list[tuple[Row, str]]) -> str:
                 *spent,
             )
         )
-    return table(header, lines)
+    return _table(header, lines)
 
 
 def budgets(rows: list[tuple[Row, str]]) -> str:
@@ -78,7 +90,7 @@ def budgets(rows: list[tuple[Row, str]]) -> str:
             other = words_of[row["env"], row["against_group"], row["against"]]
             budget = _minutes(row["hours_span"]) if row["hours_span"] else "–"
             lines.append((row["env"], words, other, steps, *_both(row, "steps"), budget, *_both(row, "hours")))
-    return table(header, lines)
+    return _table(header, lines)
 
 
 def ratios(rows: list[tuple[Row, str]]) -> str:
@@ -90,7 +102,7 @@ def ratios(rows: list[tuple[Row, str]]) -> str:
         ends = f"({float(row['ratio_low']):.2f} to {float(row['ratio_high']):.2f})" if row["ratio_low"] else ""
         ratio = f"{float(row['ratio']):.2f} {ends}" if row["ratio"] else "–"
         lines.append((row["env"], words, row["seeds"], f"{float(row['score_mean']):.4g}", ratio, other))
-    return table(("task", "method", "seeds", "mean", "ratio (of seeds)", "to"), lines)
+    return _table(("task", "method", "seeds", "mean", "ratio (of seeds)", "to"), lines)
 
 
 _KINDS: Mapping[str, Callable[[list[tuple[Row, str]]], str]] = {"scores": scores, "budgets": budgets, "ratios": ratios}
