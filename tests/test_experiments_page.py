@@ -107,3 +107,74 @@ def test_every_group_of_runs_is_at_the_papers_scale_once(tables):
     assert sorted(group for _, group in tables._AT_THE_PAPERS_SCALE) == sorted(set(groups))
     lines = tables.missing().splitlines()[2:]
     assert [line.split(" | ")[0] for line in lines] == [f"| {name}" for name, _ in tables._AT_THE_PAPERS_SCALE]
+
+
+def column(name, env, group="methods", variant="pieces", table="runs"):
+    """Return the values of a column of a table for the seeds of a variant, sorted."""
+    place = {"env": f"ant-{env}", "group": group, "variant": variant}
+    rows = [row for row in rows_of(RESULTS / f"{table}.csv") if place.items() <= row.items()]
+    return sorted(float(row[name]) for row in rows)
+
+
+def listed(values, sign):
+    *first, last = (sign.format(value) for value in values)
+    return f"{', '.join(first)} and {last}"
+
+
+def spread(values, sign="{:.0f}"):
+    return f"{sign.format(min(values))} to {sign.format(max(values))}"
+
+
+def per_cent(env):
+    return f"{listed([100 * score for score in column('best_score', env)], '{:.0f}')} %"
+
+
+def equal_in_gather():
+    place = {"env": "ant-gather", "group": "transfer", "against_group": "methods", "against": "pieces"}
+    (row,) = (row for row in rows_of(RESULTS / "fig5.csv") if place.items() <= row.items())
+    score, other, p = (float(row[f"steps_{name}"]) for name in ("score", "score_against", "p"))
+    return f"{score:.1f} against {other:.1f} (p = {p:.1f})"
+
+
+def first_at(score, group):
+    """Return the million steps of a run after which an evaluation has this mean score, for each seed."""
+    place = {"env": "ant-gather", "group": group, "variant": "pieces"}
+    rows = [row for row in rows_of(RESULTS / "curves.csv") if place.items() <= row.items()]
+    steps = {}
+    for row in rows:
+        if float(row["score_mean"]) >= score:
+            steps.setdefault(row["seed"], float(row["env_steps"]) / 1e6)
+    assert steps.keys() == {row["seed"] for row in rows}
+    return list(steps.values())
+
+
+def most_as_published(env):
+    return max(max(column("best_score", env, group, "published")) for group in ("methods", "transfer"))
+
+
+CLAIMS = {
+    "as published in Gather": lambda: f"scores more than {most_as_published('gather'):.2f},",
+    "walkers as published": lambda: f"return {spread(column('best_score', 'flagrun', 'transfer', 'published'))} on",
+    "walkers": lambda: f"they return {spread(column('best_score', 'flagrun', 'transfer'))},",
+    "Gather": lambda: f"SHES scores {listed(column('best_score', 'gather'), '{:.1f}')} in Gather",
+    "Maze": lambda: f"the target of Maze in {per_cent('maze')}",
+    "Push": lambda: f"that of Push in {per_cent('push')} of the episodes",
+    "Gather, transfer": lambda: f"{listed(column('best_score', 'gather', 'transfer'), '{:.1f}')}, and over equal steps",
+    "Gather, equal steps": lambda: f"a mean test score of {equal_in_gather()}.",
+    "Gather, a score of 2": lambda: (
+        f"after {spread(first_at(2, 'transfer'), '{:.1f}')} million steps of its own, from scratch after "
+        f"{spread(first_at(2, 'methods'), '{:.1f}')}."
+    ),
+    "Maze, transfer": lambda: f"have {spread(column('metres_behind_mean', 'maze', 'transfer', table='metres_behind'))}",
+    "Maze, scratch": lambda: f"{spread(column('metres_behind_mean', 'maze', table='metres_behind'))} m of it",
+}
+
+
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_the_page_says_what_the_results_say(claim):
+    page = " ".join((ROOT / "docs" / "experiments.md").read_text(encoding="utf-8").split())
+    assert CLAIMS[claim]() in page
+
+
+def test_no_ant_as_published_reaches_a_target():
+    assert most_as_published("maze") == most_as_published("push") == 0
