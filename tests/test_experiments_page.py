@@ -161,6 +161,9 @@ CLAIMS = {
     "Push": lambda: f"that of Push in {per_cent('push')} of the episodes",
     "Gather, transfer": lambda: f"{listed(column('best_score', 'gather', 'transfer'), '{:.1f}')}, and over equal steps",
     "Gather, equal steps": lambda: f"a mean test score of {equal_in_gather()}.",
+    "Maze, slow seeds": lambda: (
+        f"they have {listed(column('metres_behind_mean', 'maze', table='metres_behind')[:2], '{:.0f}')} m of the 48 m"
+    ),
     "Gather, a score of 2": lambda: (
         f"after {spread(first_at(2, 'transfer'), '{:.1f}')} million steps of its own, from scratch after "
         f"{spread(first_at(2, 'methods'), '{:.1f}')}."
