@@ -4,6 +4,7 @@ import csv
 import itertools
 import json
 import math
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -60,9 +61,16 @@ def test_the_runs_of_scale_paper_have_ten_seeds_ten_hours_and_three_numbers_of_w
     assert {cell.seed for cell in cells} == set(range(1, 11))
     assert {cell.env for cell in cells} == {"ant-gather", "ant-maze", "ant-push"}
     assert {cell.settings["minutes"] for cell in cells} == {600.0}
-    timed = STUDIES["fig4"]("paper").cells
-    assert {cell.settings["num_workers"] for cell in timed} == {48, 240, 600}
-    assert {cell.seed for cell in timed} == set(range(1, 11))
+    assert {cell.settings["num_workers"] for cell in STUDIES["fig4"]("paper").cells} == {48, 240, 600}
+
+
+@pytest.mark.parametrize(("scale", "seeds"), [("paper", {"ant": 10}), ("laptop", {"point": 10, "ant": 5})])
+@pytest.mark.parametrize("name", ["fig3", "fig4", "fig5"])
+def test_every_variant_has_all_seeds_of_its_body_in_every_environment(name, scale, seeds):
+    cells = STUDIES[name](scale).cells
+    found = Counter((cell.group, cell.variant, cell.env) for cell in cells)
+    assert found == {place: seeds[place[-1].partition("-")[0]] for place in found}
+    assert {env for _, _, env in found} >= {f"{body}-{task}" for body in seeds for task in ("gather", "maze", "push")}
 
 
 def test_the_learning_changes_of_scale_paper_are_those_of_the_preset_but_for_sizes_and_steps():

@@ -198,7 +198,7 @@ def _size(
     """Return the scale of this name, with `seeds` seeds."""
     size = SCALES[scale]
     if is_timed:
-        size = replace(size, seeds=size.timed_seeds, env_steps={**size.env_steps, **size.timed_env_steps})
+        size = replace(size, seeds=size.timed_seeds or size.seeds, env_steps={**size.env_steps, **size.timed_env_steps})
     return size if seeds is None else replace(size, seeds=dict.fromkeys(size.seeds, seeds))
 
 

@@ -120,8 +120,8 @@ class Scale:
     hiro: Mapping[str, Any] = field(default_factory=dict)
     """Settings of HIRO over `hiro_preset`."""
     hiro_preset: str = "laptop"
-    timed_seeds: Mapping[str, int]
-    """Number of seeds by body, where time is measured: of runs with several numbers of workers, and of generations."""
+    timed_seeds: Mapping[str, int] | None = None
+    """Number of seeds by body of the runs with several numbers of workers; without, `seeds`."""
     timed_env_steps: Mapping[str, int] = field(default_factory=dict)
     """Environment steps of those runs, where they are fewer: each has the machine to itself."""
     num_workers: tuple[int, ...] = (1, 2)
@@ -173,7 +173,6 @@ SCALES: dict[str, Scale] = {
         episodes=200,
         hiro={"minutes": 600.0},
         hiro_preset="hiro-table1",
-        timed_seeds={"ant": 10},
         num_workers=(48, 240, 600),
         timed_scale="paper",
     ),
@@ -206,7 +205,6 @@ SCALES: dict[str, Scale] = {
             "ant-maze": 600_000,
             "ant-push": 600_000,
         },
-        timed_seeds={"point": 3, "ant": 3},
         timed_env_steps={
             **{f"point-{task}": 1_000_000 for task in TASKS},
             "ant-gather": 2_000_000,
