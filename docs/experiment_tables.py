@@ -30,6 +30,8 @@ _UNBROKEN = re.compile(r" (?!\()")
 """Spaces within a number, its error or its interval."""
 
 Row = Mapping[str, str]
+Named = tuple[Row, str, str]
+"""A comparison, the name of its method and of the one that it is compared with; a dash if there is none."""
 
 
 def filled(page: str, results: Path = RESULTS) -> str:
@@ -53,11 +55,11 @@ def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
     return table(header, shown)
 
 
-def scores(rows: list[tuple[Row, str]]) -> str:
+def scores(rows: list[Named]) -> str:
     """Return the table of all methods: statistics of the score over seeds, and tests against the base."""
     header = ("task", "method", "seeds", "mean ± s.e.", "IQM", "p", "U", "million steps", "minutes")
     lines, base = [], ("", "")
-    for row, words in rows:
+    for row, words, _ in rows:
         if not row["against"]:
             base = row["group"], row["variant"]
         elif (row["against_group"], row["against"]) != base:
@@ -78,34 +80,30 @@ def scores(rows: list[tuple[Row, str]]) -> str:
     return _table(header, lines)
 
 
-def budgets(rows: list[tuple[Row, str]]) -> str:
+def budgets(rows: list[Named]) -> str:
     """Return the table of the comparisons over equal environment steps and equal time."""
     means = ("mean test scores", "p")
     header = ("task", "method", "against", "million steps", *means, "minutes", *means)
-    words_of = {(row["env"], row["group"], row["variant"]): words for row, words in rows}
     lines = []
-    for row, words in rows:
+    for row, words, other in rows:
         if row["steps_span"] or row["hours_span"]:
             steps = _millions(row["steps_span"]) if row["steps_span"] else "–"
-            other = words_of[row["env"], row["against_group"], row["against"]]
             budget = _minutes(row["hours_span"]) if row["hours_span"] else "–"
             lines.append((row["env"], words, other, steps, *_both(row, "steps"), budget, *_both(row, "hours")))
     return _table(header, lines)
 
 
-def ratios(rows: list[tuple[Row, str]]) -> str:
+def ratios(rows: list[Named]) -> str:
     """Return the table of variants that are compared by the ratio of each seed."""
-    words_of = {(row["env"], row["group"], row["variant"]): words for row, words in rows}
     lines = []
-    for row, words in rows:
-        other = words_of[row["env"], row["against_group"], row["against"]] if row["against"] else "–"
+    for row, words, other in rows:
         ends = f"({float(row['ratio_low']):.2f} to {float(row['ratio_high']):.2f})" if row["ratio_low"] else ""
         ratio = f"{float(row['ratio']):.2f} {ends}" if row["ratio"] else "–"
         lines.append((row["env"], words, row["seeds"], f"{float(row['score_mean']):.4g}", ratio, other))
     return _table(("task", "method", "seeds", "mean", "ratio (of seeds)", "to"), lines)
 
 
-_KINDS: Mapping[str, Callable[[list[tuple[Row, str]]], str]] = {"scores": scores, "budgets": budgets, "ratios": ratios}
+_KINDS: Mapping[str, Callable[[list[Named]], str]] = {"scores": scores, "budgets": budgets, "ratios": ratios}
 
 
 def missing() -> str:
@@ -120,15 +118,16 @@ def missing() -> str:
     return table(("experiment", "methods", "runs", "billion steps", "core-hours"), lines)
 
 
-def _named(experiment: str, results: Path) -> Iterator[tuple[Row, str]]:
-    """Yield each comparison of an experiment with the name of its method: that of the figures, if they have one."""
+def _named(experiment: str, results: Path) -> Iterator[Named]:
+    """Yield each comparison of an experiment with the names of its methods: those of the figures, if they have one."""
     design = json.loads((results / f"{experiment}-design.json").read_text(encoding="utf-8"))
     words = {(group, name): text for group, names in design["variants"].items() for name, text in names.items()}
     for chart in reversed(design["charts"]):  # the names of the first figure take precedence
         words |= {(curve["group"], curve["variant"]): curve["words"] for curve in chart["curves"]}
     with (results / f"{experiment}.csv").open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
-            yield row, words[row["group"], row["variant"]]
+            other = words[row["against_group"], row["against"]] if row["against"] else "–"
+            yield row, words[row["group"], row["variant"]], other
 
 
 def _both(row: Row, budget: str) -> tuple[str, str]:
