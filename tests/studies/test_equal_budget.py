@@ -51,7 +51,7 @@ def study(**flags):
     return Study(cells=cells, design=design)
 
 
-def test_times_are_compared_seed_by_seed_and_without_a_test():
+def test_times_are_compared_seed_by_seed_and_tested_unless_there_is_one_seed():
     made = study(has_ratios=True)
     seconds = {"one": {1: 10.0, 2: 20.0, 3: 40.0}, "two": {1: 5.0, 2: 5.0, 3: 20.0}}
     summaries = {
@@ -59,11 +59,18 @@ def test_times_are_compared_seed_by_seed_and_without_a_test():
         for cell in made.cells
     }
     base, other = compare(made, summaries)
-    assert (base.ratio, other.p, other.p_holm, other.mann_whitney_p, other.superiority) == (None,) * 5
+    assert base.ratio is None
+    # Of the pairs, 20 is above 10 and equal to 20.
+    assert (other.mann_whitney_u, other.superiority) == (1.5, pytest.approx(1.5 / 9))
+    assert 0 < other.p <= other.p_holm <= 1
+    assert 0 < other.mann_whitney_p <= 1
     assert (other.ratio, other.ratio_low, other.ratio_high) == pytest.approx((1 / 16 ** (1 / 3), 0.25, 0.5))
     assert other.texts(made.design)[-1] == "0.40 [0.25, 0.50]"
     del summaries["point-gather/g/two/seed-2"]  # the seeds of both are compared
     assert compare(made, summaries)[1].ratio == pytest.approx(0.5)
+    first = {name: found for name, found in summaries.items() if name.endswith("seed-1")}
+    alone = compare(made, first)[1]
+    assert (alone.ratio, alone.p, alone.p_holm, alone.mann_whitney_p, alone.superiority) == (0.5, *(None,) * 4)
 
 
 def test_a_comparison_over_equal_budgets_has_both_variants_over_steps_and_hours():
@@ -84,7 +91,7 @@ def test_a_comparison_over_equal_budgets_has_both_variants_over_steps_and_hours(
     assert (other.steps_span, other.steps_score, other.steps_score_against) == (2e6, 2.0, 1.0)
     assert (other.hours_span, other.hours_score, other.hours_score_against) == (2.0, 1.0, 1.0)
     assert (other.steps_p, other.hours_p) == (pytest.approx(0.1), 1.0)
-    texts = ("2.00 to 1.00 in 2.00 M, p 0.1000", "1.00 to 1.00 in 2 h 00 min, p 1.0000")
+    texts = ("2.00 against 1.00 in 2.00 M, p 0.1000", "1.00 against 1.00 in 2 h 00 min, p 1.0000")
     assert other.equal_texts(made.design)[2:] == texts
     assert replace(other, hours_span=None).equal_texts(made.design)[2:] == (texts[0], "-")
     assert replace(other, steps_span=None).equal_texts(made.design)[2:] == ("-", texts[1])

@@ -721,6 +721,20 @@ def test_without_scipy_a_study_does_not_begin_and_names_the_extra(monkeypatch, t
             start()
 
 
+def test_without_a_package_or_a_backend_no_run_of_a_study_begins(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "shes.algorithms.hiro.level_learner", None)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    study = STUDIES["fig3"]("smoke", 1)
+    for part, backend, error, words in (
+        (study, "processes", MissingExtraError, "--algorithm hiro needs JAX"),
+        (choose(study, ["steps"]), "ray", MissingExtraError, "--backend ray needs Ray"),
+        (choose(study, ["steps"]), "rays", UnknownNameError, "'rays'"),
+    ):
+        with pytest.raises(error, match=words):
+            next(run_study(part, tmp_path / "out", num_workers=1, backend=backend))
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_permutation_test_is_symmetric_seeded_and_never_zero():
     rng = np.random.default_rng(0)
     first, second = rng.normal(size=10), rng.normal(size=10) + 20
@@ -741,15 +755,32 @@ def test_the_permutation_test_is_symmetric_seeded_and_never_zero():
         ([0] * 5, [1] * 5, 2 / 252, 1.0),  # ties within the samples: 2 of the 252 divisions part all from all
         ([0, 1], [1, 2], 4 / 6, 7 / 8),  # a tie between them: U = 0.5, as in 2 of the 6 divisions, and none is less
         ([1, 2, 2, 3], [2, 3, 3], 2 * 10 / 35, 9 / 12),  # U = 3: 10 of the 35 divisions have U <= 3
-        # 184,756 divisions: the normal approximation. U = 0 of a mean of 50, with a variance of 100 / 12 *
-        # (21 - 2 * (10^3 - 10) / (20 * 19)), and 0.5 for continuity.
-        ([0] * 10, [1] * 10, math.erfc(49.5 / math.sqrt(2 * 100 / 12 * (21 - 1980 / 380))), 1.0),
+        ([0] * 10, [1] * 10, 2 / math.comb(20, 10), 1.0),
+        # The four ones of all are in one sample, as in this share of the divisions.
+        ([0] * 10, [0] * 6 + [1] * 4, 2 * math.comb(10, 4) / math.comb(20, 4), 0.7),
+        # The normal approximation. U = 0 of a mean of 1800, with a variance of 3600 / 12 *
+        # (121 - 2 * (60^3 - 60) / (120 * 119)), and 0.5 for continuity.
+        ([0] * 60, [1] * 60, math.erfc(1799.5 / math.sqrt(2 * 3600 / 12 * (121 - 431_880 / 14_280))), 1.0),
     ],
 )
 def test_mann_whitney_and_superiority_of_orders_counted_by_hand(first, second, p, share):
     first, second = np.array(first, float), np.array(second, float)
     assert superiority(first, second) == pytest.approx(share)
     assert mann_whitney(first, second) == pytest.approx(p)
+
+
+def test_mann_whitney_agrees_with_scipy():
+    rng = np.random.default_rng(0)
+    for sizes in ((3, 8), (10, 10), (50, 50)):
+        first, second = (rng.normal(shift, size=size) for shift, size in zip((0, 0.5), sizes, strict=True))
+        found = check_scipy().mannwhitneyu(first, second, method="exact").pvalue
+        assert mann_whitney(first, second) == pytest.approx(found)
+        assert mann_whitney(second, first) == pytest.approx(found)
+    every = check_scipy().PermutationMethod(n_resamples=1000)
+    for _ in range(20):
+        first, second = rng.integers(4, size=(2, 5)).astype(float)
+        found = check_scipy().mannwhitneyu(first, second, method=every).pvalue
+        assert mann_whitney(first, second) == pytest.approx(found)
 
 
 def test_mann_whitney_agrees_with_the_help_of_r():

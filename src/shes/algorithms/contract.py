@@ -97,6 +97,14 @@ class Algorithm(ABC, Generic[StateT]):
     evaluated and in its checkpoint. Otherwise both are done beside it."""
 
     @staticmethod
+    def check_installed(name: str) -> None:
+        """Check that the packages that training needs are installed. `name` is the algorithm's, for messages.
+
+        Raises:
+            MissingExtraError: One is not.
+        """
+
+    @staticmethod
     def check(settings: Any) -> None:
         """Check combinations of values of its settings; `settings.SECTION.NAME` is a value.
 

@@ -71,6 +71,14 @@ class Backend(ABC):
         """Return the number of workers for `--workers 0`: one for every core that this process may use."""
         return num_cores()
 
+    @staticmethod  # noqa: B027 - most need no package
+    def check_installed() -> None:
+        """Check that the packages it needs are installed.
+
+        Raises:
+            MissingExtraError: One is not.
+        """
+
     @abstractmethod
     def broadcast(self, state: Any) -> None:
         """Send `state` to every worker, for the tasks of the following `map` calls."""

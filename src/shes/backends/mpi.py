@@ -68,6 +68,11 @@ class MpiBackend(PullBackend):
         self._looked_at = 0.0
         self.start_workers()
 
+    @staticmethod
+    def check_installed() -> None:
+        """Check that mpi4py and an MPI library are installed; see the base class."""
+        _import_mpi()
+
     def broadcast(self, state: Any) -> None:
         """Send `state` to all ranks together.
 

@@ -78,6 +78,11 @@ class RayBackend(PullBackend):
         self._waits_since: float | None = None
         self.start_workers()
 
+    @staticmethod
+    def check_installed() -> None:
+        """Check that Ray is installed; see the base class."""
+        _import_ray()
+
     @classmethod
     def all_workers(cls) -> int:
         """Return no limit: the cluster decides, and may grow."""

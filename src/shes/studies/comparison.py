@@ -102,7 +102,7 @@ class Comparison:
     def texts(self, design: StudyDesign) -> tuple[str, ...]:
         """Return the cells of its row in the table of a task."""
         is_of_base = self.against is None or (self.against_group, self.against) == design.base
-        variant = design.label(self.variant) + ("" if is_of_base else f" (to {self._other(design)})")
+        variant = design.label(self.variant) + ("" if is_of_base else f" (against {self._other(design)})")
         score = f"{self.score_mean:.2f} [{self.score_low:.2f}, {self.score_high:.2f}]"
         last = "-" if self.p_holm is None else f"{self.p_holm:.4f}"
         if design.has_ratios:
@@ -114,14 +114,14 @@ class Comparison:
         """Return the row of the comparison over equal steps and equal time, one of which may be unknown; else None."""
         steps, time = "-", "-"
         if self.steps_span is not None:
-            scores = f"{self.steps_score:.2f} to {self.steps_score_against:.2f}"
+            scores = f"{self.steps_score:.2f} against {self.steps_score_against:.2f}"
             steps = f"{scores} in {self.steps_span / 1e6:.2f} M, p {self.steps_p:.4f}"
         if self.hours_span is not None:
-            scores = f"{self.hours_score:.2f} to {self.hours_score_against:.2f}"
+            scores = f"{self.hours_score:.2f} against {self.hours_score_against:.2f}"
             time = f"{scores} in {format_duration(3600 * self.hours_span)}, p {self.hours_p:.4f}"
         if steps == time:
             return None
-        return self.group, f"{design.label(self.variant)} (to {self._other(design)})", steps, time
+        return self.group, f"{design.label(self.variant)} (against {self._other(design)})", steps, time
 
     def _other(self, design: StudyDesign) -> str:
         """Return the name of the other variant, with its group if that is not this one's."""
@@ -228,7 +228,9 @@ def _compare_group(
         if second[0] == group and second[1] in variants and first in others
     ]
     tests = [
-        None if place is None or design.has_ratios else permutation_test(variants[variant], others[place])
+        None
+        if place is None or (design.has_ratios and min(len(variants[variant]), len(others[place])) < 2)
+        else permutation_test(variants[variant], others[place])
         for variant, place in pairs
     ]
     corrected = iter(holm([p for p in tests if p is not None]))

@@ -120,7 +120,7 @@ class StudyDesign:
     paired_on: Mapping[str, tuple[tuple[tuple[str, str], tuple[str, str]], ...]] = field(default_factory=dict)
     """The same of single environments."""
     has_ratios: bool = False
-    """Whether variants are compared by the ratios of each seed and not by tests, as times of the same work are."""
+    """Whether variants are compared by the ratios of each seed, too, as times and speed-ups are."""
     has_equal_budgets: bool = False
     """Whether learning curves are compared over equal environment steps and equal time, where runs have different
     ones."""

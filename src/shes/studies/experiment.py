@@ -63,7 +63,7 @@ def experiment(
         scale: paper: Table I, ten runs of up to ten hours, for experiments of the paper only; laptop: hours on two
             cores; smoke: minutes, as a test.
         seeds: Number of seeds per variant. Default: 10, and 1 for fig6; at scale laptop, 5 for sweeps, the learning
-            study and the ant, and 3 for fig4; at scale smoke, 1 or 2.
+            study and the ant; at scale smoke, 1 or 2.
         only: Groups or environments to run, groups beside the base; all if none. ablation: choices, horizon, sweep,
             transfer; learning: alternatives, form, grid, pieces, sweep; table1: methods, steps; fig3: methods, steps;
             fig4: workers; fig5: methods, transfer; fig6: speedup.

@@ -187,6 +187,7 @@ def figure_6(scale: str = "laptop", seeds: int | None = None) -> Study:
         labels=labels,
         has_large_runs=True,
         has_ratios=True,
+        has_equal_budgets=False,
     )
     return replace(study, episodes=0, run_cell=partial(run_speedup, sleepers=size.sleepers))
 
@@ -216,6 +217,7 @@ def _study(
     paired: tuple[tuple[tuple[str, str], tuple[str, str]], ...] = (),
     has_large_runs: bool = False,
     has_ratios: bool = False,
+    has_equal_budgets: bool = True,
 ) -> Study:
     """Return the study of `cells`, compared with the variant of the first one."""
     envs = [env for env in dict.fromkeys(cell.env for cell in cells) if not env.endswith("flagrun")]
@@ -230,7 +232,7 @@ def _study(
         figures=figures,
         formats=("svg", "png"),
         has_ratios=has_ratios,
-        has_equal_budgets=not has_ratios,
+        has_equal_budgets=has_equal_budgets,
         steps_per_s=_STEPS_PER_S,
         slower=MappingProxyType({HIRO: _HIRO_STEPS_PER_S} if HIRO in variants else {}),
     )

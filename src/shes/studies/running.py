@@ -19,6 +19,7 @@ from typing import Any
 
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
+from shes.backends.registry import BACKENDS
 from shes.cores import num_cores
 from shes.errors import RunFolderError, ShesError
 from shes.runs.config import TrainConfig
@@ -29,7 +30,7 @@ from shes.storage import storage_errors
 from shes.studies.one_core_backend import OneCoreBackend
 from shes.studies.run_summary import summarise
 from shes.studies.significance import check_scipy
-from shes.studies.study import ALONE, Study, cell_config, cell_workers
+from shes.studies.study import ALONE, Study, cell_config, cell_workers, planned_config
 from shes.studies.study_tables import Cell, CellResults
 from shes.studies.summaries import cells_left, read_summary, write_summary
 from shes.training.train import differing, resume_run, start_run
@@ -172,9 +173,12 @@ def run_study(
     Raises:
         RunFolderError: `out` is in use, or a folder below it holds a run with other settings.
         ConfigError: The settings of a cell are not allowed.
+        UnknownNameError: There is no such backend.
+        MissingExtraError: A package is not installed that the backend, the runs or their comparison need.
         StorageError: `out` cannot be written.
         WorkerError: Workers keep dying.
     """
+    _check_packages(cells_left(study, out), backend)
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     unfinished: dict[str, Outcome] = {}
@@ -231,6 +235,14 @@ def _run_side_by_side(backend: Backend, cells: Sequence[Cell]) -> Iterator[Outco
 def _run_in_turn(run: Callable[[Cell], CellResults | None], cells: Sequence[Cell]) -> Iterator[Outcome]:
     """Yield the outcomes of `cells`, run one after another."""
     yield from (_outcome(cell, run) for cell in cells)
+
+
+def _check_packages(cells: Sequence[Cell], backend: str) -> None:
+    """Check that what the runs of `cells` need is installed, before hours of other runs."""
+    BACKENDS.find(backend).check_installed()
+    configs = map(planned_config, cells)
+    for name, algorithm in {config.run.algorithm: config.algorithm for config in configs}.items():
+        algorithm.check_installed(name)
 
 
 def check_study(study: Study, out: Path) -> None:

@@ -106,6 +106,24 @@ def test_a_transferred_run_without_the_time_of_its_primitive_is_in_no_chart_of_f
     assert figure["data"][-1]["x"] == [11, 12]
 
 
+def test_the_training_of_primitives_is_one_line_before_a_mean_and_one_for_each_of_curves_that_are_apart(experiment):
+    rows = [
+        row
+        for seed in (1, 2, 3)
+        for row in rows_of("transfer", "pieces", scores=((1, 2),), start=(1000, 600 * seed**5))
+    ]
+    rows = [(*row[:3], 1 + number // 2, *row[4:]) for number, row in enumerate(rows)]
+    figures = charts(experiment, rows)[0]["fig5 Ant Gather: training reward, perturbed policies"]
+    mean, apart = (figures[x]["data"] for x in ("env_steps", "wall_time_s"))
+    ends = [0, 10, None, 0, 320, None, 0, 2430, None]  # of seeds 1 to 3, in minutes
+    for data, x in ((mean, [0, 1000, None]), (apart, ends)):
+        (before,) = (trace for trace in data if trace["line"].get("dash") == "dot")
+        (curve,) = (trace for trace in data if trace.get("name"))
+        assert (before["x"], before["y"]) == (x, [-1 if end is not None else None for end in x])
+        assert before["legendgroup"] == curve["legendgroup"]
+        assert before["line"]["color"] == curve["line"]["color"]
+
+
 def test_the_speed_up_is_a_chart_beside_that_of_the_authors(experiment):
     rows = [
         measured("published", cores, cores * part, seed=seed) for cores in (1, 2) for seed, part in ((1, 1), (2, 0.5))

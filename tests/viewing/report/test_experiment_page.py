@@ -12,11 +12,11 @@ from tests.viewing.report.experiment_tables import write_curves
 
 HEADER = (
     "group,variant,env,seeds,score_mean,score_error,score_iqm,score_iqm_low,score_iqm_high,against,difference,p_holm,"
-    "mann_whitney_p,superiority,success_mean,success_error,hours,hardware,versions,commit"
+    "mann_whitney_p,superiority,success_mean,success_error,hours,hardware,versions,commit,primitive_hours"
 )
 ROWS = (
-    'methods,published,ant-gather,3,1.5,0.25,1.4,1,2,,,,,,0.5,0.125,2.5,"Zen, 24 cores","python 3.12, numpy 2",abc',
-    'methods,<b>pieces</b>,ant-gather,1,3,,3,3,3,published,1.5,0.02,0.008,0.9,,,1,"Zen, 24 cores",,abc',
+    'methods,published,ant-gather,3,1.5,0.25,1.4,1,2,,,,,,0.5,0.125,2.5,"Zen, 24 cores","python 3.12, numpy 2",abc,',
+    'methods,<b>pieces</b>,ant-gather,1,3,,3,3,3,published,1.5,0.02,0.008,0.9,,,1,"Zen, 24 cores",,def; abc,0.25',
 )
 PNG = b"\x89PNG of figure 3"
 
@@ -52,6 +52,7 @@ def test_the_section_has_each_figure_and_each_comparison(tables):
         "1.40 [1.00, 2.00]",
         "0.50 ± 0.12",
         "2.500",
+        "0.250 + 1.000",
         "0.0200",
         "0.0080",
         "+1.50",
@@ -59,7 +60,7 @@ def test_the_section_has_each_figure_and_each_comparison(tables):
         "3.00",
     ):
         assert f"<td>{cell}</td>" in text
-    assert "hardware: Zen, 24 cores · versions: python 3.12, numpy 2 · commit: abc" in text
+    assert "hardware: Zen, 24 cores · versions: python 3.12, numpy 2 · commit: abc; def</p>" in text
     assert "<b>" not in text
 
 
@@ -87,7 +88,7 @@ def test_equal_budgets_and_ratios_are_shown_where_there_are_any(tables):
     rows = [ROWS[0] + "," * len(columns), ",".join([ROWS[1], *map(str, columns.values())])]
     (tables / "fig3.csv").write_text("\n".join([",".join([HEADER, *columns]), *rows]), encoding="utf-8")
     text = experiment_section(tables)[0]
-    for cell in ("1.25 to 0.50 in 2.50 M, p 0.029", "2.00 to 1.00 in 1.5 min, p 0.500", "0.50 [0.49, 0.52]"):
+    for cell in ("1.25 against 0.50 in 2.50 M, p 0.029", "2.00 against 1.00 in 1.5 min, p 0.500", "0.50 [0.49, 0.52]"):
         assert f"<td>{cell}</td>" in text
     for heading in ("equal steps", "equal time", "ratio"):
         assert f'<th scope="col">{heading}</th>' in text

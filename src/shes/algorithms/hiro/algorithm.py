@@ -76,6 +76,11 @@ class TD3(Algorithm[TD3State]):
         """Return the environment steps of a generation, without the rest of the episodes that are then running."""
         return settings.learner.generation_steps
 
+    @staticmethod
+    def check_installed(name: str) -> None:
+        """Check that JAX and Optax are installed; see the base class."""
+        import_learning(name)
+
     def __init__(self, problem: Problem) -> None:
         """Create the design of the agents and the levels.
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from shes.types import F64Array
+from shes.viewing.curves import mean_curve
 from shes.viewing.report.curve_charts import X_AXES, Figure, mean_traces, numbered_look, numbers
 from shes.viewing.report.experiment_design import DesignedChart, DesignedCurve, DesignedReference
 
@@ -62,6 +63,9 @@ def chart_figure(chart: DesignedChart, rows: Rows, x: str) -> Figure:
         xs = [np.array([_since_start(row, _COLUMNS[x], is_after) for row in run]) * factor for run in runs]
         ys = [np.array([float(row[chart["column"]]) for row in run]) for run in runs]
         words = f"{chart['curves'][number]['words']} ({len(runs)} seed{'s' * (len(runs) != 1)})"
+        if is_after:
+            starts = [float(run[0][f"primitive_{_COLUMNS[x]}"]) * factor for run in runs]
+            data.append(_before(number, starts, xs, ys))
         data += _curve(words, number, xs, ys, has_band=len(drawn) <= MOST_BANDS)
         if chart["has_running_best"]:
             best.append(_best(words, number, xs, ys))
@@ -107,6 +111,19 @@ def _curve(
     """Return mean and band of the curve with this number; one entry of the legend shows and hides both."""
     traces = mean_traces(words, numbered_look(number), xs, ys)
     return [{**trace, "legendgroup": str(number)} for trace in traces if "name" in trace or has_band]
+
+
+def _before(number: int, starts: Sequence[float], xs: Sequence[F64Array], ys: Sequence[F64Array]) -> dict[str, Any]:
+    """Return dotted lines from 0 to where the training of the primitives ended: one of the mean, if there is one."""
+    curve, (color, _) = mean_curve(xs, ys), numbered_look(number)
+    spans = [(start, float(y[0])) for start, y in zip(starts, ys, strict=True)]
+    if not curve.is_apart:
+        spans = [(float(np.mean(starts)), float(curve.mean[0]))]
+    x = np.array([value for end, _ in spans for value in (0.0, end, np.nan)])  # one trace, with a gap after each line
+    y = np.array([value for _, height in spans for value in (height, height, np.nan)])
+    look = {"mode": "lines", "line": {"color": color, "width": 1, "dash": "dot"}, "hoverinfo": "skip"}
+    own = {"legendgroup": str(number), "showlegend": False}
+    return {"type": "scatter", "x": numbers(x), "y": numbers(y), **look, **own}
 
 
 def _best(words: str, number: int, xs: Sequence[F64Array], ys: Sequence[F64Array]) -> dict[str, Any]:

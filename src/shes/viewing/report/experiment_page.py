@@ -24,15 +24,16 @@ _COMPARISONS = (
 _NEEDED = ("group", "variant", "env", "seeds", "score_mean", "score_iqm")
 _HINT = (
     "Results: mean over seeds of the measure of the experiment ± standard error, and interquartile mean, with a "
-    "bootstrap interval; hours: mean of the runs. Comparisons: p values of a permutation test, corrected by Holm's "
-    "method, and of a Mann-Whitney U test; superiority: the probability that a seed exceeds one of those it is "
-    "compared with; ratio: of the measure of each seed, with the lowest and the highest; equal steps, equal time: mean "
-    "test score over the steps and the time that both have, a transferred primitive's included."
+    "bootstrap interval; hours: mean of the runs, after those of a transferred primitive. Comparisons: p values of a "
+    "permutation test, corrected by Holm's method, and of a Mann-Whitney U test; superiority: the probability that a "
+    "seed exceeds one of those it is compared with; ratio: of the measure of each seed, with the lowest and the "
+    "highest; equal steps, equal time: mean test score over the steps and the time that both have, a transferred "
+    "primitive's included."
 )
 _CURVES_HINT = (
     "Mean over seeds, with a 95 % t interval of three seeds or more if there are at most ten curves, as far as all "
-    "seeds reach. A curve with a transferred primitive begins where the training of its primitive ended, if curves.csv "
-    "has that time. The training reward of a primitive alone is that of a branch where branches evaluate it."
+    "seeds reach. A curve with a transferred primitive begins where the training of its primitive ended (dotted), if "
+    "curves.csv has that time. The training reward of a primitive alone is that of a branch where branches evaluate it."
 )
 _ORIGIN = ("hardware", "versions", "commit")
 _SETTINGS = "table1-settings"
@@ -132,7 +133,7 @@ def _result(row: Mapping[str, str], designs: Designs) -> tuple[str, ...]:
         _estimate(row, "score"),
         f"{_text(row, 'score_iqm')} [{_text(row, 'score_iqm_low')}, {_text(row, 'score_iqm_high')}]",
         _estimate(row, "success"),
-        _text(row, "hours", 3),
+        " + ".join(_text(row, name, 3) for name in ("primitive_hours", "hours") if row.get(name)) or "-",
     )
 
 
@@ -157,7 +158,7 @@ def _at_equal(row: Mapping[str, str], name: str) -> str:
     """Return the mean test scores of both over the steps, or the hours, that both have."""
     if not row.get(f"{name}_p"):
         return "-"
-    scores = f"{_text(row, f'{name}_score')} to {_text(row, f'{name}_score_against')}"
+    scores = f"{_text(row, f'{name}_score')} against {_text(row, f'{name}_score_against')}"
     span = float(row[f"{name}_span"])
     words = f"{span / 1e6:.2f} M" if name == "steps" else f"{60 * span:.1f} min"
     return f"{scores} in {words}, p {_text(row, f'{name}_p', 3)}"
@@ -171,5 +172,7 @@ def _without_empty(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> tu
 
 def _origin(rows: Sequence[Mapping[str, str]]) -> str:
     """Return hardware, versions and commits of the runs."""
-    found = {name: dict.fromkeys(row[name] for row in rows if row.get(name)) for name in _ORIGIN}
+    found = {
+        name: dict.fromkeys(each for row in rows if row.get(name) for each in row[name].split("; ")) for name in _ORIGIN
+    }
     return " · ".join(f"{name}: {'; '.join(values)}" for name, values in found.items() if values)
