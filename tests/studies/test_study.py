@@ -229,7 +229,7 @@ def test_settings_that_are_not_allowed_show_before_anything_is_run(tmp_path):
     study = Study(cells=(cell(), cell("b", settings={**TINY, "population_size": 7})))
     with pytest.raises(ConfigError, match="population_size must be a positive multiple of 4"):
         next(run_study(study, tmp_path, num_workers=1))
-    assert [path.name for path in tmp_path.iterdir()] == [".lock"]
+    assert [path.name for path in tmp_path.iterdir()] == []
 
 
 def test_a_damaged_summary_says_what_to_do(finished, tmp_path):
@@ -846,7 +846,7 @@ def test_variants_are_compared_with_the_base_of_their_task_and_corrected_within_
     assert worse.difference == pytest.approx(-2)
     assert (worse.p, worse.p_holm) == (pytest.approx(1e-4, rel=2), pytest.approx(9 * worse.p))
     assert (worse.mann_whitney_u, worse.superiority) == (0, 0)
-    assert worse.mann_whitney_p == pytest.approx(2e-4, rel=0.3)
+    assert worse.mann_whitney_p == pytest.approx(2 / math.comb(20, 10))
     unfrozen = found["point-maze", "transfer", "unfrozen", "frozen"]
     assert (unfrozen.mann_whitney_u, unfrozen.superiority) == (100, 1)
     assert found["point-gather", "choices", "mirrored-none", "base"].p_holm == 1
