@@ -18,7 +18,9 @@ def column(table, name, **where):
     path = Path("results") / f"{table}.csv"
     assert f"(../{path.as_posix()})" in PAGE
     with (ROOT / path).open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if all(row[key] == value for key, value in where.items())]
+        rows = [
+            row for row in csv.DictReader(file) if all(re.fullmatch(value, row[key]) for key, value in where.items())
+        ]
     assert rows, where
     return [float(row[name]) for row in rows]
 
@@ -97,7 +99,54 @@ def ablation():
     )
 
 
+def walkers():
+    best = column("learning/endings", "score_mean", env="ant-flagrun", agent=re.compile("runs/gather/walker/seed_."))
+    upright = column("learning/endings", "upright_to_the_end", agent=re.compile("runs/gather/walker/seed_."))
+    seconds = column("learning/endings", "wall_time_s", agent=re.compile("runs/gather/walker/seed_."))
+    after = {
+        generation: np.mean(column("learning/walkers", "return_mean", intervals="1", generation=generation))
+        for generation in ("10", "30")
+    }
+    return (
+        f"walks after 0.9 million steps, {min(seconds):.0f} to {max(seconds):.0f} seconds on two cores",
+        f"of seeds 1 to 5 return {listed(best, '{:.0f}')}, and",
+        f"upright to the end in {100 * min(upright):.0f} to {100 * max(upright):.0f} % of the episodes",
+        f"average {after['10']:.0f} after 300,000 steps and {after['30']:.0f} after 900,000",
+    )
+
+
+def settings():
+    def of_gather(variant, against, name="p_holm"):
+        return column("ablation/comparison", name, env="point-gather", variant=variant, against=against)[0]
+
+    frozen, scratch = of_gather("frozen", "scratch", "score_mean"), of_gather("scratch", "base", "score_mean")
+    small, slow, long = (
+        of_gather(name, "base") for name in ("sigma-x0.25", "learning-rate-x0.25", "controller-interval-x4")
+    )
+    return (
+        f"({frozen:.2f}, from scratch {scratch:.2f}, p = {of_gather('frozen', 'scratch'):.3f})",
+        f"a quarter of σ (p = {small:.3f}) or of the learning rate (p = {slow:.3f})",
+        f"the goals' interval (p = {long:.3f})",
+    )
+
+
+def speed():
+    def ratio(task, size):
+        return column("speed", "value", measure=f"Ant {task}, {size}, 1 worker: ratio")[0]
+
+    part = {name: column("policy_limit", "ratio", part=name)[0] for name in ("the rollout", READ)}
+    return (
+        f"runs at {ratio('Gather', '64 x 64'):.2f} (Gather) and {ratio('Flagrun', '64 x 64'):.2f} (Flagrun) of",
+        f"with 3 × 256 networks at {ratio('Gather', '3 x 256'):.2f}",
+        f"{part['the rollout']:.2f} on another machine, where {part[READ]:.3f} is the limit",
+    )
+
+
+READ = "forward pass: one read of the weights"
 CLAIMS = {
+    "walkers": walkers,
+    "settings": settings,
+    "speed": speed,
     "gather from scratch": lambda: [gather("coevolved")],
     "gather on a walker": lambda: [gather("transfer")],
     "gather, the view of before": lambda: [gather_nearest()],

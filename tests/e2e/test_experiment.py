@@ -335,8 +335,12 @@ def test_an_experiment_of_the_paper_has_tables_from_which_anyone_draws_its_figur
         shutil.copy(file, tmp_path)
     assert main([*words, str(tmp_path)]) == 0
     assert not any(path.is_dir() for path in tmp_path.iterdir())  # nothing was run again
-    for picture in tmp_path.glob("*.png"):
-        assert picture.read_bytes() == (of_the_paper / picture.name).read_bytes()
+    again, before = (
+        {path.name: path.read_bytes() for path in folder.glob(f"{name}*.[ps][nv]g")}
+        for folder in (tmp_path, of_the_paper)
+    )
+    assert again == before
+    assert {path.rpartition(".")[-1] for path in again} == {"png", "svg"}
 
 
 @pytest.mark.slow
