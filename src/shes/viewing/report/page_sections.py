@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +23,7 @@ from shes.viewing.report.reading import ReportedGroup, ReportedRun, ReportedRuns
 from shes.viewing.report.timing import time_figures
 from shes.viewing.report.videos import video_uri
 
+logger = logging.getLogger("shes.report")
 _T = TypeVar("_T")
 
 _MOST_SHOWN = 6
@@ -166,7 +168,7 @@ class Sections:
         return "\n".join(filter(None, found))
 
     def runs(self) -> str:
-        """Return the runs, and the notes on what could not be done so far."""
+        """Return the runs, and the notes on what could not be done so far, which are logged, too."""
         groups = self.read.groups
         has_labels = len(groups) > 1 and not all(run.place for run in self.read.runs)
         rows = [
@@ -174,6 +176,8 @@ class Sections:
         ]
         headings = ("run", *(["group"] if has_labels else []), *_STATE_HEADINGS)
         notes = [*self.read.left_out, *(f"{run.name}: {note}" for run in self.read.runs for note in run.notes)]
+        for note in notes:
+            logger.warning(note)  # on standard error, unless logging is set up
         shown = self._folded(_counted(len(rows), "run"), table(headings, rows))
         return section("Runs", shown, *(paragraph(note, "note") for note in notes))
 
