@@ -113,9 +113,13 @@ def missing() -> str:
         study = STUDIES[name]("paper", None)
         cells = [cell for cell in study.cells if cell.group == group and cell.variant != HIRO]
         steps = sum(sum(cell_steps(cell, study.episodes)) for cell in cells)
-        fewest, most = (f"{round(steps / speed / 3600, -2):,.0f}" for speed in SPEEDS)
-        lines.append((name, study.design.groups[group], len(cells), f"{steps / 1e9:,.0f}", f"{fewest} to {most}"))
-    return table(("experiment", "methods", "runs", "billion steps", "core-hours"), lines)
+        hours = [steps / speed / 3600 for speed in SPEEDS]
+        core_hours, of_cluster = (
+            " to ".join(f"{round(each / cores, digits):,.0f}" for each in hours)
+            for cores, digits in ((1, -2), (48, -1))
+        )
+        lines.append((name, study.design.groups[group], len(cells), f"{steps / 1e9:,.0f}", core_hours, of_cluster))
+    return table(("experiment", "methods", "runs", "billion steps", "core-hours", "hours of 48 cores"), lines)
 
 
 def _named(experiment: str, results: Path) -> Iterator[Named]:

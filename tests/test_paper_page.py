@@ -130,6 +130,24 @@ def settings():
     )
 
 
+def two_forms():
+    def cells(env):
+        def of(name, variant, against=""):
+            place = {"group": "methods", "env": env, "variant": variant, "against": against}
+            return column("paper/fig5", name, **place)[0]
+
+        scores = [
+            f"{of('score_mean', *form):.2f} ± {of('score_error', *form):.2f}"
+            for form in (("published",), ("pieces", "published"))
+        ]
+        p = of("p_holm", "pieces", "published")
+        steps = of("env_steps", "published") / 1e6
+        return env, f"{steps:.0f}", f"{of('seeds', 'published'):.0f}", *scores, f"{p:.{3 if p < 0.1 else 2}f}"
+
+    envs = (f"{body}-{task}" for body in ("point", "ant") for task in ("gather", "maze", "push"))
+    return [f"| {' | '.join(cells(env))} |".replace(env, env.replace("-", " ").title()) for env in envs]
+
+
 def speed():
     def ratio(task, size):
         return column("speed", "value", measure=f"Ant {task}, {size}, 1 worker: ratio")[0]
@@ -146,6 +164,7 @@ READ = "forward pass: one read of the weights"
 CLAIMS = {
     "walkers": walkers,
     "settings": settings,
+    "two forms": two_forms,
     "speed": speed,
     "gather from scratch": lambda: [gather("coevolved")],
     "gather on a walker": lambda: [gather("transfer")],
