@@ -21,7 +21,7 @@ SETTINGS = (
     *((40, 0.04, 0.02, 1), (40, 0.07, 0.02, 1), (40, 0.07, 0.05, 1)),
 )
 """Population, σ, learning rate and seed; the third is that of the experiments."""
-MEASURES = ("env_steps", "primitive_return_mean", "goals_reached_mean", "score_mean")
+MEASURES = ("primitive_return_mean", "goals_reached_mean", "score_mean")
 
 
 def main() -> None:
@@ -45,10 +45,10 @@ def main() -> None:
         with TemporaryDirectory() as folder:
             run = shes.train("ant-gather", preset="paper", out=Path(folder) / "run", **settings)
             table = run.evaluations
-            columns = [table[name].tolist() for name in MEASURES]
+            columns = [table[name].tolist() for name in ("env_steps", *MEASURES)]
         rows += [
-            {**own, **{name: round(value, 2) for name, value in zip(MEASURES, values, strict=True)}}
-            for values in zip(*columns, strict=True)
+            {**own, "env_steps": int(steps), **dict(zip(MEASURES, (round(value, 2) for value in values), strict=True))}
+            for steps, *values in zip(*columns, strict=True)
         ]
         print(own, rows[-1]["score_mean"], flush=True)
     write_csv(out, rows)

@@ -797,10 +797,8 @@ def test_mann_whitney_agrees_with_the_help_of_r():
         ([81, 64, 49, 36, 25, 16, 9, 4, 1, 0], 139 / 6),  # of 4, 9, 16, 25, 36, 49: two at each end
     ],
 )
-def test_the_interquartile_mean_of_5_and_10_values_agrees_with_a_hand_value_and_scipy(values, expected):
-    values = np.array(values, float)
-    assert interquartile_mean(values)[0] == pytest.approx(expected)
-    assert interquartile_mean(values)[0] == pytest.approx(check_scipy().trim_mean(values, 0.25))
+def test_the_interquartile_mean_of_5_and_10_values_agrees_with_a_hand_value(values, expected):
+    assert interquartile_mean(np.array(values, float))[0] == pytest.approx(expected)
 
 
 def test_the_interquartile_mean_ignores_a_quarter_at_each_end():

@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from shes.drawing.opengl import find_opengl
 from shes.studies.experiment import experiment as run_experiment
 from shes.studies.named_studies import STUDIES
 from shes.studies.paper_scales import REFERENCES
@@ -125,6 +126,18 @@ def test_the_horizontal_axis_the_curves_and_the_episode_can_be_chosen(whole, bro
     choice = "document.querySelector('select[data-map=\"map 0\"]')"
     browser.evaluate(f"{choice}.value = '2'; {choice}.dispatchEvent(new Event('change'))")
     assert browser.wait_for(f"{place}.data.some((trace) => trace.meta.alone) && {numbers}") == [2]
+    assert browser.errors == []
+
+
+def test_a_video_plays(tiny_run, browser, tmp_path, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "off")  # the drawing without it is the fastest
+    find_opengl.cache_clear()
+    page = report(tiny_run, tmp_path / "report.html", episodes=1, num_workers=1)
+    find_opengl.cache_clear()
+    browser.open(page)
+    video = "document.querySelector('video')"
+    browser.evaluate(f"{video}.muted = true; {video}.play()")
+    assert browser.wait_for(f"{video}.currentTime > 0 && {video}.videoWidth") > 100
     assert browser.errors == []
 
 
