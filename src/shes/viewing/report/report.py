@@ -37,9 +37,10 @@ def report(
 ) -> Path:
     """Write a report of `runs`, one HTML page that needs no network.
 
-    What cannot be read, or done with one of the runs, is noted in the report and logged. Runs are grouped as by `plot`. The folder
-    of an experiment begins with its figures and comparisons, and its runs have the names of their groups and variants.
-    It needs plotly (extra report). Without a graphics card a video takes half a minute; --no-video omits them.
+    What cannot be read, or done with one of the runs, is noted in the report and logged. Runs are grouped as by `plot`.
+    The folder of an experiment begins with its figures and comparisons, and its runs have the names of their groups and
+    variants. It needs plotly (extra report). Without a graphics card a video takes half a minute; --no-video omits
+    them.
 
     shes report runs/seeds runs/other --out report.html
 
