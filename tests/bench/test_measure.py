@@ -51,9 +51,8 @@ def test_the_rollout_bench_goes_on_for_as_long_as_it_is_asked_to(monkeypatch):
     monkeypatch.setattr("shes.bench.measure._REPLAY_S", 0.02)
     config = make_config("point-gather", "smoke", {**TINY, "backend": "serial"})
     start = time.perf_counter()
-    found = bench_rollout(config, repeats=1, seconds=0.5)
+    bench_rollout(config, repeats=1, seconds=0.5)
     assert time.perf_counter() - start >= 0.5
-    assert found["generations"] > 2
 
 
 @pytest.mark.parametrize(
