@@ -129,7 +129,13 @@ def test_each_step_has_the_changes_of_those_before_it_and_the_last_differs_from_
     views = {"primitive_view", "goal_encoding"}
     wanted = {
         "point": {"views": views, "branches": branches - {"intervals"}},
-        "ant": {"views": views, "symmetry": {"symmetry"}, "branches": branches},
+        "ant": {
+            "views": views,
+            "symmetry": {"symmetry"},
+            "branches": branches,
+            "gait": {"clock_frequency", "fall_price", "output_weights", "weight_decay", "hold_tied"},
+            "goals": {"controller_view", "controller_output", "controller_interval", "minimum_goal_distance"},
+        },
     }
     for body, steps in wanted.items():
         before, last = values(body, "published"), values(body, "pieces")
@@ -293,13 +299,12 @@ def test_a_comparison_has_success_rates_time_and_origin():
 
 
 PUBLISHED_FIRST = (("methods", "published"), ("methods", "pieces"))
-STEPS = ("views", "symmetry", "branches")
+STEPS = ("views", "symmetry", "branches", "gait", "goals")
 STEPS_OF = {"ant": STEPS, "poi": ("views", "branches")}  # one change after another
 COMPARED = {
     "table1": {
         PUBLISHED_FIRST,
         *((("methods", "published"), ("steps", step)) for step in STEPS),
-        (("steps", "branches"), ("methods", "pieces")),
         (("methods", "published"), ("methods", "hiro")),
         (("methods", "hiro"), ("methods", "pieces")),
     },
@@ -335,6 +340,7 @@ def test_every_question_of_an_experiment_has_one_row(name):
         variants = {(cell.group, cell.variant) for cell in study.cells if cell.env == env}
         own = () if name not in ("table1", "fig3") else STEPS_OF[env[:3]] if env.endswith("-gather") else ()
         steps = {(("steps", first), ("steps", second)) for first, second in itertools.pairwise(own)}
+        steps |= {(("steps", last), ("methods", "pieces")) for last in own[-1:]}
         assert set(pairs) == {pair for pair in COMPARED[name] if set(pair) <= variants} | steps
         assert len({each.texts(study.design)[:2] for each in found}) == len(found)
     design = study.design

@@ -11,8 +11,13 @@ from shes.training.make_config import make_config
 
 TASKS = ("gather", "maze", "push")
 PUBLISHED, PIECES = "published", "pieces"
-STEPS: Mapping[str, tuple[str, ...]] = {"point": ("views", "branches"), "ant": ("views", "symmetry", "branches")}
+STEPS: Mapping[str, tuple[str, ...]] = {
+    "point": ("views", "branches"),
+    "ant": ("views", "symmetry", "branches", "gait", "goals"),
+}
 """Forms between the two, by body: each has the changes of those before it."""
+OTHER_GOALS = ("goals", PIECES)
+"""Forms whose goals are not those of the form as published, so that returns of the primitive cannot be compared."""
 STEPS_TASK = "gather"
 
 REFERENCES: dict[str, tuple[Reference, ...]] = {
@@ -90,6 +95,8 @@ _STEP_NAMES = {
         *("primitive_estimate", "intervals", "primitive_population_size", "primitive_sigma"),
         "primitive_learning_rate",
     ),
+    "gait": ("clock_frequency", "fall_price", "output_weights", "weight_decay", "hold_tied"),
+    "goals": ("controller_view", "controller_output", "controller_interval", "minimum_goal_distance"),
 }
 """Settings of the form with the changes that each step adds to the form as published."""
 OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")
