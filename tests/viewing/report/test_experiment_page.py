@@ -225,6 +225,13 @@ def test_a_table_that_cannot_be_read_is_named(tables, bad):
         experiment_section(tables)
 
 
+def test_an_experiment_without_a_run_and_without_a_result_is_refused(tables):
+    table = tables / "runs.csv"
+    table.write_text(table.read_text(encoding="utf-8").splitlines()[0] + "\n", encoding="utf-8")
+    with pytest.raises(RunFolderError, match=r"neither a run nor a row in runs\.csv.* shes experiment NAME --out"):
+        report(tables, tables / "report.html")
+
+
 def test_an_experiment_is_reported_with_its_runs_and_without(tables, tiny_run, tmp_path, stand_in):
     out = tmp_path / "report.html"
     arguments = {"episodes": 1, "num_workers": 1, "video": False}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from shes.errors import ConfigError, ShesError
+from shes.errors import ConfigError, RunFolderError, ShesError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import shipped_name
@@ -97,7 +97,8 @@ def read_runs(runs: Sequence[Path | str], labels: Sequence[str] = ()) -> Reporte
 
     Raises:
         ConfigError: `runs` is empty, or `labels` has not one label for each of them.
-        RunFolderError: One of `runs` is neither a folder of runs nor a shipped agent, or none can be read.
+        RunFolderError: One of `runs` is neither a folder of runs nor a shipped agent, or an experiment without a
+            result, or none can be read.
     """
     if not runs:
         raise ConfigError("report needs at least one run folder: shes report RUN... --out report.html")
@@ -164,8 +165,20 @@ def is_experiment(folder: Path) -> bool:
 
 
 def is_without_runs(folder: Path) -> bool:
-    """Return whether `folder` holds tables of an experiment and no runs."""
-    return is_experiment(folder) and not any(folder.glob("**/config.json"))
+    """Return whether `folder` holds tables of an experiment and no runs.
+
+    Raises:
+        RunFolderError: It holds neither a run nor a result.
+    """
+    if not is_experiment(folder) or any(folder.glob("**/config.json")):
+        return False
+    table = folder / RUNS_OF_STUDY
+    if len(table.read_text(encoding="utf-8", errors="replace").splitlines()) < 2:
+        raise RunFolderError(
+            f"the experiment in {folder} has neither a run nor a row in {RUNS_OF_STUDY}: there is nothing to report. "
+            f"Run it: shes experiment NAME --out {folder}"
+        )
+    return True
 
 
 def run_name(folder: RunFolder) -> str:
