@@ -135,29 +135,36 @@ def per_cent(env):
     return f"{listed([100 * score for score in column('best_score', env)], '{:.0f}')} %"
 
 
-def equal(env, first, second, budget="steps"):
-    """Return the mean test scores of the first method and of the second over equal budgets, and p."""
+def shown_p(p):
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
+
+
+def comparison(env, first, second, experiment):
+    """Return the row of a comparison of the second method with the first, each a group and a variant."""
     place = dict(zip(("group", "variant", "against_group", "against"), (*second, *first), strict=True))
-    rows = [row for row in rows_of(RESULTS / "fig5.csv") if {**place, "env": env}.items() <= row.items()]
-    score, other, p = (float(rows[0][f"{budget}_{name}"]) for name in ("score", "score_against", "p"))
-    return (
-        f"{score:.2f} against {other:.2f}",
-        "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}",
-    )
+    rows = [row for row in rows_of(RESULTS / f"{experiment}.csv") if {**place, "env": env}.items() <= row.items()]
+    return rows[0]
+
+
+def equal(env, first, second, budget="steps", experiment="fig5"):
+    """Return the mean test scores of the second method and of the first over equal budgets, and p."""
+    row = comparison(env, first, second, experiment)
+    score, other, p = (float(row[f"{budget}_{name}"]) for name in ("score", "score_against", "p"))
+    return f"{score:.2f} against {other:.2f}", shown_p(p)
 
 
 def compared(env, group="transfer", variant="pieces", against="pieces", budget="steps"):
     return "{}, {}".format(*equal(env, ("methods", against), (group, variant), budget))
 
 
-def first_at(score, group):
+def first_at(score, group, variant="pieces", env="ant-gather", column="env_steps", unit=1e6):
     """Return the million steps of a run after which an evaluation has this mean score, for each seed."""
-    place = {"env": "ant-gather", "group": group, "variant": "pieces"}
+    place = {"env": env, "group": group, "variant": variant}
     rows = [row for row in rows_of(RESULTS / "curves.csv") if place.items() <= row.items()]
     steps = {}
     for row in rows:
         if float(row["score_mean"]) >= score:
-            steps.setdefault(row["seed"], float(row["env_steps"]) / 1e6)
+            steps.setdefault(row["seed"], float(row[column]) / unit)
     assert steps.keys() == {row["seed"] for row in rows}
     return list(steps.values())
 
@@ -275,6 +282,15 @@ def test_the_page_says_how_long_a_run_of_scale_paper_takes_on_48_cores(tables):
     steps = [sum(cell_steps(cell, study.episodes)) for cell in study.cells if cell.variant != "hiro"]
     hours = [each / speed / 3600 / 48 for each in (min(steps), max(steps)) for speed in tables.SPEEDS]
     assert f"a run of 3000 generations takes {spread(hours)} hours" in PAGES
+
+
+def test_the_pages_say_how_many_core_hours_all_experiments_take_at_scale_paper(tables):
+    steps = 0
+    for name, group in tables._AT_THE_PAPERS_SCALE:
+        study = STUDIES[name]("paper", None)
+        cells = [cell for cell in study.cells if cell.group == group and cell.variant != "hiro"]
+        steps += sum(sum(cell_steps(cell, study.episodes)) for cell in cells)
+    assert spread([steps / speed / 3.6e6 for speed in tables.SPEEDS], "{:.0f},000") in PAGES
 
 
 def test_no_ant_as_published_reaches_a_target():
