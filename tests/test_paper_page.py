@@ -71,7 +71,15 @@ def pieces():
 
 def hiro():
     best = column("hiro/time_to_score", "best_score", method="hiro-ant-gather", score="1.0")
-    return f"has at most {best[0]:.2f} in 101 minutes", f"and {best[1]:.2f} and {best[2]:.2f} in 51 minutes"
+    minutes = np.divide(column("hiro/runs", "wall_time_s", group="hiro-ant-gather"), 60)
+    of_maze = np.divide(column("hiro/runs", "wall_time_s", group="hiro-ant-maze"), 60)
+    steps = column("hiro/runs", "env_steps", group="hiro-ant-gather")[0]
+    (others,) = set(np.round(minutes[1:]))
+    return (
+        f"has at most {best[0]:.2f} in {minutes[0]:.0f} minutes of one core, {steps / 1e3:.0f},000 of",
+        f"{best[1]:.2f} and {best[2]:.2f} in {others:.0f} minutes",
+        f"with the ant for {min(of_maze):.0f} to {max(minutes):.0f} minutes only",
+    )
 
 
 def seconds(method, score):
