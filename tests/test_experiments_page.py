@@ -135,36 +135,29 @@ def per_cent(env):
     return f"{listed([100 * score for score in column('best_score', env)], '{:.0f}')} %"
 
 
-def shown_p(p):
-    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
-
-
-def comparison(env, first, second, experiment):
-    """Return the row of a comparison of the second method with the first, each a group and a variant."""
-    place = dict(zip(("group", "variant", "against_group", "against"), (*second, *first), strict=True))
-    rows = [row for row in rows_of(RESULTS / f"{experiment}.csv") if {**place, "env": env}.items() <= row.items()]
-    return rows[0]
-
-
-def equal(env, first, second, budget="steps", experiment="fig5"):
+def equal(env, first, second, budget="steps"):
     """Return the mean test scores of the second method and of the first over equal budgets, and p."""
-    row = comparison(env, first, second, experiment)
-    score, other, p = (float(row[f"{budget}_{name}"]) for name in ("score", "score_against", "p"))
-    return f"{score:.2f} against {other:.2f}", shown_p(p)
+    place = dict(zip(("group", "variant", "against_group", "against"), (*second, *first), strict=True))
+    rows = [row for row in rows_of(RESULTS / "fig5.csv") if {**place, "env": env}.items() <= row.items()]
+    score, other, p = (float(rows[0][f"{budget}_{name}"]) for name in ("score", "score_against", "p"))
+    return (
+        f"{score:.2f} against {other:.2f}",
+        "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}",
+    )
 
 
 def compared(env, group="transfer", variant="pieces", against="pieces", budget="steps"):
     return "{}, {}".format(*equal(env, ("methods", against), (group, variant), budget))
 
 
-def first_at(score, group, variant="pieces", env="ant-gather", column="env_steps", unit=1e6):
+def first_at(score, group):
     """Return the million steps of a run after which an evaluation has this mean score, for each seed."""
-    place = {"env": env, "group": group, "variant": variant}
+    place = {"env": "ant-gather", "group": group, "variant": "pieces"}
     rows = [row for row in rows_of(RESULTS / "curves.csv") if place.items() <= row.items()]
     steps = {}
     for row in rows:
         if float(row["score_mean"]) >= score:
-            steps.setdefault(row["seed"], float(row[column]) / unit)
+            steps.setdefault(row["seed"], float(row["env_steps"]) / 1e6)
     assert steps.keys() == {row["seed"] for row in rows}
     return list(steps.values())
 

@@ -298,6 +298,14 @@ def test_a_comparison_has_success_rates_time_and_origin():
     assert compare(study, only)[0].success_error is None
 
 
+def test_returns_of_the_primitive_are_drawn_for_forms_with_the_published_goals_alone():
+    figure = STUDIES["fig3"]("laptop", 1).design.figures[-1]
+    drawn = {(panel.env, panel.measure.column): [curve.variant for curve in panel.curves] for panel in figure.panels}
+    for env, alike in {"point-gather": ["views", "branches"], "ant-gather": [*STEPS[:-1]]}.items():
+        assert drawn[env, "primitive_return_mean"] == ["published", *alike]
+        assert drawn[env, "score_mean"] == ["published", *STEPS_OF[env[:3]], "pieces"]
+
+
 PUBLISHED_FIRST = (("methods", "published"), ("methods", "pieces"))
 STEPS = ("views", "symmetry", "branches", "gait", "goals")
 STEPS_OF = {"ant": STEPS, "poi": ("views", "branches")}  # one change after another

@@ -113,7 +113,11 @@ def read_runs(runs: Sequence[Path | str], labels: Sequence[str] = ()) -> Reporte
     places: dict[Path, RunPlace] = {}
     errors: dict[str, ShesError] = {}
     for number, given in enumerate(runs):
-        folders = [] if is_without_runs(Path(given)) else find_runs(given)
+        if is_without_runs(Path(given)):
+            _check_results(Path(given))
+            folders = []
+        else:
+            folders = find_runs(given)
         if Path(given) in experiments and not labels:
             prefix = f"{given}: " if len(experiments) > 1 else ""
             places |= place_runs(folders, Path(given), prefix)
@@ -165,20 +169,18 @@ def is_experiment(folder: Path) -> bool:
 
 
 def is_without_runs(folder: Path) -> bool:
-    """Return whether `folder` holds tables of an experiment and no runs.
+    """Return whether `folder` holds tables of an experiment and no runs."""
+    return is_experiment(folder) and not any(folder.glob("**/config.json"))
 
-    Raises:
-        RunFolderError: It holds neither a run nor a result.
-    """
-    if not is_experiment(folder) or any(folder.glob("**/config.json")):
-        return False
-    table = folder / RUNS_OF_STUDY
-    if len(table.read_text(encoding="utf-8", errors="replace").splitlines()) < 2:
+
+def _check_results(folder: Path) -> None:
+    """Raise RunFolderError if the table of an experiment has no row."""
+    text = (folder / RUNS_OF_STUDY).read_text(encoding="utf-8", errors="replace")
+    if len(text.splitlines()) < 2:
         raise RunFolderError(
             f"the experiment in {folder} has neither a run nor a row in {RUNS_OF_STUDY}: there is nothing to report. "
             f"Run it: shes experiment NAME --out {folder}"
         )
-    return True
 
 
 def run_name(folder: RunFolder) -> str:

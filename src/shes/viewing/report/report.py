@@ -59,7 +59,8 @@ def report(
         Path of the page.
 
     Raises:
-        RunFolderError: A run is neither a folder of runs nor a shipped agent, or none can be read.
+        RunFolderError: A run is neither a folder of runs nor a shipped agent, or an experiment without a result, or
+            none can be read.
         ConfigError: `runs` is empty, there is not one label for each, or another argument is out of range.
         MissingExtraError: plotly is not installed.
         StorageError: The page cannot be written.
