@@ -1,12 +1,13 @@
 """Tasks of the ant from nothing, over seeds and ways: `python benchmarks/seeds.py gather --out runs/gather`.
 
 - `transfer`: a walker (`shes train ant-flagrun`, for Push and Fall with `--stiff-contacts`, with the specification and
-  the integrator of the task), then a controller on it (`shes train ant-gather --primitive WALKER --generations 60`).
+  the integrator of the task), then a controller on it (`shes train ant-gather --primitive WALKER`;
+  other tasks: `--generations 60`).
 - `coevolved`: both levels together (`shes train ant-gather`).
 
 Every run can be interrupted at any time: the same command goes on. `--results FOLDER` also writes the tables:
 `gather_runs.csv` (best checkpoint of each run over 200 fresh episodes of the task as specified; environment steps and
-wall-clock include the walker's) and `gather_curves.csv` (every evaluation). In Gather five to ten minutes of two cores
+wall-clock include the walker's) and `gather_curves.csv` (every evaluation). In Gather about five minutes of two cores
 for each seed and way, in the others up to half an hour.
 
 `--spec hiro` trains and evaluates on the tasks of the HIRO authors; the tables are then `gather_hiro_runs.csv` and
@@ -46,7 +47,9 @@ def runs(task: str, settings: dict[str, Any], way: str, seed: int, out: Path) ->
     if way == "coevolved":
         return [finished(env, path, **settings)]
     walker = finished("ant-flagrun", out / "walker" / f"seed_{seed}", **settings, **WALKERS[task])
-    return [walker, finished(env, path, **settings, primitive=walker, generations=60)]
+    if task != "gather":
+        settings["generations"] = 60
+    return [walker, finished(env, path, **settings, primitive=walker)]
 
 
 def results(way: str, seed: int, paths: list[Path]) -> tuple[dict[str, Any], list[dict[str, Any]]]:

@@ -39,7 +39,7 @@ def _cells(size: Scale, body: str, group: str, form: str, seed: int) -> Iterator
             preset = size.hiro_preset
         else:
             steps = size.env_steps if primitive is None else {**size.env_steps, **size.transfer_env_steps}
-            preset = size.preset_of(body, form)
+            preset = size.preset_of(form)
             settings = {**settings, **size.settings, **training, **_budget(env, steps)}
         made = Cell(
             group=group, variant=form, env=env, seed=seed, settings=settings, primitive=primitive, preset=preset

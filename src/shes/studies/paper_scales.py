@@ -13,11 +13,9 @@ TASKS = ("gather", "maze", "push")
 PUBLISHED, PIECES = "published", "pieces"
 STEPS: Mapping[str, tuple[str, ...]] = {
     "point": ("views", "branches"),
-    "ant": ("views", "symmetry", "branches", "gait", "goals"),
+    "ant": ("views", "symmetry", "branches", "gait"),
 }
 """Forms between the two, by body: each has the changes of those before it."""
-OTHER_GOALS = ("goals", PIECES)
-"""Forms whose goals are not those of the form as published, so that returns of the primitive cannot be compared."""
 STEPS_TASK = "gather"
 
 REFERENCES: dict[str, tuple[Reference, ...]] = {
@@ -48,19 +46,17 @@ _PLAIN = {"output_weights": "zero", "weight_decay": 0.0}
 # Few policies, since either form learns more from many updates than from exact ones in so few steps.
 _POINT: dict[str, Any] = {"controller_interval": 10, "population_size": 40, "sigma": 0.1, "learning_rate": 0.04}
 _POINT_BRANCHES = {"primitive_population_size": 400, "primitive_sigma": 0.1, "primitive_learning_rate": 0.03}
-# Preset `paper`, but for its size, and with the task's own spread of first states, in which every method is tested.
-_ANT_PUBLISHED: dict[str, Any] = {
-    "hidden": (64, 64),
-    "population_size": 40,
+# Over preset `paper`: its size, and the task's own spread of first states, in which every method is tested.
+_SMALL: dict[str, Any] = {
     "episodes_per_policy": 1,
-    "sigma": 0.02,
-    "learning_rate": 0.01,
     "statistics_fraction": 1.0,  # a hundredth of so few episodes would be none
     "noise_table_size": 25_000_000,
     "reset_noise": 0.1,
 }
+_POINT_PUBLISHED = {**_SMALL, **_POINT, "hidden": (32,)}
+_ANT_PUBLISHED = {**_SMALL, "hidden": (64, 64), "population_size": 40, "sigma": 0.02, "learning_rate": 0.01}
 _FORMS: dict[tuple[str, str], dict[str, Any]] = {
-    ("point", PUBLISHED): _POINT,
+    ("point", PUBLISHED): _POINT_PUBLISHED,
     ("point", PIECES): {
         **_POINT,
         **_VIEWS,
@@ -72,10 +68,10 @@ _FORMS: dict[tuple[str, str], dict[str, Any]] = {
     ("ant", PUBLISHED): _ANT_PUBLISHED,
     ("ant", PIECES): {},
 }
-"""Settings over the preset, by body and form. For the ant, the form as published is over preset `paper`, and preset
-`laptop` has the changes."""
+"""Settings over the preset, by body and form: as published over preset `paper`, with the changes over `laptop`, which
+has them for the ant."""
 _ALONE: dict[tuple[str, str], dict[str, Any]] = {
-    ("point", PUBLISHED): _POINT,
+    ("point", PUBLISHED): _POINT_PUBLISHED,
     ("point", PIECES): {**_POINT, **_VIEWS, **_BRANCHES, **_PLAIN, "population_size": 400, "learning_rate": 0.03},
     ("ant", PUBLISHED): _ANT_PUBLISHED,
     ("ant", PIECES): {},
@@ -96,7 +92,6 @@ _STEP_NAMES = {
         "primitive_learning_rate",
     ),
     "gait": ("clock_frequency", "fall_price", "output_weights", "weight_decay", "hold_tied"),
-    "goals": ("controller_view", "controller_output", "controller_interval", "minimum_goal_distance"),
 }
 """Settings of the form with the changes that each step adds to the form as published."""
 OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")
@@ -162,9 +157,9 @@ class Scale:
             settings["primitive_population_size"] = self.branched_population
         return settings
 
-    def preset_of(self, body: str, form: str) -> str:
+    def preset_of(self, form: str) -> str:
         """Return the preset that the settings of a form are over."""
-        return "paper" if (self.preset, body) == ("laptop", "ant") and form != PIECES else self.preset
+        return "paper" if self.preset == "laptop" and form != PIECES else self.preset
 
     def _laptop(self, body: str, task: str) -> dict[str, Any]:
         """Return the values of preset `laptop` for the ant, which has the changes; none for another body."""
