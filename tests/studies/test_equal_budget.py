@@ -35,6 +35,7 @@ def test_the_training_of_a_primitive_counts_and_has_the_score_0():
     found = compare_curves([alone], [after], "env_steps")
     assert found.span == 100
     assert found.second == pytest.approx([(40 * 0.0 + 10 * 0.2 + 50 * 0.6) / 100])
+    assert found.p is None  # of a single run
     assert compare_curves([alone], [run((0, 0.2), (60, 1.0), primitive=100)], "env_steps") is None
 
 
@@ -43,8 +44,8 @@ def test_curves_without_test_scores_or_steps_are_not_compared(other):
     assert compare_curves([run((0, 0.0), (100, 1.0))] * 2, [run((0, 0.0), (9, 1.0)), other], "env_steps") is None
 
 
-def study(**flags):
-    cells = tuple(Cell(group="g", variant=v, env="point-gather", seed=s) for s in (1, 2, 3) for v in ("one", "two"))
+def study(variants=("one", "two"), **flags):
+    cells = tuple(Cell(group="g", variant=v, env="point-gather", seed=s) for s in (1, 2, 3) for v in variants)
     design = StudyDesign(
         groups={"g": ""}, base=("g", "one"), metrics={"point-gather": Measure("seconds", "seconds")}, **flags
     )
@@ -74,7 +75,7 @@ def test_times_are_compared_seed_by_seed_and_tested_unless_there_is_one_seed():
 
 
 def test_a_comparison_over_equal_budgets_has_both_variants_over_steps_and_hours():
-    made = study(has_equal_budgets=True)
+    made = study(("one", "two", "three"), has_equal_budgets=True)
     summaries = {
         cell.name: CellResults(
             row={**cell.identity, "seconds": 7.0},
@@ -86,12 +87,15 @@ def test_a_comparison_over_equal_budgets_has_both_variants_over_steps_and_hours(
         for cell in made.cells
         for speed, ends in [(1, 2) if cell.variant == "one" else (2, 4)]
     }
-    base, other = compare(made, summaries)
-    assert (base.steps_span, base.equal_texts(made.design)) == (None, None)
+    base, other, third = compare(made, summaries)
+    assert (base.steps_span, base.steps_p_holm, base.equal_texts(made.design)) == (None, None, None)
     assert (other.steps_span, other.steps_score, other.steps_score_against) == (2e6, 2.0, 1.0)
     assert (other.hours_span, other.hours_score, other.hours_score_against) == (2.0, 1.0, 1.0)
     assert (other.steps_p, other.hours_p) == (pytest.approx(0.1), 1.0)
-    texts = ("2.00 against 1.00 in 2.00 M, p 0.1000", "1.00 against 1.00 in 2 h 00 min, p 1.0000")
+    assert (third.steps_p_holm, third.hours_p_holm) == (pytest.approx(0.2), 1.0)
+    texts = ("2.00 against 1.00 in 2.00 M, p 0.2000", "1.00 against 1.00 in 2 h 00 min, p 1.0000")
     assert other.equal_texts(made.design)[2:] == texts
     assert replace(other, hours_span=None).equal_texts(made.design)[2:] == (texts[0], "-")
     assert replace(other, steps_span=None).equal_texts(made.design)[2:] == ("-", texts[1])
+    short = replace(other, steps_span=2e4, hours_span=4.2 / 3600, steps_p_holm=None, hours_p_holm=None)
+    assert short.equal_texts(made.design)[2:] == ("2.00 against 1.00 in 20,000", "1.00 against 1.00 in 4.2 s")

@@ -26,7 +26,7 @@ MEASURES = [*(panel.measure for panel in PANELS), *(m for study in MADE.values()
 COURSE = sorted({measure.column for measure in MEASURES if measure is not None})
 COURSES = (0.0, 0.2, 0.5, 0.4, 0.9, 0.8)
 """The course of a run's measure, as parts of its score."""
-FORMS = ("as published", "with the learning changes")
+FORMS = ("as published, small", "with the learning changes")
 DRAWN = [(name, figure.file.removesuffix(".png")) for name, study in MADE.items() for figure in study.design.figures]
 
 
@@ -218,9 +218,9 @@ def test_figure_3_has_published_scores_and_a_running_best_that_never_falls(all_d
     assert lines["SHES (paper)"].get_ydata()[0] == 3.74
     assert lines["FuN, cosine (Nachum 2018)"].get_ydata()[0] == 0.85
     measured, best = gather.lines[0], gather.lines[1]
-    assert (measured.get_label(), best.get_linestyle()) == ("SHES as published", "--")
+    assert (measured.get_label(), best.get_linestyle()) == ("SHES as published, small", "--")
     assert np.diff(measured.get_ydata()).min() < 0 <= np.diff(best.get_ydata()).min()
-    assert "HIRO" in lines
+    assert "HIRO, small" in lines
     assert gather.get_xlabel() == "minutes"
     assert measured.get_xdata()[[0, -1]] == pytest.approx([15, 90], rel=0.01)
 
@@ -232,7 +232,7 @@ def look_of(line):
 @pytest.mark.parametrize("name", ["fig3-env-steps", "fig3-hours"])
 def test_figure_3_has_one_legend_and_no_reference_looks_like_another_line(all_drawn, name):
     figure = all_drawn["fig3"][0][name]
-    curves = [f"SHES {form} (3 seeds)" for form in FORMS] + ["HIRO (3 seeds)"]
+    curves = [f"SHES {form} (3 seeds)" for form in FORMS] + ["HIRO, small (3 seeds)"]
     note = MADE["fig3"].design.figures[0].references_note
     assert list(legend_of(figure)) == [*curves, BAND, BEST, f"grey, with marks: {note}"]
     for axis, panel in zip(figure.axes, MADE["fig3"].design.figures[0].panels, strict=True):
@@ -322,7 +322,7 @@ def test_two_seeds_are_drawn_beside_their_mean_and_the_legend_tells_the_numbers(
     }
     draw_figures(study, some, [], tmp_path)
     words = list(legend_of(opened[0]))
-    assert words[:2] == ["SHES as published (2 to 3 seeds)", "SHES with the learning changes (2 seeds)"]
+    assert words[:2] == ["SHES as published, small (2 to 3 seeds)", "SHES with the learning changes (2 seeds)"]
     assert words[4:] == [BAND, PAIR, SPAN]
     gather = opened[0].axes[0]
     pieces = [line for line in gather.lines if line.get_color() == "C1"]
@@ -367,7 +367,7 @@ def test_an_axis_has_the_unit_of_its_longest_curve(tmp_path, opened, scale, step
         for axis in figure.axes:
             assert axis.get_xlabel() == label
             unit = {"thousand environment steps": 1e3, "million environment steps": 1e6, "minutes": 60, "hours": 3600}
-            end = curves_of(axis)["HIRO"].get_xdata()[-1]
+            end = curves_of(axis)["HIRO, small"].get_xdata()[-1]
             assert end == pytest.approx(base * scale / unit.get(label, 1), rel=0.01)
 
 

@@ -131,7 +131,11 @@ def test_each_step_has_the_changes_of_those_before_it_and_the_last_differs_from_
     branches |= {"primitive_learning_rate"}
     views = {"primitive_view", "goal_encoding"}
     wanted = {
-        "point": {"views": views, "branches": branches - {"intervals"}},
+        "point": {
+            "views": views,
+            "branches": branches - {"intervals"},
+            "ties": {"output_weights", "weight_decay", "hold_tied"},
+        },
         "ant": {
             "views": views,
             "symmetry": {"symmetry"},
@@ -157,6 +161,12 @@ def test_the_ants_runs_are_evaluated_about_as_often_in_every_form(name, tmp_path
             evaluations = cell.settings["env_steps"] / steps / cell.settings["evaluation_interval"]
             # Figure 4 is so short that a generation is longer than a twentieth.
             assert (7 if name == "fig4" else 16) <= evaluations <= 23, cell.name
+
+
+@pytest.mark.parametrize(("scale", "size"), [("paper", ""), ("laptop", ", small"), ("smoke", ", small")])
+def test_a_form_that_is_smaller_than_in_table_1_is_called_small(scale, size):
+    design = STUDIES["fig3"](scale, 1).design
+    assert (design.label("published"), design.label("hiro")) == (f"as published{size}", f"HIRO{size}")
 
 
 # Runs.
@@ -303,18 +313,18 @@ def test_a_comparison_has_success_rates_time_and_origin():
 def test_returns_of_the_primitive_are_drawn_for_forms_with_the_published_goals_alone():
     figure = STUDIES["fig3"]("laptop", 1).design.figures[-1]
     drawn = {(panel.env, panel.measure.column): [curve.variant for curve in panel.curves] for panel in figure.panels}
-    for env, alike in {"point-gather": ["views", "branches"], "ant-gather": [*STEPS]}.items():
+    for env, alike in {"point-gather": ["views", "branches", "ties"], "ant-gather": [*STEPS]}.items():
         assert drawn[env, "primitive_return_mean"] == ["published", *alike]
         assert drawn[env, "score_mean"] == ["published", *STEPS_OF[env[:3]], "pieces"]
 
 
 PUBLISHED_FIRST = (("methods", "published"), ("methods", "pieces"))
 STEPS = ("views", "symmetry", "branches", "gait")
-STEPS_OF = {"ant": STEPS, "poi": ("views", "branches")}  # one change after another
+STEPS_OF = {"ant": STEPS, "poi": ("views", "branches", "ties")}  # one change after another
 COMPARED = {
     "table1": {
         PUBLISHED_FIRST,
-        *((("methods", "published"), ("steps", step)) for step in STEPS),
+        *((("methods", "published"), ("steps", step)) for step in (*STEPS, "ties")),
         (("methods", "published"), ("methods", "hiro")),
         (("methods", "hiro"), ("methods", "pieces")),
     },
@@ -395,6 +405,18 @@ def test_table_1_is_printed_beside_the_settings_here(tmp_path, done, capsys):
     assert [row["parameter"] for row in rows(tmp_path / "table1-settings.csv")] == [row.words for row in TABLE_1]
     assert main(["experiment", "table1", "--scale", "smoke", "--out", str(tmp_path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["settings"] == settings_beside()
+
+
+def test_fewer_seeds_than_the_tables_have_are_named(tmp_path, done, capsys):
+    values = {"best_score": 1.0, "training_return_mean": 1.0, "score_mean": 1.0, "env_steps": 9, "seconds": 9.0}
+    cells = STUDIES["fig5"]("smoke").ordered()
+    rows_of = {cell.name: {**cell.identity, **values} for cell in cells}
+    made = {name: CellResults(row=row, curve=(row,)) for name, row in rows_of.items()}
+    write_tables(cells, made, tmp_path)
+    for asked in (["--seeds", "1"], []):
+        assert main(["experiment", "fig5", "--scale", "smoke", "--no-run", "--out", str(tmp_path), *asked]) == 0
+        said = "Comparisons and figures are of 1 seed alone; runs.csv has more." in capsys.readouterr().out
+        assert said == bool(asked)
 
 
 # Figures.

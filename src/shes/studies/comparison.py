@@ -51,7 +51,7 @@ class Comparison:
     difference: float | None = None
     """Difference of the means, this variant minus the other."""
     p: float | None = None
-    """Two-sided p of a permutation test of the difference of means."""
+    """Two-sided p of a permutation test of the difference of means; None if a variant has a single seed."""
     p_holm: float | None = None
     """`p` with Holm's correction for the comparisons of this group on this task."""
     mann_whitney_u: float | None = None
@@ -73,12 +73,15 @@ class Comparison:
     steps_score_against: float | None = None
     """The same of the other variant."""
     steps_p: float | None = None
-    """Two-sided p of a permutation test of these two, without correction."""
+    """Two-sided p of a permutation test of these two; None if a variant has a single seed."""
+    steps_p_holm: float | None = None
+    """`steps_p` with Holm's correction for the comparisons of this group on this task."""
     hours_span: float | None = None
     """The same over hours."""
     hours_score: float | None = None
     hours_score_against: float | None = None
     hours_p: float | None = None
+    hours_p_holm: float | None = None
     success_mean: float | None = None
     """Mean success rate of the best checkpoints; None without evaluations."""
     success_error: float | None = None
@@ -114,11 +117,14 @@ class Comparison:
         """Return the row of the comparison over equal steps and equal time, one of which may be unknown; else None."""
         steps, time = "-", "-"
         if self.steps_span is not None:
+            span = f"{self.steps_span / 1e6:.2f} M" if self.steps_span >= 1e5 else f"{self.steps_span:,.0f}"
             scores = f"{self.steps_score:.2f} against {self.steps_score_against:.2f}"
-            steps = f"{scores} in {self.steps_span / 1e6:.2f} M, p {self.steps_p:.4f}"
+            steps = f"{scores} in {span}{_p_text(self.steps_p_holm)}"
         if self.hours_span is not None:
+            seconds = 3600 * self.hours_span
+            span = format_duration(seconds) if seconds >= 10 else f"{seconds:.1f} s"
             scores = f"{self.hours_score:.2f} against {self.hours_score_against:.2f}"
-            time = f"{scores} in {format_duration(3600 * self.hours_span)}, p {self.hours_p:.4f}"
+            time = f"{scores} in {span}{_p_text(self.hours_p_holm)}"
         if steps == time:
             return None
         return self.group, f"{design.label(self.variant)} (against {self._other(design)})", steps, time
@@ -144,7 +150,20 @@ def compare(study: Study, summaries: Mapping[str, CellResults]) -> list[Comparis
             variants = {variant: v for (e, g, variant), v in scores.items() if (e, g) == (env, group)}
             others = {place[1:]: v for place, v in scores.items() if place[0] == env}
             found += _compare_group(design, group, env, variants, others)
-    return [replace(each, **_facts(design, each, runs)) for each in found]
+    found = [replace(each, **_facts(design, each, runs)) for each in found]
+    families: dict[tuple[str, str], list[int]] = {}
+    for number, each in enumerate(found):
+        families.setdefault((each.env, each.group), []).append(number)
+    for numbers in families.values():
+        steps, hours = (holm([getattr(found[number], name) for number in numbers]) for name in ("steps_p", "hours_p"))
+        for number, of_steps, of_hours in zip(numbers, steps, hours, strict=True):
+            found[number] = replace(found[number], steps_p_holm=of_steps, hours_p_holm=of_hours)
+    return found
+
+
+def _p_text(p: float | None) -> str:
+    """Return a p value after a comma; nothing if there is none."""
+    return "" if p is None else f", p {p:.4f}"
 
 
 def _facts(design: StudyDesign, found: Comparison, runs: Mapping[_Place, Sequence[CellResults]]) -> dict[str, Any]:
@@ -181,9 +200,9 @@ def _ratios(own: Sequence[CellResults], other: Sequence[CellResults], column: st
     return {"ratio": mean, "ratio_low": float(ratios.min()), "ratio_high": float(ratios.max())}
 
 
-def _equal(own: Sequence[CellResults], other: Sequence[CellResults]) -> dict[str, float]:
+def _equal(own: Sequence[CellResults], other: Sequence[CellResults]) -> dict[str, float | None]:
     """Return the comparison of test scores over equal environment steps, and over equal time."""
-    facts: dict[str, float] = {}
+    facts: dict[str, float | None] = {}
     for name, x, unit in (("steps", "env_steps", 1), ("hours", "seconds", 3600)):
         if (found := compare_curves(other, own, x)) is not None:
             facts |= {
@@ -229,13 +248,12 @@ def _compare_group(
     ]
     tests = [
         None
-        if place is None or (design.has_ratios and min(len(variants[variant]), len(others[place])) < 2)
+        if place is None or min(len(variants[variant]), len(others[place])) < 2
         else permutation_test(variants[variant], others[place])
         for variant, place in pairs
     ]
-    corrected = iter(holm([p for p in tests if p is not None]))
     found: list[Comparison] = []
-    for (variant, place), p in zip(pairs, tests, strict=True):
+    for (variant, place), p, p_holm in zip(pairs, tests, holm(tests), strict=True):
         values, other = variants[variant], None if place is None else others[place]
         effect = None if p is None or other is None else superiority(other, values)
         low, high = confidence_interval(values[:, None])
@@ -258,7 +276,7 @@ def _compare_group(
                 against=None if place is None else place[1],
                 difference=None if other is None else float(values.mean() - other.mean()),
                 p=p,
-                p_holm=None if p is None else next(corrected),
+                p_holm=p_holm,
                 mann_whitney_u=None if effect is None or other is None else effect * len(values) * len(other),
                 mann_whitney_p=None if p is None or other is None else mann_whitney(other, values),
                 superiority=effect,

@@ -23,8 +23,8 @@ class EqualBudget:
     first: F64Array
     """Mean test score over the span of each run of the first variant: the area under its curve, over the span."""
     second: F64Array
-    p: float
-    """Two-sided p of a permutation test of the difference of means."""
+    p: float | None
+    """Two-sided p of a permutation test of the difference of means; None if a variant has a single run."""
 
 
 def compare_curves(first: Sequence[CellResults], second: Sequence[CellResults], x: str) -> EqualBudget | None:
@@ -46,7 +46,8 @@ def compare_curves(first: Sequence[CellResults], second: Sequence[CellResults], 
     if span <= max(float(each.at[0]) for each in curves):
         return None
     one, other = (np.array([each.mean(span) for each in side if each is not None]) for side in sides)
-    return EqualBudget(span=span, first=one, second=other, p=permutation_test(one, other))
+    p = permutation_test(one, other) if min(len(one), len(other)) > 1 else None
+    return EqualBudget(span=span, first=one, second=other, p=p)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from shes.studies.named_studies import STUDIES
 from shes.studies.report_design import write_report_design
 from shes.studies.running import Outcome, check_study, run_study
 from shes.studies.study import Study, cell_steps, choose
-from shes.studies.study_tables import CellResults, write_csv, write_tables
+from shes.studies.study_tables import CellResults, read_tables, write_csv, write_tables
 from shes.studies.summaries import cells_left, read_summaries
 from shes.studies.table1 import settings_beside
 from shes.training.progress_display import format_duration
@@ -112,6 +112,8 @@ def experiment(
             lines = [
                 f"{len(facts['missing'])} of {len(chosen.cells)} runs are missing; without --no-run they are made."
             ]
+    if seeds is not None and read_tables(STUDIES[name](scale, None).cells, out).keys() - summaries.keys():
+        lines.append(f"Comparisons and figures are of {seeds} seed{'s' * (seeds > 1)} alone; runs.csv has more.")
     found, parts = _write_results(name, study, out, summaries)
     return Listing({**facts, **found}, [*parts, *lines], errors)
 
@@ -172,11 +174,14 @@ def _parts(design: StudyDesign, comparisons: Iterable[Comparison]) -> Iterator[T
         rows = list(found)
         yield env
         yield Table(("group", "variant", "seeds", "mean [95 %]", last), [each.texts(design) for each in rows])
-        test = "" if design.has_ratios else "; p: against the base, permutation test with Holm"
+        test = "" if design.has_ratios else "; p: permutation test, with Holm's correction"
         yield f"mean: {design.metrics[env].words}, over seeds{test}."
         if equal := [texts for each in rows if (texts := each.equal_texts(design)) is not None]:
             yield Table(("group", "variant", "mean test score, equal steps", "equal time"), equal)
-            yield "Over the steps and the time that both have, a transferred primitive's included; p: permutation test."
+            yield (
+                "Over the steps and the time that both have, a transferred primitive's included; p: permutation test, "
+                "with Holm's correction."
+            )
 
 
 def forecast(study: Study, num_workers: int) -> dict[str, float]:

@@ -56,13 +56,16 @@ _GROUPS = {
 _FORMS = (PUBLISHED, PIECES)
 _WORDS = {
     PUBLISHED: "as published",
-    "views": "as published, and egocentric views",
+    "views": "… and egocentric views",
     "symmetry": "… and the body's symmetry",
     "branches": "… and branched intervals",
+    "ties": "… and output layers at zero, no update of ties",
     "gait": "… and a clock, a price of falls, output layers at zero",
     PIECES: "with the learning changes",
     HIRO: "HIRO",
 }
+_SMALL_WORDS = {**_WORDS, **{variant: f"{_WORDS[variant]}, small" for variant in (PUBLISHED, HIRO)}}
+"""Names at scales whose networks, populations and budgets are not those of Table I."""
 _SCORE, _TRAINING = (
     Measure("score_mean", "test score"),
     Measure("training_return_mean", "training reward, perturbed policies"),
@@ -71,8 +74,8 @@ _OF_PRIMITIVE = Measure("primitive_return_mean", "test return of the primitive")
 _BEST = Measure("best_score", "score of the best checkpoint", "score")
 _SECONDS = Measure("seconds", "seconds of a run", "s")
 _PUBLISHED_NOTE = (
-    "published, after 10 million steps in the authors' own environments (Nachum et al. 2018); SHES: 1.24 times HIRO's, "
-    "as in its paper"
+    "published, after 10 million steps in the authors' own environments, without waypoints (Nachum et al. 2018); SHES: "
+    "1.24 times HIRO's, as in its paper"
 )
 _STEPS_PER_S = 16_000  # of one core: 10,000 for the ant, 35,000 for the point
 _HIRO_STEPS_PER_S = 1_000  # the same with ten updates after ten steps; measured: 930 to 1,430
@@ -92,7 +95,8 @@ def figure_3(scale: str = "laptop", seeds: int | None = None) -> Study:
         ConfigError: `seeds` is not positive.
     """
     size = _size(scale, seeds)
-    curves = [Curve(METHODS, form, f"SHES {_WORDS[form]}") for form in _FORMS] + [Curve(METHODS, HIRO, _WORDS[HIRO])]
+    words = _words(size)
+    curves = [Curve(METHODS, form, f"SHES {words[form]}") for form in _FORMS] + [Curve(METHODS, HIRO, words[HIRO])]
     figures = (
         _curves("fig3-env-steps", size, curves, _SCORE, "env_steps", REFERENCES),
         _curves("fig3-hours", size, curves, _SCORE, "hours", REFERENCES),
@@ -119,8 +123,9 @@ def figure_4(scale: str = "laptop", seeds: int | None = None) -> Study:
     """Return the runs of figure 4: the training reward at several numbers of workers; otherwise as `figure_3`."""
     size = _size(scale, seeds, is_timed=True)
     variants = {f"{form}-{number}": (form, number) for form in _FORMS for number in size.num_workers}
+    words = _words(size)
     labels = {
-        variant: f"{_WORDS[form]}, {number} worker{'s' * (number > 1)}" for variant, (form, number) in variants.items()
+        variant: f"{words[form]}, {number} worker{'s' * (number > 1)}" for variant, (form, number) in variants.items()
     }
     cells = [
         replace(cell, group=WORKERS, variant=variant, settings={**cell.settings, "num_workers": number})
@@ -128,7 +133,7 @@ def figure_4(scale: str = "laptop", seeds: int | None = None) -> Study:
         for variant, (form, number) in variants.items()
         if form == cell.variant
     ]
-    curves = [Curve(WORKERS, variant, f"SHES {words}") for variant, words in labels.items()]
+    curves = [Curve(WORKERS, variant, f"SHES {label}") for variant, label in labels.items()]
     fewest, *more = size.num_workers
     pairs = [(f"{PIECES}-{fewest}", f"{PIECES}-{number}") for number in more]
     pairs += [(f"{PUBLISHED}-{number}", f"{PIECES}-{number}") for number in more]
@@ -149,7 +154,7 @@ def figure_5(scale: str = "laptop", seeds: int | None = None) -> Study:
     """Return the runs of figure 5: the training reward of SHES and SHES-TL; otherwise as `figure_3`."""
     size, names = _size(scale, seeds), {METHODS: "SHES", TRANSFER: "SHES-TL"}
     curves = [
-        Curve(group, form, f"{name} {_WORDS[form]}", is_after_primitive=group == TRANSFER)
+        Curve(group, form, f"{name} {_words(size)[form]}", is_after_primitive=group == TRANSFER)
         for group, name in names.items()
         for form in _FORMS
     ]
@@ -204,6 +209,11 @@ def _size(
     return size if seeds is None else replace(size, seeds=dict.fromkeys(size.seeds, seeds))
 
 
+def _words(size: Scale) -> Mapping[str, str]:
+    """Return the names of the variants at a scale."""
+    return _WORDS if size.preset == "paper" else _SMALL_WORDS
+
+
 # Comparisons and figures.
 
 
@@ -214,7 +224,7 @@ def _study(
     *,
     figures: tuple[Forest | Curves | Speedup, ...],
     metric: Measure = _BEST,
-    labels: Mapping[str, str] = _WORDS,
+    labels: Mapping[str, str] | None = None,
     paired: tuple[tuple[tuple[str, str], tuple[str, str]], ...] = (),
     has_large_runs: bool = False,
     has_ratios: bool = False,
@@ -222,7 +232,7 @@ def _study(
 ) -> Study:
     """Return the study of `cells`, compared with the variant of the first one."""
     envs = [env for env in dict.fromkeys(cell.env for cell in cells) if not env.endswith("flagrun")]
-    variants = dict.fromkeys(cell.variant for cell in cells)
+    variants, labels = dict.fromkeys(cell.variant for cell in cells), labels or _words(size)
     design = StudyDesign(
         groups={group: _GROUPS[group] for group in dict.fromkeys(cell.group for cell in cells)},
         base=(cells[0].group, cells[0].variant),

@@ -12,7 +12,7 @@ from shes.training.make_config import make_config
 TASKS = ("gather", "maze", "push")
 PUBLISHED, PIECES = "published", "pieces"
 STEPS: Mapping[str, tuple[str, ...]] = {
-    "point": ("views", "branches"),
+    "point": ("views", "branches", "ties"),
     "ant": ("views", "symmetry", "branches", "gait"),
 }
 """Forms between the two, by body: each has the changes of those before it."""
@@ -91,6 +91,7 @@ _STEP_NAMES = {
         *("primitive_estimate", "intervals", "primitive_population_size", "primitive_sigma"),
         "primitive_learning_rate",
     ),
+    "ties": ("output_weights", "weight_decay", "hold_tied"),
     "gait": ("clock_frequency", "fall_price", "output_weights", "weight_decay", "hold_tied"),
 }
 """Settings of the form with the changes that each step adds to the form as published."""
@@ -162,8 +163,8 @@ class Scale:
         return "paper" if self.preset == "laptop" and form != PIECES else self.preset
 
     def _laptop(self, body: str, task: str) -> dict[str, Any]:
-        """Return the values of preset `laptop` for the ant, which has the changes; none for another body."""
-        return make_config(f"ant-{task}", "laptop").values if body == "ant" else {}
+        """Return the values of preset `laptop`, which for the ant has the changes."""
+        return make_config(f"{body}-{task}", "laptop").values
 
 
 SCALES: dict[str, Scale] = {

@@ -31,13 +31,12 @@ def permutation_test(first: F64Array, second: F64Array) -> float:
 
     p is the share of divisions of all values into two such samples whose difference is at least as large. If there
     are more than 10,000 divisions, it is estimated from as many random ones and the given one, so that it is
-    never 0. It is 1 if a sample has a single value. Source: Phipson and Smyth (2010).
+    never 0. Source: Phipson and Smyth (2010).
 
     Raises:
         MissingExtraError: SciPy is not installed.
+        ValueError: A sample has less than two values.
     """
-    if min(len(first), len(second)) < 2:
-        return 1.0
     scale = max(1.0, float(np.abs(np.concatenate([first, second])).max()))
 
     def difference(one: F64Array, other: F64Array, axis: int) -> F64Array:
@@ -115,10 +114,14 @@ def interquartile_mean(values: F64Array) -> tuple[float, float, float]:
     return mean, float(found.low), float(found.high)
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return `p_values` corrected for multiple comparisons. Source: the step-down method of Holm (1979)."""
-    order = np.argsort(p_values, kind="stable")
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
+    """Return `p_values` corrected for multiple comparisons; None, a comparison without a test, does not count.
+
+    Source: the step-down method of Holm (1979).
+    """
+    known = np.array([p for p in p_values if p is not None], dtype=np.float64)
+    order = np.argsort(known, kind="stable")
     corrected = np.empty(len(order))
-    steps = np.asarray(p_values, dtype=np.float64)[order] * np.arange(len(order), 0, -1)
-    corrected[order] = np.minimum(1.0, np.maximum.accumulate(steps))
-    return corrected.tolist()
+    corrected[order] = np.minimum(1.0, np.maximum.accumulate(known[order] * np.arange(len(order), 0, -1)))
+    found = iter(corrected.tolist())
+    return [None if p is None else next(found) for p in p_values]

@@ -18,6 +18,7 @@ from shes.studies.provenance_columns import PROVENANCE
 from shes.training.make_config import preset_values
 
 _SETTINGS = "settings"  # the column with the digest of a row's settings
+_EVALUATIONS = "evaluations"  # the column of runs.csv with the number of rows that the run has in curves.csv
 _PLACE = ("group", "variant", "env", "seed")
 _WORDS = frozenset({"group", "variant", "env", "kind", _SETTINGS, *PROVENANCE})  # columns of text
 
@@ -78,7 +79,7 @@ def write_tables(cells: Sequence[Cell], summaries: Mapping[str, CellResults], ou
     """
     found = [(cell, summaries[cell.name]) for cell in cells if cell.name in summaries]
     curves = [{**row, _SETTINGS: cell.digest} for cell, summary in found for row in summary.curve]
-    runs = [{**summary.row, _SETTINGS: cell.digest} for cell, summary in found]
+    runs = [{**summary.row, _EVALUATIONS: len(summary.curve), _SETTINGS: cell.digest} for cell, summary in found]
     own = {_key(cell) for cell in cells}
     for name, rows in (("curves.csv", curves), ("runs.csv", runs)):
         others = [row for row in _read(out / name) if _place(row) not in own]
@@ -86,24 +87,40 @@ def write_tables(cells: Sequence[Cell], summaries: Mapping[str, CellResults], ou
 
 
 def read_tables(cells: Sequence[Cell], out: Path) -> dict[str, CellResults]:
-    """Return the summaries of `cells` in the tables at `out`, by name; rows with other settings are ignored."""
+    """Return the summaries of `cells` in the tables at `out`, by name; rows with other settings are ignored.
+
+    Raises:
+        RunFolderError: A table is damaged, or has some rows of a run twice or not at all.
+    """
+    runs: dict[tuple[Any, ...], list[Row]] = {}
     curves: dict[tuple[Any, ...], list[Row]] = {}
-    for row in _read(out / "curves.csv"):
-        curves.setdefault(_place(row), []).append(_without_settings(row))
-    rows = {_place(row): _without_settings(row) for row in _read(out / "runs.csv")}
-    return {
-        cell.name: CellResults(row=rows[_key(cell)], curve=tuple(curves[_key(cell)]))
-        for cell in cells
-        if _key(cell) in rows and _key(cell) in curves
-    }
+    for table, found in (("runs", runs), ("curves", curves)):
+        for row in _read(out / f"{table}.csv"):
+            found.setdefault(_place(row), []).append(row)
+    summaries: dict[str, CellResults] = {}
+    for cell in cells:
+        rows, curve = runs.get(_key(cell), []), curves.get(_key(cell), [])
+        if not rows or not curve:
+            continue
+        if len(rows) > 1:
+            raise RunFolderError(f"{out / 'runs.csv'} has {len(rows)} rows of {cell.name}. Keep the one that is right.")
+        evaluations = rows[0].get(_EVALUATIONS)  # unknown in a table of an earlier version
+        if evaluations not in (None, len(curve)):
+            raise RunFolderError(
+                f"{out / 'curves.csv'} has {len(curve)} rows of {cell.name}, whose run had {evaluations} evaluations. "
+                "Restore the file, or remove the run's rows from both tables to have it made again."
+            )
+        summaries[cell.name] = CellResults(row=_results(rows[0]), curve=tuple(map(_results, curve)))
+    return summaries
 
 
 def _key(cell: Cell) -> tuple[Any, ...]:
     return _place({**cell.identity, _SETTINGS: cell.digest})
 
 
-def _without_settings(row: Row) -> Row:
-    return {name: value for name, value in row.items() if name != _SETTINGS}
+def _results(row: Row) -> Row:
+    """Return a row without what tables have beside the results."""
+    return {name: value for name, value in row.items() if name not in (_SETTINGS, _EVALUATIONS)}
 
 
 def _place(row: Row) -> tuple[Any, ...]:

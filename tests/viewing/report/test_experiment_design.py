@@ -67,18 +67,18 @@ def test_a_chart_shows_what_figure_3_shows(experiment):
     assert "<h3>Figure 3</h3>" in text
     figure = found["fig3 Ant Gather: test score"]["env_steps"]
     references = [f"{words}: {value:g}" for words, value in REFERENCES["ant-gather"]]
-    names = ["SHES as published", "SHES with the learning changes", "HIRO"]
+    names = ["SHES as published, small", "SHES with the learning changes", "HIRO, small"]
     assert legend(figure) == [
         *(f"{name} (3 seeds)" for name in names),
         "running best, as the authors plot it",
         *references,
     ]
     lines = {trace.get("name"): trace for trace in figure["data"]}
-    best = lines["HIRO (3 seeds), running best"]
-    assert (lines["HIRO (3 seeds)"]["y"], best["y"]) == ([2, 2, 3], [2, 2.66667, 3.33333])
+    best = lines["HIRO, small (3 seeds), running best"]
+    assert (lines["HIRO, small (3 seeds)"]["y"], best["y"]) == ([2, 2, 3], [2, 2.66667, 3.33333])
     assert best["line"]["dash"] == "dash"
-    assert best["legendgroup"] == lines["HIRO (3 seeds)"]["legendgroup"]
-    assert best["line"]["color"] == lines["HIRO (3 seeds)"]["line"]["color"]
+    assert best["legendgroup"] == lines["HIRO, small (3 seeds)"]["legendgroup"]
+    assert best["line"]["color"] == lines["HIRO, small (3 seeds)"]["line"]["color"]
     assert sum("fill" in trace for trace in figure["data"]) == 3
     assert [lines[name]["y"] for name in references] == [[value] * 2 for _, value in REFERENCES["ant-gather"]]
     assert lines[references[0]]["x"] == [100, 300]
@@ -201,10 +201,10 @@ def with_runs(experiment, kinds):
 def test_the_runs_of_an_experiment_are_named_and_grouped_by_its_design(with_runs):
     read = read_runs([with_runs])
     assert [group.title for group in read.groups] == [
-        "point-gather: methods, as published, seed 1",
+        "point-gather: methods, as published, small, seed 1",
         "point-gather: methods, with the learning changes (2 runs)",
         "point-gather: transfer, with the learning changes, seed 1",
-        "point-flagrun: transfer, as published, seed 1",
+        "point-flagrun: transfer, as published, small, seed 1",
         "point-flagrun: transfer, with the learning changes, seed 1",
         str(with_runs / "other"),
     ]

@@ -162,7 +162,7 @@ def test_an_experiment_comes_first_with_its_names_in_words(experiment, browser):
     assert chips == [
         f"{group}, {form}"
         for group in ("methods", "transfer")
-        for form in ("as published", "with the learning changes")
+        for form in ("as published, small", "with the learning changes")
     ]
     maps = browser.evaluate("[...document.querySelectorAll('.card:has(select) h3')].map((each) => each.textContent)")
     assert set(maps) == {
@@ -186,7 +186,7 @@ def test_the_curves_of_an_experiment_are_read_below_the_mouse_and_its_running_be
     )
     browser.mouse("Moved", left + 10, (top + bottom) / 2)
     browser.mouse("Moved", right - 10, (top + bottom) / 2)
-    assert "SHES as published (2 seeds)" in browser.wait_for(f"{chart}.querySelector('.hoverlayer').textContent")
+    assert "SHES as published, small (2 seeds)" in browser.wait_for(f"{chart}.querySelector('.hoverlayer').textContent")
 
     def click(name):
         time.sleep(0.5)  # plotly takes two clicks within 0.3 s as one double click
@@ -200,7 +200,7 @@ def test_the_curves_of_an_experiment_are_read_below_the_mouse_and_its_running_be
     shown = (
         f"{chart}._fullData.filter((each) => each.visible === true && each._input.name).map((each) => each.name).join()"
     )
-    curves = ["SHES as published (2 seeds)", "HIRO (2 seeds)"]
+    curves = ["SHES as published, small (2 seeds)", "HIRO, small (2 seeds)"]
     best = [f"{curve}, running best" for curve in curves]
     entry = "running best, as the authors plot it"
     references = [f"{words}: {value:g}" for words, value in REFERENCES["ant-gather"]]
