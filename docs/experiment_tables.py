@@ -139,7 +139,7 @@ def _both(row: Row, budget: str) -> tuple[str, str]:
     if not row[f"{budget}_score"]:
         return "–", "–"
     score, other = (float(row[f"{budget}_score{end}"]) for end in ("", "_against"))
-    return f"{score:.2f}, {other:.2f}", _p(row[f"{budget}_p"])
+    return f"{score:.2f}, {other:.2f}", _p(row[f"{budget}_p_holm"])
 
 
 def _p(text: str) -> str:

@@ -77,7 +77,7 @@ def test_a_table_has_every_method_once_and_the_tests_against_the_base(tables, tm
     empty = dict.fromkeys(rows_of(RESULTS / "fig5.csv")[0], "")
     score = {"seeds": "3", "score_mean": "0.5", "score_error": "0.288", "hours": "0.1", "env_steps": "2e6"}
     score |= {"score_iqm": "0.5", "score_iqm_low": "0", "score_iqm_high": "1"}
-    ends = {"steps_span": "3e6", "steps_score": "0.25", "steps_score_against": "0.125", "steps_p": "0.0004"}
+    ends = {"steps_span": "3e6", "steps_score": "0.25", "steps_score_against": "0.125", "steps_p_holm": "0.0004"}
     primitive = {"primitive_hours": "0.5", "primitive_env_steps": "1e6"}
     base, other = ({"group": "methods", "variant": name} for name in ("first", "second"))
     against = {"against_group": "methods", "against": "first", "p_holm": "0.0512", "mann_whitney_p": "0.3"}
@@ -139,7 +139,7 @@ def equal(env, first, second, budget="steps"):
     """Return the mean test scores of the second method and of the first over equal budgets, and p."""
     place = dict(zip(("group", "variant", "against_group", "against"), (*second, *first), strict=True))
     rows = [row for row in rows_of(RESULTS / "fig5.csv") if {**place, "env": env}.items() <= row.items()]
-    score, other, p = (float(rows[0][f"{budget}_{name}"]) for name in ("score", "score_against", "p"))
+    score, other, p = (float(rows[0][f"{budget}_{name}"]) for name in ("score", "score_against", "p_holm"))
     return (
         f"{score:.2f} against {other:.2f}",
         "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}",

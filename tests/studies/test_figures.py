@@ -260,6 +260,7 @@ def test_figure_5_marks_the_training_of_a_primitive_before_a_transferred_run(all
             assert list(span.get_xdata()) == [0, pytest.approx(of_primitive)]
             assert set(span.get_ydata()) == {transferred.get_ydata()[0]}
     assert SPAN not in legend_of(all_drawn["fig4"][0]["fig4"])
+    assert f"{SPAN}, which scores 0 in comparisons" in legend_of(all_drawn["fig5"][0]["fig5-score"])
 
 
 @pytest.fixture
@@ -423,3 +424,8 @@ def test_curves_have_no_panel_of_an_environment_without_results(tmp_path, opened
     draw(some, tmp_path, MADE["fig4"])
     assert [axis.get_title() for axis in opened[0].axes] == ["Point Maze", "Ant Maze"]
     assert all(text.endswith("(1 seed)") for text in legend_of(opened[0]))  # a single one has no band
+
+
+def test_a_forest_has_the_environments_with_results_alone(tmp_path, opened):
+    draw([c for c in STUDY.cells if (c.group, c.env) == ("choices", "point-maze")], tmp_path)
+    assert [axis.get_title(loc="left") for axis in opened[0].axes] == ["Point Maze"]

@@ -196,7 +196,9 @@ def _keys(panels: Sequence[CurvePanel], curves: Sequence[_Drawn], references_not
     if curves and any(panel.has_running_best for panel in panels):
         keys.append((Line2D([], [], **_RUNNING_BEST, color="black"), "dashed: running best, as the authors plot it"))
     if any(each.is_after_primitive for each in curves):
-        keys.append((Line2D([], [], **_SPAN, color="black"), "dotted: training of the primitive"))
+        has_scores = any(panel.measure is not None and panel.measure.column == "score_mean" for panel in panels)
+        words = "dotted: training of the primitive" + ", which scores 0 in comparisons" * has_scores
+        keys.append((Line2D([], [], **_SPAN, color="black"), words))
     if any(panel.references for panel in panels):
         words = "\n".join(textwrap.wrap(f"grey, with marks: {references_note}", _CHARACTERS))
         keys.append((Line2D([], [], **_REFERENCE), words))

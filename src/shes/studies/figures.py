@@ -66,12 +66,12 @@ def _title(env: str) -> str:
 
 
 def _draw_forest(results: PlacedResults, figure_of: Forest) -> Figure:
-    """Return a figure with a panel per environment: variants with their seeds, mean and interval."""
-    envs = list(results.design.metrics)
-    panels = {env: results.variants(env, figure_of.group) for env in envs}
+    """Return a figure with a panel per environment that has results: variants with their seeds, mean and interval."""
+    every = {env: results.variants(env, figure_of.group) for env in results.design.metrics}
+    panels = {env: places for env, places in every.items() if places} or every
     heights = [max(1, len(places)) for places in panels.values()]
     figure, axes = plt.subplots(
-        len(envs),
+        len(panels),
         1,
         figsize=(_WIDTH, sum(1.0 + 0.36 * height for height in heights)),
         height_ratios=heights,
