@@ -162,9 +162,11 @@ def two_forms():
             f"{of('score_mean', *form):.2f} ± {of('score_error', *form):.2f}"
             for form in (("published",), ("pieces", "published"))
         ]
-        p = of("p_holm", "pieces", "published")
+        p, u = (of(name, "pieces", "published") for name in ("p", "mann_whitney_p"))
+        tests = ["<0.001" if each < 0.001 else f"{each:.{3 if each < 0.1 else 2}f}" for each in (p, u)]
+        effect = f"{of('superiority', 'pieces', 'published'):.2f}"
         steps = of("env_steps", "published") / 1e6
-        return env, f"{steps:.0f}", f"{of('seeds', 'published'):.0f}", *scores, f"{p:.{3 if p < 0.1 else 2}f}"
+        return env, f"{steps:.0f}", f"{of('seeds', 'published'):.0f}", *scores, *tests, effect
 
     envs = (f"{body}-{task}" for body in ("point", "ant") for task in ("gather", "maze", "push"))
     return [f"| {' | '.join(cells(env))} |".replace(env, env.replace("-", " ").title()) for env in envs]
