@@ -181,13 +181,13 @@ def test_the_short_help_leaves_out_what_all_of_the_help_says(shes):
         "--num-workers INT", "{cpu,warp-cpu,cuda}", "[INT [INT ...]]", "extra warp; for tests", "(paper: 256 256 256)",
     ):  # fmt: skip
         assert (text in short, text in full) == (False, True)
-    for text in ("--workers INT", "cpu, cuda or warp-cpu. (default: cpu)", "(Table I: 1000). (default: 200)"):
+    for text in ("--workers INT", "cpu, cuda or warp-cpu. (default: cpu)", "(Table I: 1000). (default: 40)"):
         assert text in short
 
 
 def test_no_values_are_shown_as_a_word(shes):
     assert "are a group. (default: none)" in " ".join(shes("report", "--help").replace("│", "").split())
-    assert "(default: none (linear))" in " ".join(shes("train", "ant-gather", "--help-all").split())
+    assert "(default: none (linear))" in " ".join(shes("train", "ant-flagrun", "--help-all").split())
 
 
 def test_values_are_written_as_people_write_them(shes):
@@ -310,7 +310,7 @@ def test_a_misspelled_choice_is_answered_with_the_nearest(capsys, monkeypatch, w
     ("words", "default"),
     [
         (["train", "point-gather", "--preset", "paper", "--sigma", "abc"], "0.02"),
-        (["train", "ant-gather", "--sigma", "abc"], "0.1"),
+        (["train", "ant-maze", "--sigma", "abc"], "0.1"),
         (["train", "point-gather", "--critic-learning-rate", "abc"], "0.001"),
         (["resume", "x", "--generations", "abc"], "as before"),
     ],
