@@ -149,16 +149,18 @@ def compare(study: Study, summaries: Mapping[str, CellResults]) -> list[Comparis
         for group in design.groups:
             variants = {variant: v for (e, g, variant), v in scores.items() if (e, g) == (env, group)}
             others = {place[1:]: v for place, v in scores.items() if place[0] == env}
-            found += _compare_group(design, group, env, variants, others)
-    found = [replace(each, **_facts(design, each, runs)) for each in found]
-    families: dict[tuple[str, str], list[int]] = {}
-    for number, each in enumerate(found):
-        families.setdefault((each.env, each.group), []).append(number)
-    for numbers in families.values():
-        steps, hours = (holm([getattr(found[number], name) for number in numbers]) for name in ("steps_p", "hours_p"))
-        for number, of_steps, of_hours in zip(numbers, steps, hours, strict=True):
-            found[number] = replace(found[number], steps_p_holm=of_steps, hours_p_holm=of_hours)
+            own = _compare_group(design, group, env, variants, others)
+            found += _corrected([replace(each, **_facts(design, each, runs)) for each in own])
     return found
+
+
+def _corrected(found: Sequence[Comparison]) -> list[Comparison]:
+    """Return the comparisons of a group on a task with their p values corrected by Holm's method."""
+    columns = [holm([getattr(each, name) for each in found]) for name in ("p", "steps_p", "hours_p")]
+    return [
+        replace(each, p_holm=p, steps_p_holm=of_steps, hours_p_holm=of_hours)
+        for each, p, of_steps, of_hours in zip(found, *columns, strict=True)
+    ]
 
 
 def _p_text(p: float | None) -> str:
@@ -236,7 +238,7 @@ def _compare_group(
     variants: Mapping[str, F64Array],
     others: Mapping[tuple[str, str], F64Array],
 ) -> list[Comparison]:
-    """Return the comparisons of a group's variants with `others` of the same task, with Holm's correction."""
+    """Return the comparisons of a group's variants with `others` of the same task."""
     pairs: list[tuple[str, tuple[str, str] | None]] = []
     for variant in variants:
         is_alone = (group, variant) == design.base or design.base not in others
@@ -253,7 +255,7 @@ def _compare_group(
         for variant, place in pairs
     ]
     found: list[Comparison] = []
-    for (variant, place), p, p_holm in zip(pairs, tests, holm(tests), strict=True):
+    for (variant, place), p in zip(pairs, tests, strict=True):
         values, other = variants[variant], None if place is None else others[place]
         effect = None if p is None or other is None else superiority(other, values)
         low, high = confidence_interval(values[:, None])
@@ -276,7 +278,6 @@ def _compare_group(
                 against=None if place is None else place[1],
                 difference=None if other is None else float(values.mean() - other.mean()),
                 p=p,
-                p_holm=p_holm,
                 mann_whitney_u=None if effect is None or other is None else effect * len(values) * len(other),
                 mann_whitney_p=None if p is None or other is None else mann_whitney(other, values),
                 superiority=effect,
