@@ -2,6 +2,7 @@
 
 import os
 import sys
+import warnings
 from importlib import metadata
 from types import SimpleNamespace
 
@@ -60,13 +61,18 @@ def machine(monkeypatch, versions):
     )
     stream = SimpleNamespace(use=lambda: None, synchronize=lambda: None)
     pool = Pool()
+
+    def deprecated(*_):
+        warnings.warn("ExternalStream is deprecated", DeprecationWarning, stacklevel=2)  # CuPy 14.2; an error in tests
+        return stream
+
     cupy = SimpleNamespace(
         __version__="14.2.0",
         zeros=np.zeros,
         get_default_memory_pool=lambda: pool,
         cuda=SimpleNamespace(
             Device=lambda _: stream,
-            ExternalStream=lambda *_: stream,
+            ExternalStream=deprecated,
             runtime=SimpleNamespace(memGetInfo=lambda: (3000, 5000)),
         ),
     )

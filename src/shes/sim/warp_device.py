@@ -7,6 +7,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+import warnings
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from functools import cache
@@ -155,7 +156,11 @@ class WarpDevice:
             )
         self.xp = _load_cupy(_driver(warp))
         self.xp.cuda.Device(self.warp_device.ordinal).use()
-        self._stream = self.xp.cuda.ExternalStream(self.warp_device.stream.cuda_stream, self.warp_device.ordinal)
+        with warnings.catch_warnings():
+            # CuPy 14.2 recommends Stream.from_external, which older versions do not have.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            stream = self.warp_device.stream.cuda_stream
+            self._stream = self.xp.cuda.ExternalStream(stream, self.warp_device.ordinal)
         self._stream.use()
 
     def view(self, array: Any) -> Any:
