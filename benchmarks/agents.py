@@ -1,5 +1,6 @@
-"""The shipped agents on fresh episodes: `python benchmarks/agents.py --out results/learning/agents.csv`.
+"""Agents on fresh episodes: `python benchmarks/agents.py --out results/learning/agents.csv` for those shipped.
 
+`python benchmarks/agents.py results/gpu/ant-gather results/gpu/ant-push --out results/gpu/agents.csv` for run folders.
 Each agent's own evaluation (`shes info AGENT`) has 200 episodes. Where an agent is the best of several seeds, those
 episodes chose it. These 400 others selected neither a checkpoint nor a seed. Two minutes on two cores.
 """
@@ -31,13 +32,14 @@ def measure(agent: str) -> dict[str, Any]:
 def main() -> None:
     """Evaluate, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("agents", nargs="*", default=AGENTS, metavar="AGENT", help="names or run folders; default: all")
     parser.add_argument("--out", type=Path, required=True, help="CSV file to write")
-    out = parser.parse_args().out
+    asked = parser.parse_args()
     rows = []
-    for agent in AGENTS:
+    for agent in asked.agents:
         rows.append(measure(agent))
         print(rows[-1], flush=True)
-    write_csv(out, rows)
+    write_csv(asked.out, rows)
 
 
 if __name__ == "__main__":
