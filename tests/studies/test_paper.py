@@ -160,7 +160,7 @@ def test_the_ants_runs_are_evaluated_about_as_often_in_every_form(name, tmp_path
             steps, _ = cell_steps(replace(cell, settings={**cell.settings, "env_steps": 1}), 1)  # of a generation
             evaluations = cell.settings["env_steps"] / steps / cell.settings["evaluation_interval"]
             # Figure 4 is so short that a generation is longer than a twentieth.
-            assert (7 if name == "fig4" else 16) <= evaluations <= 23, cell.name
+            assert (5 if name == "fig4" else 16) <= evaluations <= 23, cell.name
 
 
 @pytest.mark.parametrize(("scale", "size"), [("paper", ""), ("laptop", ", small"), ("smoke", ", small")])
@@ -213,8 +213,8 @@ def test_the_time_of_a_run_in_one_process_is_that_of_the_processor(tmp_path):
 
 def test_every_run_has_the_steps_of_its_method_and_environment_at_scale_laptop():
     # million steps: figures 3 and 5 from scratch, on a transferred primitive, HIRO, figure 4 (with the whole machine)
-    wanted = {"ant-gather": (6, 6, 0.3, 2), "ant-maze": (20, 2, 0.6, 1), "ant-push": (10, 2, 0.6, 1)}
-    wanted |= {f"point-{task}": (3, 3, 0.3, 1) for task in ("gather", "maze", "push")}
+    wanted = {"ant-gather": (6, 6, 0.3, 1.2), "ant-maze": (20, 2, 0.6, 0.8), "ant-push": (10, 2, 0.6, 0.8)}
+    wanted |= {f"point-{task}": (3, 3, 0.3, 0.6) for task in ("gather", "maze", "push")}
     cells = [cell for name in ("fig3", "fig5", "fig4") for cell in STUDIES[name]("laptop", 1).cells]
     found = {
         (cell.env, "hiro" if cell.variant == "hiro" else cell.group, cell.settings["env_steps"] / 1e6)
