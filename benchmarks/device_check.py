@@ -90,9 +90,9 @@ def compare_samples(
 
 
 def sample(
-    env: str, simulator: SimulatorFactory, *, spec: str, episodes: int, horizon: int, seed: int
+    env: str, simulator: SimulatorFactory, *, spec: str, episodes: int, horizon: int, seed: int, lanes: int = _LANES
 ) -> dict[str, F64Array]:
-    """Return each measure [episodes] of episodes of fixed policies, whose seeds are drawn from `seed`.
+    """Return each measure [episodes] of episodes of fixed policies, whose seeds are drawn from `seed`, `lanes` at once.
 
     The policies are random, and the same for every seed and simulator; exploration and reset noise are as in training.
     """
@@ -117,9 +117,7 @@ def sample(
         for number in range(episodes)
     ]
     environment = find_environment(env)
-    rollout = Rollout(
-        design, lambda n: environment.make(n, plan.training, simulator), min(episodes, _LANES), 1, horizon
-    )
+    rollout = Rollout(design, lambda n: environment.make(n, plan.training, simulator), min(episodes, lanes), 1, horizon)
     found = dict(rollout.run(iter(enumerate(tasks)), generation, learner.table.on(rollout.batch.xp)))
     rollout.batch.check_buffers()
     return {name: np.array([measure(found[i]) for i in range(episodes)]) for name, measure in _MEASURES.items()}

@@ -8,7 +8,6 @@ its numbers have no meaning.
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import json
 import statistics
@@ -16,7 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -32,13 +31,16 @@ from shes.envs.registry import ENVIRONMENTS, find_environment
 from shes.envs.tasks.task import FRAME_SKIP
 from shes.envs.tasks.task_options import TaskOptions
 from shes.runs.config import TrainConfig
+from shes.runs.tables import csv_text
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice
+from shes.storage import write_atomically
 from shes.training.build import build_algorithm, build_backend
 from shes.training.make_config import make_config
 
 INTEGRATORS = ("euler", "rk4")
+_CHECK_LANES = 1000  # simulations side by side on the device in `check`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +50,7 @@ class Size:
     episodes: int
     """Episodes of each sample of the check."""
     check_steps: int
+    integrators: tuple[str, ...]
     worlds: tuple[int, ...]
     world_steps: int
     """Control steps of a measurement of the physics alone."""
@@ -59,11 +62,16 @@ class Size:
     envs: tuple[str, ...]
     train: tuple[str, ...]
     """Environments to train on, one after another: the others start from the primitive of the first, Flagrun."""
+    preset: str
+    """Preset of the training."""
+    copied: int
+    """Numbers that are copied to measure the bandwidth of the memory."""
 
 
 FULL = Size(
     episodes=1000,
     check_steps=500,
+    integrators=INTEGRATORS,
     worlds=(1024, 2048, 4096, 8192, 16384, 32768, 65536, 131072),
     world_steps=100,
     population=1000,
@@ -72,10 +80,13 @@ FULL = Size(
     repeats=3,
     envs=tuple(ENVIRONMENTS),
     train=("ant-flagrun", "ant-gather", "ant-push", "ant-maze"),
+    preset="paper",
+    copied=2**28,
 )
 SMOKE = Size(
     episodes=16,
     check_steps=5,
+    integrators=INTEGRATORS,
     worlds=(2, 4),
     world_steps=2,
     population=4,
@@ -84,6 +95,8 @@ SMOKE = Size(
     repeats=1,
     envs=("point-gather", "ant-gather"),
     train=("point-flagrun", "point-gather"),
+    preset="smoke",
+    copied=2**16,
 )
 
 
@@ -98,10 +111,8 @@ class Table:
         """Add a row."""
         self._rows.append(row)
         print({name: f"{value:.4g}" if isinstance(value, float) else value for name, value in row.items()}, flush=True)
-        with self.path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(self._rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(self._rows)
+        rows = [list(self._rows[0]), *(list(each.values()) for each in self._rows)]
+        write_atomically(self.path, lambda file: file.write(csv_text(rows).encode()))
 
 
 # Stage `check`.
@@ -118,17 +129,21 @@ def check(device: str, size: Size, out: Path) -> None:
         on_cpu: dict[tuple[str, str], Future[Any]] = {
             case: pool.submit(sample, case[0], CpuSimulator, spec=case[1], seed=0, **sizes) for case in cases
         }
-        tests, found = 0, []
-        for env, spec in cases:
-            start = perf_counter()
-            on_device = sample(env, simulator, spec=spec, seed=1, **sizes)
-            seconds = perf_counter() - start
-            for comparison in compare_samples(env, spec, on_cpu[env, spec].result(), on_device):
-                tests += 2
-                found.append(min(comparison.p_shift, comparison.p_distance))
-                table.add(**asdict(comparison), device_s=seconds)
-    smallest = min(found)
-    verdict = "no difference found" if smallest > ALPHA / tests else "DIFFERENT"
+        found: list[float] = []
+        try:
+            for env, spec in cases:
+                start = perf_counter()
+                on_device = sample(env, simulator, spec=spec, seed=1, lanes=_CHECK_LANES, **sizes)
+                seconds = perf_counter() - start
+                for comparison in compare_samples(env, spec, on_cpu[env, spec].result(), on_device):
+                    found += [comparison.p_shift, comparison.p_distance]
+                    table.add(**asdict(comparison), device_s=seconds)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # not hours of the CPU's samples
+            raise
+    tests, smallest = len(found), min(found)
+    is_same = all(p > ALPHA / tests for p in found)  # not so for a p that is NaN
+    verdict = "no difference found" if is_same else "DIFFERENT"
     print(f"{verdict}: smallest p {smallest:.2g} of {tests} tests, each at {ALPHA / tests:.2g}; a shift of ", end="")
     print(f"{detectable_shift(size.episodes, tests):.2f} standard deviations is found with a power of 0.9")
 
@@ -139,7 +154,7 @@ def check(device: str, size: Size, out: Path) -> None:
 def physics_alone(device: str, size: Size, out: Path) -> None:
     """Measure the physics alone, with random controls, for every number of worlds."""
     table = Table(out / "worlds.csv")
-    for integrator, worlds in itertools.product(INTEGRATORS, size.worlds):
+    for integrator, worlds in itertools.product(size.integrators, size.worlds):
         options = TaskOptions(integrator=integrator)
         task = find_environment("ant-gather").make(worlds, options, partial(WarpSimulator, device=device))
         opened = WarpDevice(device)
@@ -172,7 +187,7 @@ def generations(device: str, size: Size, out: Path) -> None:
     """Measure whole generations and their parts; a tiny one shows the cost of the kernel launches alone."""
     table = Table(out / "generations.csv")
     sizes = [("launches alone", 1, 1), ("generation", size.population, 5)]
-    for env, integrator, (what, population, episodes) in itertools.product(("ant-gather",), INTEGRATORS, sizes):
+    for env, integrator, (what, population, episodes) in itertools.product(("ant-gather",), size.integrators, sizes):
         settings = {
             "population_size": 4 * max(1, population // 4),
             "episodes_per_policy": episodes,
@@ -216,16 +231,17 @@ def _timed(config: TrainConfig) -> Iterator[dict[str, float]]:
 
 
 def bandwidth(device: str, size: Size, out: Path) -> None:
-    """Measure the memory bandwidth of the GPU and the time of a kernel launch."""
+    """Measure the memory bandwidth of the GPU, read and written, and the time of a call of CuPy."""
     opened = WarpDevice(device)
     xp = opened.xp
-    numbers = 2**28 if size is FULL else 2**16
-    a, b = xp.zeros(numbers, np.float32), xp.zeros(numbers, np.float32)
+    a, b = xp.zeros(size.copied, np.float32), xp.zeros(size.copied, np.float32)
     times = [_seconds(opened, partial(np.copyto, a, b)) for _ in range(5)]
     one = xp.zeros(1, np.float32)
     launches = [_seconds(opened, lambda: [np.add(one, one, out=one) for _ in range(1000)]) for _ in range(5)]
     Table(out / "limits.csv").add(
-        copy_gb_per_s=8e-9 * numbers / statistics.median(times), launch_us=1e3 * statistics.median(launches)
+        copied_bytes=a.nbytes,
+        copy_gb_per_s=2e-9 * a.nbytes / statistics.median(times),
+        call_us=1e3 * statistics.median(launches),
     )
 
 
@@ -250,9 +266,8 @@ def train(device: str, size: Size, out: Path, minutes: float) -> None:
         if (folder / "config.json").is_file():
             command = ["resume", str(folder), *limits]
         else:
-            small = ["--preset", "smoke"] if size is SMOKE else ["--preset", "paper"]
             transfer = [] if folder == primitive else ["--primitive", str(primitive)]
-            command = ["train", env, *small, *transfer, "--out", str(folder), *limits]
+            command = ["train", env, "--preset", size.preset, *transfer, "--out", str(folder), *limits]
         print("shes", *command, flush=True)
         subprocess.run([sys.executable, "-m", "shes", *command], check=True)
 
@@ -271,9 +286,13 @@ def main() -> None:
     parser.add_argument("--device", default="cuda", help="cuda, or warp-cpu to try this script")
     parser.add_argument("--only", nargs="+", choices=stages, default=list(stages), help="stages to run")
     parser.add_argument("--minutes", type=float, default=10.0, help="minutes of training")
+    parser.add_argument("--integrators", nargs="+", choices=INTEGRATORS, help="of stage speed; default: all")
+    parser.add_argument("--worlds", nargs="+", type=int, help="numbers of simulations of stage speed")
+    parser.add_argument("--envs", nargs="+", choices=FULL.envs, help="environments of stage check; default: all")
     parser.add_argument("--smoke", action="store_true", help="smallest possible size of every stage")
     asked = parser.parse_args()
-    size = SMOKE if asked.smoke else FULL
+    chosen = {name: tuple(getattr(asked, name) or ()) for name in ("integrators", "worlds", "envs")}
+    size = replace(SMOKE if asked.smoke else FULL, **{name: values for name, values in chosen.items() if values})
     asked.out.mkdir(parents=True, exist_ok=True)
     facts = describe(asked.device)
     print(json.dumps(facts, indent=1))

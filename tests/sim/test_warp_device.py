@@ -141,6 +141,15 @@ def test_a_driver_older_than_cupys_libraries_is_an_error_with_its_version(machin
         WarpDevice("cuda")
 
 
+def test_a_full_gpu_is_no_missing_package(machine, monkeypatch):
+    def zeros(_):
+        raise RuntimeError("Out of memory allocating 512 bytes")
+
+    monkeypatch.setattr(machine.cupy, "zeros", zeros)
+    with pytest.raises(ConfigError, match=r"no free memory \(Out of memory .*nvidia-smi.*--device cpu\."):
+        WarpDevice("cuda")
+
+
 def test_missing_cupy_is_named(machine, monkeypatch):
     monkeypatch.setitem(sys.modules, "cupy", None)
     with pytest.raises(MissingExtraError, match=r"device cuda needs CuPy .*pip install 'shes\[gpu\]'"):

@@ -487,10 +487,54 @@ def test_rows_of_other_cells_stay_in_the_tables(finished, tmp_path):
     }  # fmt: skip
     for some in others:
         write_tables([some], summaries, tmp_path)
-    write_tables([cell()], {}, tmp_path)
+    write_tables([cell(), others[0]], {}, tmp_path)  # neither is finished: a run is made again, or its folder is
     for some in others:
         assert read_tables([some], tmp_path) == {some.name: summaries[some.name]}
     assert len(rows(tmp_path / "runs.csv")) == 2
+
+
+def test_figures_and_comparisons_are_those_of_the_tables(finished, tmp_path, monkeypatch):
+    seen = {}
+    study = Study(cells=(cell(),), episodes=3)
+    monkeypatch.setitem(STUDIES, "ablation", lambda *_: study)
+    monkeypatch.setattr("shes.studies.experiment.run_study", lambda *_, **__: (each for each in ()))
+    monkeypatch.setattr("shes.studies.experiment._write_results", lambda *given: (seen.update(given[3]) or {}, []))
+    shutil.copytree(finished[0] / cell().name, tmp_path / cell().name)
+    experiment("ablation", out=tmp_path)  # after a crash before the tables were written
+    assert seen[cell().name].row["env_steps"] == finished[1].row["env_steps"]
+    text = (tmp_path / "runs.csv").read_text(encoding="utf-8")
+    (tmp_path / "runs.csv").write_text(text.replace(f",{finished[1].row['env_steps']},", ",7,"), encoding="utf-8")
+    experiment("ablation", out=tmp_path)
+    assert seen[cell().name].row["env_steps"] == 7
+
+
+def test_a_comparison_is_not_replaced_by_that_of_another_study_or_by_none(finished, tmp_path, monkeypatch):
+    study = replace(ablation("smoke", 1), cells=(cell(),))
+    monkeypatch.setitem(STUDIES, "ablation", lambda *_: study)
+    monkeypatch.setattr("shes.studies.experiment.run_study", lambda *_, **__: (each for each in ()))
+    monkeypatch.setattr("shes.studies.experiment.draw_figures", lambda *_: [])
+    shutil.copytree(finished[0] / cell().name, tmp_path / cell().name)
+    experiment("ablation", out=tmp_path)
+    there = (tmp_path / "comparison.csv").read_bytes()
+    assert there
+    with pytest.raises(ConfigError, match=r"comparison of another study, Ablation\. Choose another folder with --out"):
+        experiment("learning", out=tmp_path, run=False)
+    (tmp_path / "runs.csv").unlink()
+    shutil.rmtree(tmp_path / cell().name)
+    experiment("ablation", out=tmp_path)
+    assert (tmp_path / "comparison.csv").read_bytes() == there
+
+
+def test_a_run_whose_progress_was_lost_is_named(finished, tmp_path):
+    run = shutil.copytree(finished[0] / cell().name, tmp_path / cell().name)
+    (run / "summary.json").unlink()
+    (run / "progress.csv").write_text("", encoding="utf-8")
+    with pytest.raises(RunFolderError, match=r"no rows in progress\.csv\. Remove the folder"):
+        run_cell(cell(), tmp_path, 3)
+    lines = (finished[0] / cell().name / "progress.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    (run / "progress.csv").write_text(lines[0] + lines[-1], encoding="utf-8")
+    with pytest.raises(RunFolderError, match=r"no generation before that of evaluation 1, \d+\. Remove"):
+        run_cell(cell(), tmp_path, 3)
 
 
 def test_a_table_that_does_not_say_of_which_settings_it_is_is_refused_and_kept(finished, tmp_path):

@@ -29,6 +29,7 @@ from shes.errors import ConfigError
 from shes.es.level import TrainState
 from shes.runs.config import TrainConfig
 from shes.runs.sections import RunSettings, sections_of, settings_in
+from shes.runs.tables import csv_text
 from shes.storage import write_atomically
 from shes.training.build import build_backend
 from shes.training.make_config import make_config
@@ -247,12 +248,8 @@ def _facts(rows: Sequence[Row]) -> dict[str, Any]:
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write rows under the columns of the first one."""
-
-    def write(file: Any) -> None:
-        text = "\n".join([",".join(rows[0]), *(",".join(_text(value) for value in row.values()) for row in rows)])
-        file.write(f"{text}\n".encode())
-
-    write_atomically(path, write)
+    text = csv_text([list(rows[0]), *(list(map(_text, row.values())) for row in rows)])
+    write_atomically(path, lambda file: file.write(text.encode()))
 
 
 def _text(value: Any) -> str:

@@ -98,9 +98,9 @@ def paper_line() -> tuple[F64Array, F64Array]:
 
 
 def _points(rows: Iterable[Mapping[str, Any]], kind: str) -> list[tuple[float, float]]:
-    """Return cores and mean speed-ups of the rows of one kind, by cores."""
+    """Return cores and mean speed-ups of the rows of one kind that are known, by cores."""
     by_cores: dict[float, list[float]] = {}
     for row in rows:
-        if row["kind"] == kind:
+        if row["kind"] == kind and row["speedup"] not in (None, ""):
             by_cores.setdefault(float(row["cores"]), []).append(float(row["speedup"]))
     return [(cores, fmean(by_cores[cores])) for cores in sorted(by_cores)]

@@ -217,7 +217,12 @@ def _driver(warp: ModuleType) -> str:
 
 
 def _load_cupy(driver: str = "none") -> ModuleType:
-    """Return the module `cupy`; raise MissingExtraError if it does not work, ConfigError if it needs a newer driver."""
+    """Return the module `cupy`.
+
+    Raises:
+        MissingExtraError: It does not work.
+        ConfigError: It needs a newer driver, or the GPU has no free memory.
+    """
     try:
         import cupy
 
@@ -227,6 +232,11 @@ def _load_cupy(driver: str = "none") -> ModuleType:
             raise ConfigError(
                 f"device cuda needs a newer driver: CuPy says {error}; this one is for CUDA {driver}. Update it to "
                 "R580 or newer, or use --device cpu."
+            ) from error
+        if is_out_of_memory(error):
+            raise ConfigError(
+                f"the GPU has no free memory ({error}). End what else uses it (`nvidia-smi` lists it), or use --device "
+                "cpu."
             ) from error
         raise MissingExtraError(f"device cuda needs CuPy ({error}). Install it: pip install 'shes[gpu]'.") from error
     return cupy

@@ -106,7 +106,8 @@ class Comparison:
         """Return the cells of its row in the table of a task."""
         is_of_base = self.against is None or (self.against_group, self.against) == design.base
         variant = design.label(self.variant) + ("" if is_of_base else f" (against {self._other(design)})")
-        score = f"{self.score_mean:.2f} [{self.score_low:.2f}, {self.score_high:.2f}]"
+        interval = f" [{self.score_low:.2f}, {self.score_high:.2f}]" if self.seeds > 1 else ""
+        score = f"{self.score_mean:.2f}{interval}"
         last = "-" if self.p_holm is None else f"{self.p_holm:.4f}"
         if design.has_ratios:
             numbers = self.ratio, self.ratio_low, self.ratio_high

@@ -22,15 +22,17 @@ from shes.studies.comparison import Comparison, compare
 from shes.studies.design import StudyDesign
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
-from shes.studies.report_design import write_report_design
+from shes.studies.report_design import study_title, write_report_design
 from shes.studies.running import Outcome, check_study, run_study
 from shes.studies.study import Study, cell_steps, choose
 from shes.studies.study_tables import CellResults, read_tables, write_csv, write_tables
 from shes.studies.summaries import cells_left, read_summaries
 from shes.studies.table1 import settings_beside
 from shes.training.progress_display import format_duration
+from shes.viewing.report.experiment_design import read_designs
 
 _OF_THE_PAPER = ("table1", "fig3", "fig4", "fig5", "fig6")
+_COMPARISON = "comparison"
 
 
 @checked
@@ -72,7 +74,7 @@ def experiment(
             in runs.csv and curves.csv.
 
     Raises:
-        ConfigError: The backend would not be used, or there is nothing to draw.
+        ConfigError: The backend would not be used, there is nothing to draw, or the folder has another comparison.
         ShesError: Raised by `choose` or `run_study`.
     """
     study = STUDIES[name](scale, seeds)
@@ -86,6 +88,7 @@ def experiment(
         )
     chosen = choose(study, only)
     check_study(study, out)
+    _check_comparison(name, out)
     facts: dict[str, Any] = {"out": str(out), "cells": len(chosen.cells)}
     lines: list[str] = []
     errors: list[str] = []
@@ -100,8 +103,8 @@ def experiment(
             lines = [f"The time is over: {len(stopped)} runs are left. The same command continues them."]
     summaries = read_summaries(study, out)
     if run:
-        write_tables(study.ordered(), summaries, out)
-    else:  # the tables stay as they are: a row of other settings would be lost
+        summaries = _in_tables(study, summaries, out)
+    else:
         facts["missing"] = [cell.name for cell in chosen.cells if cell.name not in summaries]
         if not summaries:
             raise ConfigError(
@@ -116,6 +119,32 @@ def experiment(
         lines.append(f"Comparisons and figures are of {seeds} seed{'s' * (seeds > 1)} alone; runs.csv has more.")
     found, parts = _write_results(name, study, out, summaries)
     return Listing({**facts, **found}, [*parts, *lines], errors)
+
+
+def _check_comparison(name: str, out: Path) -> None:
+    """Raise ConfigError if `out` holds the comparison of another study, which that of this one would replace."""
+    design = read_designs(out).by_name.get(_COMPARISON) if _table(name) == _COMPARISON else None
+    if design is not None and design["title"] != study_title(name):
+        raise ConfigError(
+            f"{out} holds the comparison of another study, {design['title']}. Choose another folder with --out."
+        )
+
+
+def _in_tables(study: Study, summaries: Mapping[str, CellResults], out: Path) -> dict[str, CellResults]:
+    """Return the summaries of finished runs as the tables have them, from which alone figures are made.
+
+    The tables are written only if a run is not in them, as after a crash: each run was written with the folder's lock,
+    which another study may hold now.
+    """
+    cells = [cell for cell in study.ordered() if cell.name in summaries]
+    if read_tables(cells, out).keys() != summaries.keys():
+        write_tables(study.ordered(), summaries, out)
+    return read_tables(cells, out)
+
+
+def _table(name: str) -> str:
+    """Return the name of the table with the comparisons of a study; those of the paper share a folder."""
+    return name if name in _OF_THE_PAPER else _COMPARISON
 
 
 def _run(
@@ -147,9 +176,10 @@ def _write_results(
     """Write comparisons and figures of finished runs into `out`; return what they hold, as facts and as text."""
     comparisons = compare(study, summaries)
     rows = [each.row() for each in comparisons]
-    table = name if name in _OF_THE_PAPER else "comparison"  # the paper's experiments share their folder
-    write_csv(out / f"{table}.csv", rows)
-    write_report_design(name, study, table, out)
+    table = _table(name)
+    if rows:  # else what earlier settings have left stays
+        write_csv(out / f"{table}.csv", rows)
+        write_report_design(name, study, table, out)
     figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
     facts: dict[str, Any] = {"figures": figures, "comparisons": rows}
     parts = [

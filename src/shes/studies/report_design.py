@@ -23,6 +23,11 @@ _TITLES = {"ablation": "Ablation", "learning": "Learning changes", "table1": "Ta
 _AXES = {"env_steps": "env_steps", "hours": "wall_time_s"}
 
 
+def study_title(name: str) -> str:
+    """Return the title of the study `name` in a report."""
+    return _TITLES.get(name, name.replace("fig", "Figure "))
+
+
 def write_report_design(name: str, study: Study, table: str, out: Path) -> Path:
     """Write the design of the study `name`, whose comparisons are in `table`.csv, into `out`; return its path."""
     path = out / f"{table}{SUFFIX}"
@@ -46,7 +51,7 @@ def report_design(name: str, study: Study) -> ExperimentDesign:
         elif axis not in same["axes"]:
             same["axes"].append(axis)
     return {
-        "title": _TITLES.get(name, name.replace("fig", "Figure ")),
+        "title": study_title(name),
         "groups": dict(design.groups),
         "variants": variants,
         "charts": charts,
@@ -98,5 +103,11 @@ def _speedup(study: Study, asked: Speedup) -> DesignedSpeedup:
         if measured is not None:
             words, at, faster = measured
             series.append({"words": words, "cores": at, "speedup": faster, "color": number, "is_line": False})
-    title = cells[0].env.replace("-", " ").title() if cells else ""
-    return {"title": title, "curves": curves, "series": series, "kinds": dict(KINDS)}
+    env = cells[0].env if cells else ""
+    return {
+        "env": env,
+        "title": env.replace("-", " ").title(),
+        "curves": curves,
+        "series": series,
+        "kinds": dict(KINDS),
+    }

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Literal
 
+import numpy as np
+
+from shes.errors import RunFolderError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import Row, read_csv
 from shes.studies.provenance_columns import provenance_columns
@@ -16,7 +20,11 @@ _COLUMNS = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive
 
 
 def summarise(cell: Cell, folder: RunFolder, episodes: int, primitive: RunFolder | None) -> CellResults:
-    """Evaluate a finished run and return its summary; `primitive` is the run that trained its primitive."""
+    """Evaluate a finished run and return its summary; `primitive` is the run that trained its primitive.
+
+    Raises:
+        RunFolderError: A table of the run lacks generations, as one that was damaged and replaced by an empty file.
+    """
     last, workers = folder.load("last"), folder.read_config().workers
     is_local = workers.backend in ("processes", "serial")
     row: Row = {
@@ -49,14 +57,19 @@ def _curve(cell: Cell, folder: RunFolder, primitive: RunFolder | None) -> tuple[
     outer = f"{open_run(folder.path, 'last').algorithm.level_names[0]}_return_mean"
     curve: list[Row] = []
     before = _length_of_primitive(primitive)
-    first, seconds = 0.0, _times(folder, "evaluation")
-    for i, generation in enumerate(table["generation"]):
+    seconds = _times(folder, "evaluation")
+    # A table that was damaged may have been emptied, so that the run could go on.
+    ends = np.searchsorted(progress.get("generation", []), table["generation"], side="right")
+    for i, (first, end) in enumerate(itertools.pairwise([0, *ends.tolist()])):
+        if first == end:
+            raise RunFolderError(
+                f"{folder.progress} has no generation before that of evaluation {i + 1}, {table['generation'][i]:.0f}. "
+                f"Remove {folder.path} to have the run made again."
+            )
         shown = {name: table[name][i] if name in table else None for name in _COLUMNS}
-        since = [k for k, number in enumerate(progress["generation"]) if first < number <= generation]
         for name, column in (("training_success_rate", "success_rate"), ("training_return_mean", outer)):
-            shown[name] = sum(progress[column][k] for k in since) / len(since)
+            shown[name] = sum(progress[column][first:end]) / (end - first)
         curve.append({**cell.identity, **shown, "seconds": seconds[i], **before})
-        first = generation
     return tuple(curve)
 
 
@@ -69,12 +82,17 @@ def _length_of_primitive(primitive: RunFolder | None) -> Row:
 
 
 def _times(folder: RunFolder, name: Literal["progress", "evaluation"] = "progress") -> list[float]:
-    """Return the time of a run at the rows of one of its tables, in seconds.
+    """Return the time of a run at the rows of one of its tables, in seconds; raise RunFolderError if one is empty.
 
     That of a run in one process is its processor time: with other work on the machine, as one run has in another one,
     it would take longer, but no more of a core. Both tables must have it, or their times would not go together.
     """
     tables = {"progress": read_csv(folder.progress), "evaluation": read_csv(folder.evaluation)}
+    if missing := [each for each, table in tables.items() if "wall_time_s" not in table]:
+        raise RunFolderError(
+            f"{folder.path} has no rows in {' and '.join(f'{each}.csv' for each in missing)}. Remove the folder to "
+            "have the run made again."
+        )
     is_one_process = folder.read_config().workers.backend == "serial"
     is_known = all("process_time_s" in table for table in tables.values())
     return tables[name]["process_time_s" if is_one_process and is_known else "wall_time_s"]

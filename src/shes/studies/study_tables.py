@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ class Cell:
         """The columns that identify it in tables."""
         return {"group": self.group, "variant": self.variant, "env": self.env, "seed": self.seed}
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Digest of its settings, those of its preset and of its primitive among them: eight hexadecimal digits.
 
@@ -75,12 +76,12 @@ class CellResults:
 def write_tables(cells: Sequence[Cell], summaries: Mapping[str, CellResults], out: Path) -> None:
     """Write `runs.csv`, a row per finished cell, and `curves.csv`, a row per evaluation, in the order of `cells`.
 
-    Existing rows of other cells are kept, after these.
+    Existing rows of other cells, and of cells that are not finished, are kept, after these.
     """
     found = [(cell, summaries[cell.name]) for cell in cells if cell.name in summaries]
     curves = [{**row, _SETTINGS: cell.digest} for cell, summary in found for row in summary.curve]
     runs = [{**summary.row, _EVALUATIONS: len(summary.curve), _SETTINGS: cell.digest} for cell, summary in found]
-    own = {_key(cell) for cell in cells}
+    own = {_key(cell) for cell, _ in found}
     for name, rows in (("curves.csv", curves), ("runs.csv", runs)):
         others = [row for row in _read(out / name) if _place(row) not in own]
         write_csv(out / name, [*rows, *others])

@@ -53,8 +53,8 @@ def test_the_section_has_each_figure_and_each_comparison(tables):
         "0.50 ± 0.12",
         "2.500",
         "0.250 + 1.000",
-        "0.0200",
-        "0.0080",
+        "0.020",
+        "0.008",
         "+1.50",
         "0.90",
         "3.00",
@@ -76,7 +76,13 @@ def test_a_variant_has_one_result_and_a_row_for_each_comparison(tables):
 
 def test_equal_budgets_and_ratios_are_shown_where_there_are_any(tables):
     assert "equal steps" not in experiment_section(tables)[0].partition("comparisons")[2].partition("</table>")[0]
-    columns = {"steps_score": 1.25, "steps_score_against": 0.5, "steps_p": 0.0286, "hours_score": 2, "hours_p": 0.5}
+    columns = {
+        "steps_score": 1.25,
+        "steps_score_against": 0.5,
+        "steps_p_holm": 0.0286,
+        "hours_score": 2,
+        "hours_p_holm": 0.0004,
+    }
     columns |= {
         "steps_span": 2_500_000,
         "hours_span": 0.025,
@@ -88,7 +94,11 @@ def test_equal_budgets_and_ratios_are_shown_where_there_are_any(tables):
     rows = [ROWS[0] + "," * len(columns), ",".join([ROWS[1], *map(str, columns.values())])]
     (tables / "fig3.csv").write_text("\n".join([",".join([HEADER, *columns]), *rows]), encoding="utf-8")
     text = experiment_section(tables)[0]
-    for cell in ("1.25 against 0.50 in 2.50 M, p 0.029", "2.00 against 1.00 in 1.5 min, p 0.500", "0.50 [0.49, 0.52]"):
+    for cell in (
+        "1.25 against 0.50 in 2.50 M, p 0.029",
+        "2.00 against 1.00 in 1.5 min, p &lt;0.001",
+        "0.50 [0.49, 0.52]",
+    ):
         assert f"<td>{cell}</td>" in text
     for heading in ("equal steps", "equal time", "ratio"):
         assert f'<th scope="col">{heading}</th>' in text

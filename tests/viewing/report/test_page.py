@@ -63,6 +63,10 @@ def test_wrong_arguments_are_refused_before_any_work(
 def test_the_page_is_in_the_run_folder_or_where_one_works(run_copy, tmp_path, monkeypatch, stand_in):
     monkeypatch.chdir(tmp_path)
     assert report(run_copy, episodes=1, num_workers=1, video=False) == run_copy / "report.html"
+    study = tmp_path / "study"
+    shutil.copytree(run_copy, study / "point-gather" / "group" / "variant" / "seed-1")
+    (study / "runs.csv").write_text("group,variant,env,seed\ngroup,variant,point-gather,1\n", encoding="utf-8")
+    assert report(study, episodes=1, num_workers=1, video=False).resolve() == tmp_path / "report.html"
     several = [run_copy, shutil.copytree(run_copy, tmp_path / "other")]
     assert shes.report(several, episodes=1, num_workers=1, video=False).resolve() == tmp_path / "report.html"
 

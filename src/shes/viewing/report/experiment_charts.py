@@ -41,7 +41,7 @@ def experiment_charts(folder: Path, designs: Designs) -> dict[str, Charts]:
     for name, design in designs.by_name.items():
         found[name] = _figures(design["charts"], rows)
         for speedup in design["speedups"]:
-            figure = speedup_figure(speedup, _current_rows(rows))
+            figure = speedup_figure(speedup, _current_rows(rows, speedup["env"]))
             found[name] |= {f"{speedup['title']}: speed-up": figure} if figure["data"] else {}
     found[""] = _figures(list(_others(rows, designs)), rows)
     return {name: charts for name, charts in found.items() if charts}
@@ -115,9 +115,10 @@ def _undesigned(title: str, column: str, words: str, names: Mapping[Place, str],
     }
 
 
-def _current_rows(rows: Rows) -> dict[tuple[str, str], list[Mapping[str, str]]]:
-    """Return the rows of the current runs by group and variant."""
-    found: dict[tuple[str, str], list[Mapping[str, str]]] = {}
-    for (_, group, variant), runs in rows.items():
-        found.setdefault((group, variant), []).extend(row for run in current(list(runs)) for row in runs[run])
-    return found
+def _current_rows(rows: Rows, env: str) -> dict[tuple[str, str], list[Mapping[str, str]]]:
+    """Return the rows of the current runs on `env` by group and variant."""
+    return {
+        (group, variant): [row for run in current(list(runs)) for row in runs[run]]
+        for (task, group, variant), runs in rows.items()
+        if task == env
+    }

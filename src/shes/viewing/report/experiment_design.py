@@ -62,6 +62,7 @@ class Series(TypedDict):
 class DesignedSpeedup(TypedDict):
     """A chart of the speed-up over cores."""
 
+    env: str
     title: str
     curves: list[DesignedCurve]
     series: list[Series]

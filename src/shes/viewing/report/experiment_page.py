@@ -25,10 +25,10 @@ _NEEDED = ("group", "variant", "env", "seeds", "score_mean", "score_iqm")
 _HINT = (
     "Results: mean over seeds of the measure of the experiment ± standard error, and interquartile mean, with a "
     "bootstrap interval; hours: mean of the runs, after those of a transferred primitive. Comparisons: p values of a "
-    "permutation test, corrected by Holm's method, and of a Mann-Whitney U test; superiority: the probability that a "
-    "seed exceeds one of those it is compared with; ratio: of the measure of each seed, with the lowest and the "
-    "highest; equal steps, equal time: mean test score over the steps and the time that both have, a transferred "
-    "primitive's included."
+    "permutation test, corrected by Holm's method, and of a Mann-Whitney U test, not corrected; superiority: the "
+    "probability that a seed exceeds one of those it is compared with; ratio: of the measure of each seed, with the "
+    "lowest and the highest; equal steps, equal time: mean test score over the steps and the time that both have, a "
+    "transferred primitive's included, with p values like the first."
 )
 _CURVES_HINT = (
     "Mean over seeds, with a 95 % t interval of three seeds or more if there are at most ten curves, as far as all "
@@ -119,6 +119,10 @@ def _text(row: Mapping[str, str], name: str, digits: int = 2) -> str:
     return f"{float(row[name]):.{digits}f}" if row.get(name) else "-"
 
 
+def _p(row: Mapping[str, str], name: str) -> str:
+    return "-" if not row.get(name) else "<0.001" if float(row[name]) < 0.001 else _text(row, name, 3)
+
+
 def _estimate(row: Mapping[str, str], name: str) -> str:
     error = f" ± {_text(row, f'{name}_error')}" if row.get(f"{name}_error") else ""
     return _text(row, f"{name}_mean") + error
@@ -126,12 +130,13 @@ def _estimate(row: Mapping[str, str], name: str) -> str:
 
 def _result(row: Mapping[str, str], designs: Designs) -> tuple[str, ...]:
     """Return the cells of `_RESULTS`."""
+    interval = "" if row["seeds"] == "1" else f" [{_text(row, 'score_iqm_low')}, {_text(row, 'score_iqm_high')}]"
     return (
         row["env"],
         designs.method(row["group"], row["variant"]),
         row["seeds"],
         _estimate(row, "score"),
-        f"{_text(row, 'score_iqm')} [{_text(row, 'score_iqm_low')}, {_text(row, 'score_iqm_high')}]",
+        _text(row, "score_iqm") + interval,
         _estimate(row, "success"),
         " + ".join(_text(row, name, 3) for name in ("primitive_hours", "hours") if row.get(name)) or "-",
     )
@@ -144,7 +149,7 @@ def _comparison(row: Mapping[str, str], designs: Designs) -> tuple[str, ...]:
         designs.method(row["group"], row["variant"]),
         designs.method(row.get("against_group") or row["group"], row["against"]),
         f"{float(row['difference']):+.2f}" if row.get("difference") else "-",
-        *(_text(row, name, digits) for name, digits in (("p_holm", 4), ("mann_whitney_p", 4), ("superiority", 2))),
+        *(_p(row, "p_holm"), _p(row, "mann_whitney_p"), _text(row, "superiority")),
         _ratio(row),
         *(_at_equal(row, name) for name in ("steps", "hours")),
     )
@@ -156,12 +161,13 @@ def _ratio(row: Mapping[str, str]) -> str:
 
 def _at_equal(row: Mapping[str, str], name: str) -> str:
     """Return the mean test scores of both over the steps, or the hours, that both have."""
-    if not row.get(f"{name}_p"):
+    if not row.get(f"{name}_span"):
         return "-"
     scores = f"{_text(row, f'{name}_score')} against {_text(row, f'{name}_score_against')}"
     span = float(row[f"{name}_span"])
     words = f"{span / 1e6:.2f} M" if name == "steps" else f"{60 * span:.1f} min"
-    return f"{scores} in {words}, p {_text(row, f'{name}_p', 3)}"
+    p = f", p {_p(row, f'{name}_p_holm')}" if row.get(f"{name}_p_holm") else ""
+    return f"{scores} in {words}{p}"
 
 
 def _without_empty(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[list[str], list[tuple[str, ...]]]:

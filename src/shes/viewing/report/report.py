@@ -67,7 +67,7 @@ def report(
     """
     given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
     read = read_runs(given, [labels] if isinstance(labels, str) else list(labels))
-    target = _checked_path(out, read.runs)
+    target = _checked_path(out, [] if read.experiments else read.runs)
     check_plotly()
     parts, total = count(1), num_parts(read, has_videos=video)
     sections = Sections(read, lambda: on_step(min(next(parts), total), total) if on_step else None)
