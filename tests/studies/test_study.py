@@ -7,7 +7,7 @@ import shutil
 import signal
 import sys
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import get_args, get_type_hints
 
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from shes.algorithms.presets import PRESETS, Preset
+from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
 from shes.runs.checkpoint import save_checkpoint
@@ -43,6 +44,7 @@ from shes.training import train as training
 from shes.training.evaluate import evaluate
 from shes.training.make_config import make_config
 from tests.e2e import runs
+from tests.studies.workers import MortalWorker
 
 TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}
 MADE = {name: cache(make) for name, make in STUDIES.items()}
@@ -391,6 +393,16 @@ def test_an_error_nobody_expected_is_an_outcome_with_its_traceback(monkeypatch, 
     ((number, outcome),) = running.StudyWorker(tmp_path, 3, math.inf).run(iter([(4, cell())]), 1)
     assert (number, outcome.summary) == (4, None)
     assert outcome.error.endswith("ZeroDivisionError: nothing to divide by\n")
+
+
+def test_a_cell_at_which_workers_keep_dying_has_failed_and_the_others_are_run():
+    cells = [cell(variant) for variant in ("a", "deadly", "b", "c", "d")]
+    outcomes = list(running._run_side_by_side(partial(ProcessesBackend, MortalWorker, 2), cells))
+    errors = {outcome.cell.variant: outcome.error for outcome in outcomes}
+    assert len(outcomes) == len(cells)
+    assert errors.pop("deadly").startswith("workers keep dying (killed by SIGKILL, exit code -9) on the same task")
+    assert errors == dict.fromkeys("abcd", "done")
+    assert sum("died (exit code -9)" in event for outcome in outcomes for event in outcome.events) >= 3
 
 
 @pytest.mark.parametrize(("num_workers", "keeps_to_a_core"), [(2, False), (3, True), (4, True), (0, True)])

@@ -67,9 +67,10 @@ class Job:
         """Whether workers were lost with parts of it."""
         return bool(self._losses)
 
-    def num_losses(self, numbers: Sequence[int]) -> int:
-        """Return how many workers were lost at one unit of these parts, at most."""
-        return max((self._losses[unit] for unit in self._units(numbers)), default=0)
+    def most_losses(self, numbers: Sequence[int]) -> tuple[int, int | None]:
+        """Return how many workers were lost at one unit of these parts, at most, and the number of its task."""
+        unit = max(self._units(numbers), key=self._losses.__getitem__, default=None)
+        return (0, None) if unit is None else (self._losses[unit], unit[0])
 
     def _units(self, numbers: Sequence[int]) -> list[tuple[int, int]]:
         parts = [self._parts[number] for number in numbers]

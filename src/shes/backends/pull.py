@@ -224,7 +224,7 @@ class PullBackend(Backend):
     def _judge_silence(self, worker: RemoteWorker) -> None:
         """Tell of a worker that has been silent for long, or replace it."""
         assert worker.job is not None
-        losses = max(self._deaths_in_a_row, worker.job.num_losses(tuple(worker.numbers)))
+        losses = max(self._deaths_in_a_row, worker.job.most_losses(tuple(worker.numbers))[0])
         limit_s = max(self.worker_timeout_s or 0.0, _REPLACED_AT * self._longest_s) * _PATIENCE ** min(
             losses, MAX_LOSSES - 1
         )
@@ -283,11 +283,11 @@ class PullBackend(Backend):
         worker.is_ended = True
         self.end_worker(worker)
         lost = tuple(worker.numbers)
-        worst = 0
+        worst, task = 0, None
         if worker.job is not None:
             self._meet(worker)
             worker.job.take_back(lost)
-            worst = worker.job.num_losses(lost)
+            worst, task = worker.job.most_losses(lost)
         if not worker.is_ready and any(other.is_ready for other in self.workers):
             if not self.pauses:  # on a node that lacks something, maybe: the others work on
                 self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
@@ -300,10 +300,12 @@ class PullBackend(Backend):
         if worst >= MAX_LOSSES or self._deaths_in_a_row >= MAX_LOSSES * self._most_workers:
             fault = f"giving {silence}" if is_silent else f"dying ({worker.cause})"
             advice = "If its work takes so long, raise --worker-timeout-s." if is_silent else self.advice(worker)
-            raise WorkerError(
+            error = WorkerError(
                 f"workers keep {fault} {f'on the same task, {worst} times' if worst else 'at once'}. "
                 f"{advice} Everything up to the last checkpoint is kept."
             )
+            error.task = task if worst >= MAX_LOSSES else None
+            raise error
         self._restart_workers()
         self._start_runs()
 

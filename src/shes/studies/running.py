@@ -10,7 +10,6 @@ import math
 import signal
 import traceback
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +20,7 @@ from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
 from shes.backends.registry import BACKENDS
 from shes.cores import num_cores
-from shes.errors import RunFolderError, ShesError
+from shes.errors import RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.sections import WorkerSettings
@@ -176,7 +175,7 @@ def run_study(
         UnknownNameError: There is no such backend.
         MissingExtraError: A package is not installed that the backend, the runs or their comparison need.
         StorageError: `out` cannot be written.
-        WorkerError: Workers keep dying.
+        WorkerError: Workers keep dying, before they begin with any run.
     """
     _check_packages(cells_left(study, out), backend)
     with storage_errors(out):
@@ -190,23 +189,21 @@ def run_study(
         size = min(at_once, max(map(len, left), default=0))
         if not size:
             return
-        with ExitStack() as stack:
-            run: Callable[[Sequence[Cell]], Iterator[Outcome]]
-            if study.has_large_runs:
-                workers = {"backend": backend, "num_workers": num_workers}
-                run_one = study.run_cell or partial(run_cell, episodes=study.episodes)
-                one = partial(run_one, out=out, until=until, workers=workers)
-                run = partial(_run_in_turn, one)
-            else:
-                factory = partial(StudyWorker, out, study.episodes, until)
-                # With fewer workers than cores another study may use the rest, and must not meet this one on a core.
-                processes = OneCoreBackend if at_once >= num_cores() else ProcessesBackend
-                run = partial(_run_side_by_side, stack.enter_context(processes(factory, size)))
-            for stage in left:
-                for outcome in _run_stage(stage, unfinished, run):
-                    if outcome.summary is None:
-                        unfinished[outcome.cell.name] = outcome
-                    yield outcome
+        run: Callable[[Sequence[Cell]], Iterator[Outcome]]
+        if study.has_large_runs:
+            workers = {"backend": backend, "num_workers": num_workers}
+            run_one = study.run_cell or partial(run_cell, episodes=study.episodes)
+            run = partial(_run_in_turn, partial(run_one, out=out, until=until, workers=workers))
+        else:
+            factory = partial(StudyWorker, out, study.episodes, until)
+            # With fewer workers than cores another study may use the rest, and must not meet this one on a core.
+            processes = OneCoreBackend if at_once >= num_cores() else ProcessesBackend
+            run = partial(_run_side_by_side, partial(processes, factory, size))
+        for stage in left:
+            for outcome in _run_stage(stage, unfinished, run):
+                if outcome.summary is None:
+                    unfinished[outcome.cell.name] = outcome
+                yield outcome
 
 
 def _run_stage(
@@ -223,13 +220,25 @@ def _run_stage(
     yield from run([cell for cell in stage if cell.primitive is None or cell.primitive.name not in unfinished])
 
 
-def _run_side_by_side(backend: Backend, cells: Sequence[Cell]) -> Iterator[Outcome]:
-    """Yield the outcomes of `cells`, each run by a worker of `backend`."""
-    events: list[str] = []
-    backend.on_event = events.append
-    for outcome in backend.map(cells):
-        yield replace(outcome, events=tuple(events))
-        events.clear()
+def _run_side_by_side(open_backend: Callable[[], Backend], cells: Sequence[Cell]) -> Iterator[Outcome]:
+    """Yield the outcomes of `cells`, each run by a worker of a backend. One at which workers keep dying has failed."""
+    left, events = list(cells), list[str]()
+    while left:
+        tasks = tuple(left)
+        try:
+            with open_backend() as backend:
+                backend.on_event = events.append
+                for outcome in backend.map(tasks):
+                    left.remove(outcome.cell)
+                    yield replace(outcome, events=tuple(events))
+                    events.clear()
+        except WorkerError as error:
+            if error.task is None:
+                raise
+            failed = tasks[error.task]
+            left.remove(failed)
+            yield Outcome(cell=failed, error=str(error), events=tuple(events))
+            events.clear()
 
 
 def _run_in_turn(run: Callable[[Cell], CellResults | None], cells: Sequence[Cell]) -> Iterator[Outcome]:
