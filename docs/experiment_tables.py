@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 
 from markdown_table import table
 
@@ -30,8 +31,9 @@ _UNBROKEN = re.compile(r" (?!\()")
 """Spaces within a number, its error or its interval."""
 
 Row = Mapping[str, str]
-Named = tuple[Row, str, str]
-"""A comparison, the name of its method and of the one that it is compared with; a dash if there is none."""
+Named = tuple[Row, str, str, float | None]
+"""A comparison, the name of its method and of the one that it is compared with (a dash if there is none), and the mean
+score of the method's last policies."""
 
 
 def filled(page: str, results: Path = RESULTS) -> str:
@@ -57,9 +59,9 @@ def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 def scores(rows: list[Named]) -> str:
     """Return the table of all methods: statistics of the score over seeds, and tests against the base."""
-    header = ("task", "method", "seeds", "mean ± s.e.", "IQM", "p", "U", "million steps", "minutes")
+    header = ("task", "method", "seeds", "mean ± s.e.", "IQM", "last", "p", "U", "million steps", "minutes")
     lines, base = [], ("", "")
-    for row, words, _ in rows:
+    for row, words, _, last in rows:
         if not row["against"]:
             base = row["group"], row["variant"]
         elif (row["against_group"], row["against"]) != base:
@@ -73,7 +75,8 @@ def scores(rows: list[Named]) -> str:
         lines.append(
             (
                 *(row["env"], words, row["seeds"], f"{float(row['score_mean']):.2f}{error}"),
-                *(f"{float(row['score_iqm']):.2f} {interval}", _p(row["p_holm"]), _p(row["mann_whitney_p"])),
+                *(f"{float(row['score_iqm']):.2f} {interval}", "–" if last is None else f"{last:.2f}"),
+                *(_p(row["p_holm"]), _p(row["mann_whitney_p"])),
                 *spent,
             )
         )
@@ -85,7 +88,7 @@ def budgets(rows: list[Named]) -> str:
     means = ("mean test scores", "p")
     header = ("task", "method", "against", "million steps", *means, "minutes", *means)
     lines = []
-    for row, words, other in rows:
+    for row, words, other, _ in rows:
         if row["steps_span"] or row["hours_span"]:
             steps = _millions(row["steps_span"]) if row["steps_span"] else "–"
             budget = _minutes(row["hours_span"]) if row["hours_span"] else "–"
@@ -96,7 +99,7 @@ def budgets(rows: list[Named]) -> str:
 def ratios(rows: list[Named]) -> str:
     """Return the table of variants that are compared by the ratio of each seed."""
     lines = []
-    for row, words, other in rows:
+    for row, words, other, _ in rows:
         ends = f"({float(row['ratio_low']):.2f} to {float(row['ratio_high']):.2f})" if row["ratio_low"] else ""
         ratio = f"{float(row['ratio']):.2f} {ends}" if row["ratio"] else "–"
         lines.append((row["env"], words, row["seeds"], f"{float(row['score_mean']):.4g}", ratio, other))
@@ -128,10 +131,28 @@ def _named(experiment: str, results: Path) -> Iterator[Named]:
     words = {(group, name): text for group, names in design["variants"].items() for name, text in names.items()}
     for chart in reversed(design["charts"]):  # the names of the first figure take precedence
         words |= {(curve["group"], curve["variant"]): curve["words"] for curve in chart["curves"]}
-    with (results / f"{experiment}.csv").open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            other = words[row["against_group"], row["against"]] if row["against"] else "–"
-            yield row, words[row["group"], row["variant"]], other
+    last: dict[tuple[str, ...], list[float]] = {}
+    for run in _rows(results / "runs.csv"):
+        if run["last_score"]:
+            last.setdefault(_method(run), []).append(float(run["last_score"]))
+    for row in _rows(results / f"{experiment}.csv"):
+        other = words[row["against_group"], row["against"]] if row["against"] else "–"
+        scores_there = last.get(_method(row), [])
+        if scores_there and len(scores_there) != int(row["seeds"]):
+            raise ValueError(
+                f"{results / 'runs.csv'} has {len(scores_there)} runs of {' '.join(_method(row))}, {experiment}.csv is "
+                f"of {row['seeds']}: run shes experiment {experiment} --no-run, and remove rows of other settings"
+            )
+        yield row, words[row["group"], row["variant"]], other, fmean(scores_there) if scores_there else None
+
+
+def _method(row: Row) -> tuple[str, ...]:
+    return row["env"], row["group"], row["variant"]
+
+
+def _rows(path: Path) -> list[Row]:
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 def _both(row: Row, budget: str) -> tuple[str, str]:

@@ -1,6 +1,7 @@
 """The tables of docs/experiments.md are those of the comparisons, and these are those of the runs."""
 
 import csv
+import itertools
 import json
 import re
 import sys
@@ -13,6 +14,7 @@ import pytest
 
 from shes.studies.comparison import compare
 from shes.studies.named_studies import STUDIES
+from shes.studies.paper_scales import STEPS
 from shes.studies.study import cell_steps
 from shes.studies.summaries import read_summaries
 
@@ -95,6 +97,12 @@ def test_a_table_has_every_method_once_and_the_tests_against_the_base(tables, tm
         "charts": [{"curves": [{**base, "words": words}]} for words in ("the first", "a later figure's")],
     }
     (tmp_path / "fig9-design.json").write_text(json.dumps(design), encoding="utf-8")
+    runs = [{**base, "env": "ant-maze", "last_score": last} for last in ("0.25", "0.5", "0.75")]
+    runs.append({**other, "env": "ant-maze", "last_score": ""})
+    with (tmp_path / "runs.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(runs[0]))
+        writer.writeheader()
+        writer.writerows(runs)
     page = "before\n<!-- scores of fig9 -->\nold\n<!-- end -->\n<!-- budgets of fig9 -->\n<!-- end -->\nafter"
     lines = tables.filled(page, tmp_path).splitlines()
     assert "old" not in lines
@@ -102,10 +110,13 @@ def test_a_table_has_every_method_once_and_the_tests_against_the_base(tables, tm
     assert [
         line.replace("\N{NO-BREAK SPACE}", "_") for line in lines if line.startswith("|") and re.search(r"\d", line)
     ] == [
-        "| Ant Maze | the first | 3 | 0.50_±_0.29 | 0.50 (0.00_to_1.00) | – | – | 2.0 | 6.0 |",
-        "|  | two | 3 | 0.50 | 0.50 (0.00_to_1.00) | 0.051 | 0.30 | 1.0_+_2.0 | 30_+_6.0 |",
+        "| Ant Maze | the first | 3 | 0.50_±_0.29 | 0.50 (0.00_to_1.00) | 0.50 | – | – | 2.0 | 6.0 |",
+        "|  | two | 3 | 0.50 | 0.50 (0.00_to_1.00) | – | 0.051 | 0.30 | 1.0_+_2.0 | 30_+_6.0 |",
         "| Ant Maze | two | the first | 3.0 | 0.25,_0.12 | <0.001 | – | – | – |",
     ]
+    (tmp_path / "runs.csv").write_text("group,variant,env,last_score\nmethods,first,ant-maze,1\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"runs\.csv has 1 runs of ant-maze methods first, fig9\.csv is of 3"):
+        tables.filled(page, tmp_path)
 
 
 def test_every_group_of_runs_is_at_the_papers_scale_once(tables):
@@ -135,15 +146,23 @@ def per_cent(env):
     return f"{listed([100 * score for score in column('best_score', env)], '{:.0f}')} %"
 
 
-def equal(env, first, second, budget="steps"):
-    """Return the mean test scores of the second method and of the first over equal budgets, and p."""
+def comparison(env, first, second, table="fig5"):
+    """Return the row that compares the second method with the first, each a group and a variant."""
     place = dict(zip(("group", "variant", "against_group", "against"), (*second, *first), strict=True))
-    rows = [row for row in rows_of(RESULTS / "fig5.csv") if {**place, "env": env}.items() <= row.items()]
-    score, other, p = (float(rows[0][f"{budget}_{name}"]) for name in ("score", "score_against", "p_holm"))
-    return (
-        f"{score:.2f} against {other:.2f}",
-        "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}",
-    )
+    [row] = (row for row in rows_of(RESULTS / f"{table}.csv") if {**place, "env": env}.items() <= row.items())
+    return row
+
+
+def p_value(text):
+    p = float(text)
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
+
+
+def equal(env, first, second, budget="steps", table="fig5"):
+    """Return the mean test scores of the second method and of the first over equal budgets, and p."""
+    row = comparison(env, first, second, table)
+    score, other = (float(row[f"{budget}_{name}"]) for name in ("score", "score_against"))
+    return f"{score:.2f} against {other:.2f}", p_value(row[f"{budget}_p_holm"])
 
 
 def compared(env, group="transfer", variant="pieces", against="pieces", budget="steps"):
@@ -190,6 +209,7 @@ def point_as_published():
 
 def point_with_changes():
     gather, maze, push = (of_point(env) for env in ("gather", "maze", "push"))
+    last = column("last_score", "maze", body="point")
     over_steps = {
         env: compared(f"point-{env}", "methods", against="published").replace(", ", f" in {env.title()} (")
         for env in ("gather", "maze", "push")
@@ -197,6 +217,8 @@ def point_with_changes():
     return (
         f"it scores {np.mean(gather):.1f} ({spread(gather, '{:.1f}')})",
         f"reaches the targets in at least {100 * maze[0]:.0f} and {100 * push[0]:.0f} % with every seed",
+        f"of {number(last.count(0))} seeds never reach that of Maze",
+        f"the ten reach it in {100 * np.mean(last):.0f} % on average",
         "the mean test score is {gather}), {maze}) and {push}).".format(**over_steps),
     )
 
@@ -238,7 +260,165 @@ def evaluations():
 
 
 def number(count):
-    return ("no", "one", "two", "three", "four", "five")[count]
+    return ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "all ten")[count]
+
+
+def third(env, budget, first="hiro", second="pieces"):
+    """Return the mean test scores of two methods over equal budgets and p, from the comparisons of Figure 3."""
+    row = comparison(env, ("methods", first), ("methods", second), "fig3")
+    score, other = (f"{float(row[f'{budget}_{name}']):.2f}" for name in ("score", "score_against"))
+    return score, other, p_value(row[f"{budget}_p_holm"])
+
+
+def last_and_best(env, variant):
+    """Return the means over seeds of the last test score of a run and of its best one."""
+    runs = {}
+    for row in rows_of(RESULTS / "curves.csv"):
+        if (row["env"], row["group"], row["variant"]) == (env, "methods", variant):
+            runs.setdefault(row["seed"], []).append(float(row["score_mean"]))
+    return tuple(
+        float(np.mean([choose(scores) for scores in runs.values()])) for choose in (lambda each: each[-1], max)
+    )
+
+
+def passes(score):
+    """Return when the first test score of at least `score` comes in Ant Gather, over seeds."""
+    minutes = {}
+    for row in rows_of(RESULTS / "curves.csv"):
+        is_ours = (row["env"], row["group"], row["variant"]) == ("ant-gather", "methods", "pieces")
+        if is_ours and float(row["score_mean"]) >= score:
+            minutes.setdefault(row["seed"], float(row["seconds"]) / 60)
+    steps = spread(first_at(score, "methods"), "{:.1f}")
+    return f"of at least {score} comes after {steps} million steps, {spread(minutes.values(), '{:.1f}')} minutes"
+
+
+def minutes_of(variant, *envs, body="ant"):
+    return [each / 60 for env in envs for each in column("seconds", env, variant=variant, body=body)]
+
+
+def hiro_in_point_gather():
+    scores = of_point("gather", "hiro")
+    assert len(scores) == 10
+    row = comparison("point-gather", ("methods", "hiro"), ("methods", "pieces"), "fig3")
+    steps, hours = (third("point-gather", budget) for budget in ("steps", "hours"))
+    ours = np.mean(of_point("gather"))
+    took = spread(minutes_of("hiro", "gather", body="point"), "{:.1f}")
+    return (
+        f"HIRO scores {np.mean(scores):.1f} ({spread(scores, '{:.1f}')} by seed) after 300,000 steps",
+        f"{took} minutes of a core",
+        f"{ours:.1f} after 3 million steps and {60 * float(row['hours_span']):.1f} minutes ({p_value(row['p_holm'])})",
+        "Over these minutes SHES has the higher mean test score, {} against {} ({})".format(*hours),
+        "over equal steps HIRO has, {1} against {0} ({2})".format(*steps),
+    )
+
+
+def hiro_in_point_push():
+    best, last = of_point("push", "hiro"), column("last_score", "push", variant="hiro", body="point")
+    assert len(best) == 10
+    ours = np.mean(column("last_score", "push", body="point"))
+    steps, hours = (third("point-push", budget) for budget in ("steps", "hours"))
+    return (
+        f"the best checkpoints of {number(sum(score > 0.5 for score in best))} seeds of HIRO",
+        f"the last policies in {100 * np.mean(last):.0f} % of the episodes (SHES: {100 * ours:.0f} %)",
+        "over equal steps HIRO is ahead, {1} against {0} ({2})".format(*steps),
+        "over equal time SHES is, {} against {} ({})".format(*hours),
+    )
+
+
+def hiro_in_point_maze():
+    assert max(of_point("maze", "hiro")) == max(last_and_best("point-maze", "hiro")) == 0
+    rows = rows_of(ROOT / "results" / "hiro" / "curves.csv")
+    without = {
+        row["seed"]
+        for row in rows
+        if row["group"] == "hiro-point-maze" and float(row["env_steps"]) < 3.01e5 and float(row["success_rate"]) > 0.5
+    }
+    return (f"{number(len(without))} seeds of five reached it within 300,000 steps without waypoints",)
+
+
+def hiro_of_the_ant():
+    gather, *others = (column("best_score", env, variant="hiro") for env in ("gather", "maze", "push"))
+    assert all(max(scores) == 0 for scores in others)
+    assert len(gather) == 5
+    tasks = ("gather", "maze", "push")
+    steps = {task: third(f"ant-{task}", "steps") for task in tasks}
+    hours = {task: third(f"ant-{task}", "hours") for task in tasks}
+    assert all(each[:2] == ("0.00", "0.00") for task, each in steps.items() if task != "gather")
+    _, published, p = third("ant-gather", "hours", "published", "hiro")
+    return (
+        f"it scores at most {max(gather):.2f} in Gather",
+        f"({steps['gather'][0]} against {steps['gather'][1]} in Gather, 0 against 0 in Maze and Push)",
+        "it is ahead in Gather ({} against {}, {})".format(*hours["gather"]),
+        "and in Push ({} against {}, {})".format(*hours["push"]),
+        f"in Maze this is not shown ({hours['maze'][2]})",
+        f"no difference is shown (HIRO {hours['gather'][1]}, SHES {published} over equal time in Gather, {p}).",
+        f"HIRO has {spread(minutes_of('hiro', *tasks))} minutes here, SHES {spread(minutes_of('pieces', *tasks))}.",
+    )
+
+
+def machines_of_hiro():
+    rows = [row for row in rows_of(RESULTS / "runs.csv") if row["group"] == "methods"]
+    fast = {
+        variant: Counter(row["env"] for row in rows if row["variant"] == variant and "Xeon" in row["hardware"])
+        for variant in ("hiro", "pieces")
+    }
+    assert fast["hiro"] == {f"{body}-{task}": 3 for body in ("point", "ant") for task in ("gather", "maze", "push")}
+    ours = {env: 10 if env.startswith("point") else 5 for env in fast["hiro"] if env != "ant-gather"}
+    assert fast["pieces"] == ours
+    return ("Three seeds of HIRO on each task ran on the faster of the two machines and the others on the slower one",)
+
+
+def running_best():
+    cases = (("point-maze", "pieces"), ("point-push", "hiro"))
+    (maze, maze_best), (push, push_best) = (last_and_best(*case) for case in cases)
+    return (
+        f"ends at {maze_best:.2f} where the last test score is {maze:.2f}",
+        f"at {push_best:.2f} where it is {push:.2f}.",
+    )
+
+
+def step_scores(body):
+    """Return the mean scores of the steps between the forms, and of the form with the changes."""
+    names = STEPS[body]
+    means = [np.mean(column("best_score", "gather", "steps", name, body=body)) for name in names]
+    return [*means, np.mean(column("best_score", "gather", body=body))]
+
+
+def steps_of_the_point():
+    published = np.mean(of_point("gather", "published"))
+    views, branches, ties, pieces = (f"{score:.1f}" for score in step_scores("point"))
+    of_views, of_ties = (
+        "{} ({})".format(*equal("point-gather", ("methods", "published"), ("steps", name), table="fig3"))
+        for name in ("views", "ties")
+    )
+    row = comparison("point-gather", ("methods", "pieces"), ("steps", "ties"), "fig3")
+    return (
+        f"The point scores {published:.1f} as published, {views} with egocentric views",
+        f"{branches} with branched intervals added, {ties} with output layers at zero",
+        f"and {pieces} with all changes",
+        f"the views have {of_views}, all three steps {of_ties};",
+        f"no difference is shown ({p_value(row['p_holm'])})",
+    )
+
+
+def steps_of_the_ant():
+    def returns_of(name):
+        return np.mean(column("last_primitive_return", "gather", "steps" if name in STEPS["ant"] else "methods", name))
+
+    names = STEPS["ant"]
+    returns = [returns_of(name) for name in ("published", *names)]
+    scores = [np.mean(column("best_score", "gather", variant="published")), *step_scores("ant")]
+    rows = [
+        comparison("ant-gather", ("steps", before), ("steps", name), "fig3")
+        for before, name in itertools.pairwise(names)
+    ]
+    last = comparison("ant-gather", ("methods", "pieces"), ("steps", "gait"), "fig3")
+    return (
+        f"the last primitives return {listed(returns, '{:.0f}')}",
+        f"the scores are {listed(scores[:-1], '{:.2f}')}.",
+        f"no step differs from the one before (p at least {min(float(row['p_holm']) for row in rows):.2f}",
+        f"With the rest of the changes the score is {scores[-1]:.2f} ({p_value(last['p_holm'])})",
+    )
 
 
 CLAIMS = {
@@ -246,7 +426,7 @@ CLAIMS = {
     "point as published": point_as_published,
     "point with the changes": point_with_changes,
     "point, transfer": point_transfer,
-    "Gather, steps of both": lambda: f"of the primitive it is {spread(first_of_both(2), '{:.1f}')}.",
+    "Gather, steps of both": lambda: f"of the primitive it is {spread(first_of_both(2), '{:.1f}')}, so",
     "as published in Gather": lambda: f"scores more than {most_as_published('gather'):.2f},",
     "walkers as published": lambda: f"return {spread(column('best_score', 'flagrun', 'transfer', 'published'))} on",
     "walkers": lambda: f"they return {spread(column('best_score', 'flagrun', 'transfer'))},",
@@ -263,10 +443,19 @@ CLAIMS = {
         f"they have {listed(column('metres_behind_mean', 'maze', table='metres_behind')[:2], '{:.0f}')} m of the 48 m"
     ),
     "Gather, a score of 2": lambda: (
-        f"after at most {max(first_at(2, 'transfer')):.1f} million steps of its own, from scratch after "
+        f"after at most {max(first_at(2, 'transfer')):.1f} million steps of their own, from scratch after "
         f"{spread(first_at(2, 'methods'), '{:.1f}')}."
     ),
     "Maze, transfer": lambda: f"have {spread(column('metres_behind_mean', 'maze', 'transfer', table='metres_behind'))}",
+    "HIRO, machines": machines_of_hiro,
+    "HIRO, Point Gather": hiro_in_point_gather,
+    "HIRO, Point Push": hiro_in_point_push,
+    "HIRO, Point Maze": hiro_in_point_maze,
+    "HIRO, ant": hiro_of_the_ant,
+    "published scores": lambda: (passes(3.02), passes(3.74)),
+    "running best": running_best,
+    "steps of the point": steps_of_the_point,
+    "steps of the ant": steps_of_the_ant,
     "Maze, scratch": lambda: f"{spread(column('metres_behind_mean', 'maze', table='metres_behind'))} m of it",
 }
 
