@@ -248,7 +248,7 @@ def evaluations():
         for kind in (
             lambda run: run[0].startswith("ant-") and run[1] in ("methods", "transfer") and run[:3] != falls,
             lambda run: run[:3] == falls,
-            lambda run: run[0].startswith("point-") and run[0] != "point-flagrun",
+            lambda run: run[0].startswith("point-") and run[0] != "point-flagrun" and run[1] != "workers",
             lambda run: run[0] == "point-flagrun",
         )
     )
