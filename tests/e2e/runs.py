@@ -79,7 +79,7 @@ def numbers(path):
         if not (Path(path) / table).exists():  # before the first generation
             continue
         with (Path(path) / table).open(newline="") as file:
-            header, *rows = csv.reader(file)
+            header, *rows = [*csv.reader(file)] or [[]]  # empty if the writer was killed between opening and writing
         for column, name in enumerate(header):
             if not name.endswith("_s"):
                 found[f"{table}/{name}"] = np.array([",".join(row[column : column + 1]) for row in rows])
