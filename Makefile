@@ -59,10 +59,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@pwd -P > $(STAMP)
 	@echo "setup: done"
 
-demo: $(STAMP) ## an ant learns to walk and to collect food: four minutes
+demo: $(STAMP) ## an ant learns to walk and to collect food: three minutes
 	$(DEMO_COMMAND)
 
-demo-point: $(STAMP) ## the same with a point robot: two to three minutes
+demo-point: $(STAMP) ## the same with a point robot: three minutes
 	$(DEMO_COMMAND) point
 
 test: $(STAMP) ## fast tests, no extras: at most 3 minutes on 2 cores

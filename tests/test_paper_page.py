@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from shes.viewing.curves import confidence_interval
+from tests.test_experiments_page import if_hiro_were_as_fast
 
 ROOT = Path(__file__).parents[1]
 PAGE = " ".join((ROOT / "docs" / "paper.md").read_text(encoding="utf-8").split())
@@ -154,24 +155,79 @@ def settings():
     )
 
 
+def of_last(env, variant):
+    values = column("paper/runs", "last_score", group="methods", env=env, variant=variant)
+    return f"{np.mean(values):.2f}"
+
+
+def p_of(value):
+    return "<0.001" if value < 0.001 else f"{value:.{3 if value < 0.1 else 2}f}"
+
+
+ENVS = [f"{body}-{task}" for body in ("point", "ant") for task in ("gather", "maze", "push")]
+
+
+def line(env, *cells):
+    return f"| {env.replace('-', ' ').title()} | {' | '.join(cells)} |"
+
+
+def of_comparison(table, env, name, variant, against=""):
+    place = {"group": "methods", "env": env, "variant": variant, "against": against}
+    (value,) = column(f"paper/{table}", name, **place)
+    return value
+
+
+def score(table, env, *form):
+    mean, error = (of_comparison(table, env, f"score_{name}", *form) for name in ("mean", "error"))
+    return f"{mean:.2f} ± {error:.2f}"
+
+
 def two_forms():
-    def cells(env):
-        def of(name, variant, against=""):
-            place = {"group": "methods", "env": env, "variant": variant, "against": against}
-            return column("paper/fig5", name, **place)[0]
-
+    lines = []
+    for env in ENVS:
+        both = "pieces", "published"
         scores = [
-            f"{of('score_mean', *form):.2f} ± {of('score_error', *form):.2f}"
-            for form in (("published",), ("pieces", "published"))
+            text for form in (("published",), both) for text in (score("fig5", env, *form), of_last(env, form[0]))
         ]
-        p, u = (of(name, "pieces", "published") for name in ("p", "mann_whitney_p"))
-        tests = ["<0.001" if each < 0.001 else f"{each:.{3 if each < 0.1 else 2}f}" for each in (p, u)]
-        effect = f"{of('superiority', 'pieces', 'published'):.2f}"
-        steps = of("env_steps", "published") / 1e6
-        return env, f"{steps:.0f}", f"{of('seeds', 'published'):.0f}", *scores, *tests, effect
+        tests = [p_of(of_comparison("fig5", env, name, *both)) for name in ("p", "mann_whitney_p")]
+        steps = of_comparison("fig5", env, "env_steps", "published") / 1e6
+        seeds = of_comparison("fig5", env, "seeds", "published")
+        effect = of_comparison("fig5", env, "superiority", *both)
+        lines.append(line(env, f"{steps:.0f}", f"{seeds:.0f}", *scores, *tests, f"{effect:.2f}"))
+    return lines
 
-    envs = (f"{body}-{task}" for body in ("point", "ant") for task in ("gather", "maze", "push"))
-    return [f"| {' | '.join(cells(env))} |".replace(env, env.replace("-", " ").title()) for env in envs]
+
+def against_hiro():
+    both = "pieces", "hiro"
+    lines = []
+    for env in ENVS:
+
+        def of(name, *form, env=env):
+            return of_comparison("fig3", env, name, *form)
+
+        def equal(budget, of=of):
+            scores = f"{of(f'{budget}_score_against', *both):.2f} and {of(f'{budget}_score', *both):.2f}"
+            p = p_of(of(f"{budget}_p_holm", *both))
+            span = of(f"{budget}_span", *both)
+            of_what = f"{60 * span:.1f} min" if budget == "hours" else f"{span / 1e6:.1f} M"
+            return f"{scores} in {of_what}, p {p if p.startswith('<') else f'= {p}'}".replace("p <", "p < ")
+
+        hiro, ours = (
+            f"{score('fig3', env, name, against)}, {of_last(env, name)}"
+            for name, against in (("hiro", "published"), both)
+        )
+        lines.append(line(env, hiro, ours, p_of(of("p_holm", *both)), equal("steps"), equal("hours")))
+    gather, push = (if_hiro_were_as_fast(f"point-{task}")[1].removeprefix("p = ") for task in ("gather", "push"))
+    minutes = [
+        np.mean(column("paper/runs", "seconds", env="point-gather", variant=name, group="methods")) / 60
+        for name in ("hiro", "pieces")
+    ]
+    assert round(minutes[0] / minutes[1]) == 6
+    return [
+        *lines,
+        f"divided by 1.4 there, p over equal time is {gather} in Point Gather and {push} in Point Push.",
+        "in {:.1f} minutes where SHES has {:.1f}.".format(*minutes),
+    ]
 
 
 def speed():
@@ -191,6 +247,7 @@ CLAIMS = {
     "walkers": walkers,
     "settings": settings,
     "two forms": two_forms,
+    "against HIRO": against_hiro,
     "speed": speed,
     "gather": gather,
     "maze": lambda: to_target("maze"),

@@ -15,7 +15,7 @@ from tensorboardX.proto.plugin_hparams_pb2 import HParamsPluginData
 
 from shes.errors import RunFolderError, StorageError
 from shes.runs.folder import RunFolder
-from shes.runs.tables import CsvTable, Records, read_csv, read_process_time
+from shes.runs.tables import CsvTable, Records, read_csv, read_process_time, trained_minutes
 from shes.training.session import Session
 from tests.e2e import runs
 
@@ -290,6 +290,18 @@ def test_a_table_without_processor_time_goes_on_without(run_copy):
         (run_copy / name).write_text("".join(f"{line.rpartition(',')[0]}\n" for line in lines))
     shes.resume(run_copy, generations=6)
     assert read_process_time(run_copy / "progress.csv") == read_csv(run_copy / "progress.csv")["wall_time_s"][-1]
+
+
+def test_the_time_of_a_run_is_that_of_its_last_whole_row(run_copy):
+    progress = run_copy / "progress.csv"
+    times = {name: read_csv(progress)[name][-1] for name in ("wall_time_s", "process_time_s")}
+    text = progress.read_text()
+    for cut in ("", "5,1200", "5,1200,"):  # as after a crash
+        progress.write_text(text + cut)
+        assert read_process_time(progress) == times["process_time_s"]
+        assert trained_minutes(RunFolder(run_copy)) == times["wall_time_s"] / 60
+    progress.write_text("")
+    assert trained_minutes(RunFolder(run_copy)) == 0.0
 
 
 # Runs.

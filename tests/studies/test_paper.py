@@ -6,6 +6,7 @@ import json
 import math
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -27,6 +28,7 @@ from shes.studies.table1 import TABLE_1, settings_beside
 from shes.training.make_config import make_config
 from tests.e2e import runs
 
+ROOT = Path(__file__).parents[2]
 NAMES = ("table1", "fig3", "fig4", "fig5", "fig6")
 TINY = {name: value for name, value in runs.TINY.items() if name not in ("preset", "seed", "backend")}
 PART = {
@@ -79,6 +81,22 @@ def test_the_learning_changes_of_scale_paper_are_those_of_the_preset_but_for_siz
         preset = SHES_PRESETS["laptop"].per_environment[cell.env].items()
         changes = {k: v for k, v in preset if k not in others and not k.startswith(("learning_rate", "schedule"))}
         assert changes.items() <= cell_config(cell, tmp_path).values.items()
+
+
+def test_the_walkers_of_scale_paper_with_the_learning_changes_are_trained_as_those_of_the_preset(tmp_path):
+    walkers = {c.variant: c for c in STUDIES["fig5"]("paper", seeds=1).cells if c.env == "ant-flagrun"}
+    ours, preset = (
+        each.numbers() for each in (cell_config(walkers["pieces"], tmp_path), make_config("ant-flagrun", "laptop"))
+    )
+    for name in ("population_size", "sigma", "learning_rate", "intervals", "primitive_estimate", "fall_price"):
+        assert ours[name] == preset[name], name
+    generations = {cell_config(cell, tmp_path).run.generations for cell in walkers.values()}
+    steps = [cell_steps(walkers[form], 0)[0] / 3000 for form in ("pieces", "published")]
+    assert (generations, steps) == ({3000}, [30_000, 640_000])
+    how_to = " ".join((ROOT / "docs" / "how-to" / "paper.md").read_text(encoding="utf-8").split())
+    assert (
+        "their 3000 generations are shorter, of {:,.0f} environment steps instead of {:,.0f}".format(*steps) in how_to
+    )
 
 
 @pytest.mark.parametrize(("scale", "has_way"), [("paper", False), ("laptop", True), ("smoke", False)])

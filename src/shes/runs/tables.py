@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -30,14 +31,24 @@ def read_csv(path: Path) -> dict[str, list[float]]:
 
 def read_wall_time(path: Path) -> float:
     """Return the wall-clock seconds of a run so far, from its `progress.csv` at `path`; 0 before the first row."""
-    times = read_csv(path).get("wall_time_s", []) if path.exists() else []
-    return times[-1] if times else 0.0
+    return _last_value(path, "wall_time_s") or 0.0
 
 
 def read_process_time(path: Path) -> float:
     """Return the processor seconds of a run's own process so far; its wall-clock time if it was not recorded."""
-    times = read_csv(path).get("process_time_s", []) if path.exists() else []
-    return times[-1] if times else read_wall_time(path)
+    seconds = _last_value(path, "process_time_s")
+    return read_wall_time(path) if seconds is None else seconds
+
+
+def trained_minutes(folder: RunFolder) -> float:
+    """Return for how many minutes of wall-clock time a run has been trained; 0 before its first row."""
+    return read_wall_time(folder.progress) / 60
+
+
+def _last_value(path: Path, column: str) -> float | None:
+    """Return the value of a column in the last whole row of a table; None without one. A crash may cut off a row."""
+    header, *rows = (_kept_rows(path) if path.exists() else []) or [[]]
+    return float(rows[-1][header.index(column)]) if rows and column in header else None
 
 
 def _read_rows(path: Path) -> list[list[str]]:
@@ -51,7 +62,7 @@ def _read_rows(path: Path) -> list[list[str]]:
         raise _damaged(path, error) from error
 
 
-def _kept_rows(path: Path, generation: int) -> list[list[str]]:
+def _kept_rows(path: Path, generation: float = math.inf) -> list[list[str]]:
     """Return the header and the whole rows up to `generation`. Later ones may be cut off."""
     rows = _read_rows(path)
     try:

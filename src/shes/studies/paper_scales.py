@@ -84,6 +84,8 @@ _PIECES = (
     *("primitive_learning_rate", "max_tilt"),
 )
 """Settings that are learning changes; the others of a preset say how large networks and population are."""
+_OF_BRANCHES_ALONE = ("population_size", "sigma", "learning_rate")
+"""Those of branched pairs where no controller is trained beside them."""
 _STEP_NAMES = {
     "views": ("primitive_view", "goal_encoding"),
     "symmetry": ("symmetry",),
@@ -153,7 +155,8 @@ class Scale:
             settings = {}
         elif self.preset != "laptop" and (body, form) == ("ant", PIECES):
             laptop = self._laptop(body, task)
-            settings = {name: laptop[name] for name in _PIECES if name in laptop}
+            names = (*_PIECES, *_OF_BRANCHES_ALONE) if task == "flagrun" else _PIECES
+            settings = {name: laptop[name] for name in names if name in laptop}
         if self.branched_population is not None and "primitive_population_size" in settings:
             settings["primitive_population_size"] = self.branched_population
         return settings

@@ -24,7 +24,7 @@ from shes.errors import RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.sections import WorkerSettings
-from shes.runs.tables import read_wall_time
+from shes.runs.tables import trained_minutes
 from shes.storage import storage_errors
 from shes.studies.one_core_backend import OneCoreBackend
 from shes.studies.run_summary import summarise
@@ -77,7 +77,7 @@ def run_cell(
         _check_settings(cell, folder, config)
     if not _is_over(config, folder):
         # Only an evaluation may be left when the limit of the run is over.
-        own = math.inf if config.run.minutes is None else max(config.run.minutes - _minutes(folder), _SHORTEST)
+        own = math.inf if config.run.minutes is None else max(config.run.minutes - trained_minutes(folder), _SHORTEST)
         left = min(own, (until - time()) / 60)
         if left <= 0:
             return None
@@ -98,13 +98,8 @@ def _is_over(config: TrainConfig, folder: RunFolder) -> bool:
     if not folder.config.is_file():
         return False
     last, limit = folder.load("last", with_state=False), config.run.minutes
-    is_late = limit is not None and _minutes(folder) >= limit
+    is_late = limit is not None and trained_minutes(folder) >= limit
     return (config.run.is_over(last.generation, last.env_steps) or is_late) and not last.owes_evaluation
-
-
-def _minutes(folder: RunFolder) -> float:
-    """Return for how many minutes the run in `folder` has been trained."""
-    return read_wall_time(folder.progress) / 60
 
 
 def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:

@@ -21,7 +21,7 @@ from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.shipped import find_run
-from shes.runs.tables import read_wall_time
+from shes.runs.tables import trained_minutes
 from shes.storage import storage_errors, write_atomically
 from shes.training.interruption import resumable
 from shes.training.listening import AnyListener
@@ -104,7 +104,7 @@ class RunsFolder:
             raise RunFolderError(f"{file} cannot be read: {error}. Restore it from a copy.") from error
         changed = {name: each.having(**settings) for name, each in configs.items()}
         if settings.get("minutes") is not None:
-            spent = {name: _minutes(path / name) for name in changed}
+            spent = {name: trained_minutes(RunFolder(path / name)) for name in changed}
             changed = {name: each.having(minutes=settings["minutes"] + spent[name]) for name, each in changed.items()}
         kept = {name for name in ended if _is_as_long(configs[name], changed[name])}
         return cls(path, changed, kept)
@@ -147,7 +147,9 @@ class RunsFolder:
             for name in names:
                 config, heard = self.configs[name], listener(name)
                 if config.run.minutes is not None:
-                    config = config.having(minutes=max(1e-9, config.run.minutes - _minutes(self.path / name)))
+                    config = config.having(
+                        minutes=max(1e-9, config.run.minutes - trained_minutes(RunFolder(self.path / name)))
+                    )
                 try:
                     run = finish_run(config, self.path / name, heard)
                 except (PolicyError, WorkerError) as error:  # of this run; another error would end the others, too
@@ -178,11 +180,6 @@ def _read(record: dict[str, Any]) -> tuple[dict[str, TrainConfig], set[str]]:
         raise ValueError("it has no run")
     configs = {name: TrainConfig.from_dict(each) for name, each in record["runs"].items()}
     return configs, configs.keys() & set(record["ended"])
-
-
-def _minutes(path: Path) -> float:
-    """Return the minutes for which the run at `path` has been trained."""
-    return read_wall_time(RunFolder(path).progress) / 60
 
 
 def _is_as_long(before: TrainConfig, now: TrainConfig) -> bool:

@@ -248,7 +248,14 @@ def test_an_experiment_is_reported_with_its_runs_and_without(tables, tiny_run, t
     report(tables, out, **arguments)
     assert "<h2>Runs</h2>" not in out.read_text(encoding="utf-8")
     assert "1.50 ± 0.25" in out.read_text(encoding="utf-8")
-    shutil.copytree(tiny_run, tables / "point-gather" / "methods" / "published" / "seed-5")
+    run = tables / "point-gather" / "methods" / "published" / "seed-5"
+    shutil.copytree(tiny_run, run)
+    record = (run / "config.json").read_text(encoding="utf-8")
+    (run / "config.json").write_text("{", encoding="utf-8")  # the only run cannot be read
+    report(tables, out, **arguments)
+    assert "seed-5 is left out: " in out.read_text(encoding="utf-8")
+    assert "1.50 ± 0.25" in out.read_text(encoding="utf-8")
+    (run / "config.json").write_text(record, encoding="utf-8")
     report(tables, out, **arguments)
     text = out.read_text(encoding="utf-8")
     titles = ["<h2>Experiment ", "1.50 ± 0.25", "<h2>Runs</h2>", "<summary>1 run</summary>", "<h2>Fresh episodes</h2>"]

@@ -131,7 +131,7 @@ def read_runs(runs: Sequence[Path | str], labels: Sequence[str] = ()) -> Reporte
                 errors[run_name(folder)] = error
             else:
                 label_of[path] = labels[number] if labels else ""
-    if errors and not read:
+    if errors and not read and not any(map(_has_results, experiments)):
         raise next(iter(errors.values()))
     grouped, over_time = (
         _groups(read, [label_of[path] for path in read] if labels else [], places, by_time=by_time)
@@ -173,10 +173,15 @@ def is_without_runs(folder: Path) -> bool:
     return is_experiment(folder) and not any(folder.glob("**/config.json"))
 
 
+def _has_results(folder: Path) -> bool:
+    """Return whether the table of an experiment has a row."""
+    text = (folder / RUNS_OF_STUDY).read_text(encoding="utf-8", errors="replace")
+    return len(text.splitlines()) > 1
+
+
 def _check_results(folder: Path) -> None:
     """Raise RunFolderError if the table of an experiment has no row."""
-    text = (folder / RUNS_OF_STUDY).read_text(encoding="utf-8", errors="replace")
-    if len(text.splitlines()) < 2:
+    if not _has_results(folder):
         raise RunFolderError(
             f"the experiment in {folder} has neither a run nor a row in {RUNS_OF_STUDY}: there is nothing to report. "
             f"Run it: shes experiment NAME --out {folder}"
