@@ -374,7 +374,8 @@ def hiro_of_the_ant():
         "and in Push ({} against {}, {})".format(*hours["push"]),
         f"in Maze this is not shown ({hours['maze'][2]})",
         f"no difference is shown (HIRO {hours['gather'][1]}, SHES {published} over equal time in Gather, {p}).",
-        f"HIRO has {spread(minutes_of('hiro', *tasks))} minutes here, SHES {spread(minutes_of('pieces', *tasks))}.",
+        f"HIRO has {spread(minutes_of('hiro', *tasks))} minutes here, SHES",
+        f"with the learning changes {spread(minutes_of('pieces', *tasks))}.",
     )
 
 
@@ -419,7 +420,8 @@ def steps_of_the_point():
         f"{branches} with branched intervals added, {ties} with output layers at zero",
         f"and {pieces} with all changes",
         f"the views have {of_views}, all three steps {of_ties};",
-        f"no difference is shown ({p_value(row['p_holm'])})",
+        f"no difference is shown ({p_value(row['steps_p_holm'])}; of",
+        f"of the scores of the best checkpoints, {p_value(row['p_holm'])})",
     )
 
 
@@ -462,13 +464,16 @@ CLAIMS = {
         *equal("ant-gather", ("methods", "pieces"), ("transfer", "pieces"))
     ),
     "Maze, slow seeds": lambda: (
-        f"they have {listed(column('metres_behind_mean', 'maze', table='metres_behind')[:2], '{:.0f}')} m of the 48 m"
+        "they have covered only "
+        f"{listed(column('metres_behind_mean', 'maze', table='metres_behind')[:2], '{:.0f}')} m of the 48 m"
     ),
     "Gather, a score of 2": lambda: (
         f"after at most {max(first_at(2, 'transfer')):.1f} million steps of their own, from scratch after "
         f"{spread(first_at(2, 'methods'), '{:.1f}')}."
     ),
-    "Maze, transfer": lambda: f"have {spread(column('metres_behind_mean', 'maze', 'transfer', table='metres_behind'))}",
+    "Maze, transfer": lambda: (
+        f"have covered {spread(column('metres_behind_mean', 'maze', 'transfer', table='metres_behind'))}"
+    ),
     "HIRO, machines": machines_of_hiro,
     "HIRO, Point Gather": hiro_in_point_gather,
     "HIRO, Point Push": hiro_in_point_push,

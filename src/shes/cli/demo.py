@@ -1,7 +1,7 @@
 """`make demo`: an ant learns to walk and then to collect food, with results and videos before and after training.
 
-`python -m shes.cli.demo point` does the same with a point robot in half the time. What takes seconds to import is
-imported where it is used, so that Ctrl-C before is no traceback.
+`python -m shes.cli.demo point` does the same with a point robot. What takes seconds to import is imported where it is
+used, so that Ctrl-C before is no traceback.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def experiment(
         name: ablation: the paper's choices, a sweep of the settings, transfer and horizon, on Point Gather and Maze;
             learning: an ablation of the walker's training method, on Ant Flagrun; the others: Table I and the figures
             of the paper, with SHES as published and with the changes of the learning study; table1 and fig3 also
-            with HIRO, which needs the extra hiro.
+            with HIRO (extra hiro). Every study needs SciPy (extra study).
         out: Folder of its runs, tables and figures; finished runs in it are kept. Default: runs/NAME, with -SCALE
             unless that is laptop; the paper's experiments share runs/paper.
         num_workers: Runs at a time, or the workers of each run of scale paper; 0 is one for every core. fig4 sets its
@@ -98,9 +98,9 @@ def experiment(
         facts |= {"failed": failed, "stopped": stopped}
         errors = [f"{cell} failed: {error}" for cell, error in failed.items()]
         if failed:
-            errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command does them again.")
+            errors.append(f"{len(failed)} of {len(chosen.cells)} runs failed: the same command repeats them.")
         if stopped:
-            lines = [f"The time is over: {len(stopped)} runs are left. The same command continues them."]
+            lines = [f"The budget is used up: {len(stopped)} runs are left. The same command continues them."]
     summaries = read_summaries(study, out)
     if run:
         summaries = _in_tables(study, summaries, out)
@@ -112,9 +112,7 @@ def experiment(
                 "Choose another folder with --out or another --scale, or omit --no-run."
             )
         if facts["missing"]:
-            lines = [
-                f"{len(facts['missing'])} of {len(chosen.cells)} runs are missing; without --no-run they are made."
-            ]
+            lines = [f"{len(facts['missing'])} of {len(chosen.cells)} runs are missing. Omit --no-run to make them."]
     if seeds is not None and read_tables(STUDIES[name](scale, None).cells, out).keys() - summaries.keys():
         lines.append(f"Comparisons and figures are of {seeds} seed{'s' * (seeds > 1)} alone; runs.csv has more.")
     found, parts = _write_results(name, study, out, summaries)
