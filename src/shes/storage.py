@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from shes.errors import StorageError
 
-__all__ = ["remove_abandoned", "storage_errors", "write_atomically"]
+__all__ = ["can_lock", "remove_abandoned", "storage_errors", "write_atomically"]
 
 _UNFINISHED = ".part"
 
@@ -46,6 +46,20 @@ def storage_errors(path: Path) -> Iterator[None]:
         raise StorageError(f"cannot write {path}: {fix}. What was there before is untouched.") from error
 
 
+def can_lock(file: IO[Any], *, is_shared: bool = False) -> bool:
+    """Take the lock of an open file, if no other process holds it; return whether none does.
+
+    On a file system without locks that is not known, and none is assumed to.
+    """
+    try:
+        fcntl.flock(file, (fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):  # the latter: where byte ranges are locked instead, as over NFS
+        return False
+    except OSError:
+        return True
+    return True
+
+
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Let `write` fill a new file, flush it to the disk, and move it to `path`. On failure `path` is unchanged.
 
@@ -58,13 +72,17 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     with storage_errors(path):
         remove_abandoned(path.parent, escape(path.name))
         try:
-            with temporary.open("xb") as file:  # never through a symbolic link
-                with suppress(OSError):  # a file system without locks
-                    fcntl.flock(file, fcntl.LOCK_EX)
-                write(file)
-                file.flush()
-                os.fsync(file.fileno())
-                temporary.replace(path)
+            while True:
+                with temporary.open("xb") as file:  # never through a symbolic link
+                    with suppress(OSError):  # a file system without locks
+                        fcntl.flock(file, fcntl.LOCK_EX)
+                    if not os.fstat(file.fileno()).st_nlink:  # taken for abandoned before it was locked
+                        continue
+                    write(file)
+                    file.flush()
+                    os.fsync(file.fileno())
+                    temporary.replace(path)
+                    return
         finally:
             temporary.unlink(missing_ok=True)
 
@@ -75,6 +93,6 @@ def remove_abandoned(folder: Path, name: str) -> None:
     A writer holds a lock on its copy, which ends with it, on any machine that shares the folder.
     """
     for part in folder.glob(f".{name}.*.*{_UNFINISHED}"):
-        with suppress(OSError), part.open("rb") as file:
+        with suppress(OSError), part.open("r+b") as file:  # for writing: NFS locks no other file exclusively
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             part.unlink(missing_ok=True)

@@ -1,7 +1,12 @@
 """The projection of a generation to many workers, in simulated time, and the bench that validates it."""
 
 import math
+import os
+import re
+import signal
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,11 +18,13 @@ from shes.bench import speedup
 from shes.bench.bench import bench
 from shes.bench.lockstep import Lockstep, StepCost
 from shes.bench.simulation import Costs, GenerationTimes, Network, simulate
+from shes.bench.sleepers import Sleep, Sleeper, SleepersBackend
 from shes.bench.speedup import bench_speedup, read_rows, speedup_of
 from shes.bench.speedup_figure import draw_speedup
 from shes.cores import core_numbers
-from shes.errors import ConfigError
+from shes.errors import ConfigError, WorkerError
 from shes.training.make_config import make_config
+from tests.e2e import runs
 from tests.hierarchy.made_up import make_task
 
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "noise_table_size": 1_000_000}
@@ -122,6 +129,24 @@ def test_measured_speed_ups_are_relative_to_the_mean_speed_of_the_cores_and_proj
         ("projected here", 2, 2.0, 1.0, 0.75),
         ("projected", 2, 2.0, 1.0, 0.75),
     ]
+
+
+def test_a_node_of_sleeping_workers_outlives_ctrl_c_and_not_its_parent():
+    sleep = Sleep(cost=COST, steps=np.zeros(1, np.int64), episodes_per_policy=1, rounds={})
+    with SleepersBackend(partial(Sleeper, sleep), 3, per_node=3) as backend:
+        (node,) = backend._nodes
+        os.kill(node.pid, signal.SIGINT)  # as in a terminal, where it reaches the whole group
+
+        def ignores_ctrl_c():
+            status = Path(f"/proc/{node.pid}/status").read_text(encoding="utf-8")
+            return int(re.search(r"SigIgn:\s+(\w+)", status)[1], 16) & 1 << signal.SIGINT - 1
+
+        runs.wait_until(ignores_ctrl_c, "the node ignores it")
+        assert node.poll() is None
+        os.close(backend._pipe.pop())  # the end that closes with the parent
+        assert node.wait(runs.patient(10)) == 1
+        with pytest.raises(WorkerError, match=r"a process of sleeping workers died; none is replaced"):
+            backend.start_worker()
 
 
 BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception"}

@@ -236,9 +236,10 @@ def test_kill_9_of_the_study_leaves_no_worker_and_the_same_command_goes_on(tmp_p
 
 @pytest.mark.slow
 @pytest.mark.extras
-def test_kill_9_of_a_worker_is_told_and_changes_nothing(tmp_path, undisturbed):
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_worker_is_told_and_changes_nothing(tmp_path, undisturbed, number):
     process, workers = start_and_wait(tmp_path / "study")
-    os.kill(workers[0], signal.SIGKILL)
+    os.kill(workers[0], number)
     code, out, err = runs.finish(process)
     assert (code, err) == (0, "")
     assert f"worker {workers[0]} died" in out

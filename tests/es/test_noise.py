@@ -7,6 +7,7 @@ import subprocess
 import sys
 import zlib
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -347,6 +348,44 @@ def test_the_cache_folder_follows_the_environment(monkeypatch, tmp_path):
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert default_cache_dir() == tmp_path / "home" / ".cache" / "shes"
+
+    def no_home():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", no_home)
+    with pytest.raises(ConfigError, match=r"no place for the cached noise table: .* Set SHES_CACHE_DIR to a folder"):
+        default_cache_dir()
+
+
+def test_a_file_that_was_taken_for_abandoned_before_it_was_locked_is_begun_again(tmp_path, monkeypatch):
+    flock, calls = storage.fcntl.flock, []
+
+    def unlink_first(file, operation):
+        if not calls:
+            (part,) = tmp_path.glob(".*.part")
+            part.unlink()  # as another process does that holds its lock for a moment
+        calls.append(operation)
+        flock(file, operation)
+
+    monkeypatch.setattr(storage.fcntl, "flock", unlink_first)
+    storage.write_atomically(tmp_path / "a", lambda file: file.write(b"all"))
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a", b"all")]
+    assert len(calls) == 2
+
+
+def test_an_abandoned_file_is_removed_where_a_lock_needs_a_file_that_is_open_for_writing(tmp_path, monkeypatch):
+    """As over NFS, where byte ranges are locked instead."""
+    flock = storage.fcntl.flock
+
+    def of_nfs(file, operation):
+        if not file.writable():
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        flock(file, operation)
+
+    monkeypatch.setattr(storage.fcntl, "flock", of_nfs)
+    (tmp_path / ".a.1.2.part").write_bytes(b"half")
+    storage.write_atomically(tmp_path / "a", lambda file: file.write(b"all"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_a_machine_that_lacks_the_file_generates_the_same_table_once_in_its_own_cache(tmp_path, monkeypatch):

@@ -1,8 +1,12 @@
 """The run folder: exactly one run in it, and a record of what it is."""
 
+import errno
+import fcntl
 import json
+import os
 import re
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +16,7 @@ import shes
 from shes.errors import CheckpointError, ConfigError, RunFolderError
 from shes.runs.checkpoint import save_checkpoint
 from shes.runs.folder import RunFolder, new_folder
+from shes.runs.state import run_state
 from shes.training.make_config import make_config
 from tests.e2e import runs
 
@@ -76,6 +81,28 @@ def test_two_processes_never_run_in_one_folder(tiny_run, run_copy):
         assert shes.load(run_copy)  # looking is allowed
     assert runs.differences(tiny_run, run_copy) == []
     shes.resume(run_copy, generations=5)
+
+
+def test_a_lock_that_is_held_for_a_moment_is_waited_for(tiny_run, run_copy):
+    """A list of runs takes it, too."""
+    with (run_copy / ".lock").open() as file:
+        fcntl.flock(file, fcntl.LOCK_SH)
+        timer = threading.Timer(0.2, lambda: fcntl.flock(file, fcntl.LOCK_UN))
+        timer.start()
+        with RunFolder.open(run_copy).lock():
+            assert run_state(RunFolder.open(run_copy)).state == "running"
+        timer.join()
+
+
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_does_not_make_a_run_in_use(run_copy, monkeypatch, number):
+    def no_locks(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", no_locks)
+    assert run_state(RunFolder.open(run_copy)).state == "finished"
+    shes.resume(run_copy, generations=5)
+    assert run_state(RunFolder.open(run_copy)).generation == 5
 
 
 @pytest.mark.parametrize("name", ["progress.csv", "evaluation.csv", "checkpoints/last.npz"])

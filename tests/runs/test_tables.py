@@ -292,11 +292,33 @@ def test_a_table_without_processor_time_goes_on_without(run_copy):
     assert read_process_time(run_copy / "progress.csv") == read_csv(run_copy / "progress.csv")["wall_time_s"][-1]
 
 
+def test_rows_that_are_missing_before_a_checkpoint_are_refused(run_copy):
+    import shes
+
+    progress = run_copy / "progress.csv"
+    text = progress.read_text()
+    progress.write_text("".join(text.splitlines(keepends=True)[:-2]))
+    with pytest.raises(RunFolderError, match=r"progress\.csv ends with generation 2, but the run has made 4: rows are"):
+        shes.resume(run_copy, generations=5)
+    progress.write_text("")  # the way out that the message names
+    shes.resume(run_copy, generations=5)
+    assert read_csv(progress)["generation"] == [5]
+
+
+def test_a_column_that_the_run_does_not_write_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("generation,x,note\n1,0.5,0\n")
+    with pytest.raises(RunFolderError, match=r"a\.csv has columns that this run does not write: note\. Remove them"):
+        CsvTable(path, 1).add({"generation": 2, "x": 0.25})
+    assert path.read_text() == "generation,x,note\n1,0.5,0\n"
+
+
 def test_the_time_of_a_run_is_that_of_its_last_whole_row(run_copy):
     progress = run_copy / "progress.csv"
     times = {name: read_csv(progress)[name][-1] for name in ("wall_time_s", "process_time_s")}
     text = progress.read_text()
-    for cut in ("", "5,1200", "5,1200,"):  # as after a crash
+    row = text.splitlines()[-1]
+    for cut in ("", "5,1200", row[: row.rindex(",")], row[: row.rindex(",") + 1]):  # as after a crash
         progress.write_text(text + cut)
         assert read_process_time(progress) == times["process_time_s"]
         assert trained_minutes(RunFolder(run_copy)) == times["wall_time_s"] / 60

@@ -2,15 +2,19 @@
 
 import errno
 import gc
+import os
 import threading
 import weakref
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from shes.errors import StorageError
 from shes.runs import writer as writers
 from shes.runs.checkpoint import load_checkpoint, save_checkpoint
+from shes.runs.folder import RunFolder
+from shes.runs.tables import Records
 from shes.runs.writer import RunWriter
 from tests.runs.test_checkpoint import fail, make
 
@@ -23,6 +27,9 @@ class Tables:
 
     def add(self, table, row):
         self.written.append((table, row["generation"]))
+
+    def flush(self):
+        pass
 
 
 @pytest.fixture
@@ -49,6 +56,29 @@ def test_rows_and_checkpoints_are_written_in_order_and_nobody_waits_for_them(slo
     may_go_on.set()
     writer.close()
     assert tables.written == [("evaluation", 1), ("best", 1), ("progress", 2), ("2", 2)]
+
+
+def test_the_rows_before_a_checkpoint_are_on_the_disk_before_it(tmp_path, monkeypatch):
+    """A machine that goes down loses what is not: a checkpoint whose rows are missing could not go on."""
+    synced = []
+
+    def sync(number):
+        name = Path(f"/proc/self/fd/{number}").readlink().name.lstrip(".").partition(".")[0]
+        if name != "events":
+            synced.append(name)
+
+    folder = RunFolder(tmp_path)
+    folder.checkpoints.mkdir()
+    records = Records(folder, 0)
+    monkeypatch.setattr(os, "fsync", sync)
+    writer = RunWriter(records)
+    for generation in (1, 2):
+        writer.add_row("progress", {"generation": generation})
+        writer.save(folder.checkpoint_path("last"), make(generation))
+        writer.wait()
+    writer.close()
+    records.close()
+    assert synced == ["progress", "last"] * 2
 
 
 def test_a_checkpoint_that_a_newer_one_replaces_is_not_written(slow, tmp_path):

@@ -1,6 +1,7 @@
 """Live progress: everything that was promised, within the width of the terminal, or lines where there is none."""
 
 import io
+import math
 import re
 from pathlib import Path
 
@@ -59,6 +60,15 @@ def play(console, clock, config=CONFIG, generations=12):
                 display.on_event("worker 123 died (exit code -9); 4 tasks are done again")
             display.on_generation(row(generation))
     return display
+
+
+def test_a_score_that_is_no_number_ends_no_run(clock):
+    display = ProgressDisplay(terminal(100))
+    with display:
+        display.on_start(Path("runs/a"), CONFIG, 0, 2)
+        display.on_generation(row(1))
+        for score in (math.nan, 1.0, math.inf, 2.0):
+            display.on_evaluation(evaluation(score))
 
 
 def terminal(width):

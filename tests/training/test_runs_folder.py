@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from shes.cli import main
-from shes.errors import ConfigError, PolicyError, RunFolderError, UnknownNameError
+from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderError, UnknownNameError, WorkerError
 from shes.runs.folder import RunFolder
 from shes.training import runs_folder
 from shes.training.progress_display import ProgressDisplay
@@ -115,20 +115,21 @@ def test_minutes_are_those_of_each_run_and_one_whose_time_is_up_has_ended(tmp_pa
     assert generations(path) == {"seed-4": 1, "seed-5": 1}
 
 
-def test_a_run_that_fails_does_not_stop_the_others_and_is_tried_again(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("error", [PolicyError, WorkerError, DivergenceError])
+def test_a_run_that_fails_does_not_stop_the_others_and_is_tried_again(tmp_path, monkeypatch, capsys, error):
     finish = runs_folder.finish_run
 
     def fail(config, path, listener):
         if config.run.seed == 4:
-            raise PolicyError("the policy returned NaN")
+            raise error("the policy returned NaN")
         return finish(config, path, listener)
 
     with monkeypatch.context() as patch:
         patch.setattr(runs_folder, "finish_run", fail)
         assert train(tmp_path / "all", "--seed", "4", "5", generations=1) == 1
-    error = capsys.readouterr().err
-    assert "seed-4 failed: the policy returned NaN" in error
-    assert "1 of 2 runs failed" in error
+    said = capsys.readouterr().err
+    assert "seed-4 failed: the policy returned NaN" in said
+    assert "1 of 2 runs failed" in said
     assert main(["resume", str(tmp_path / "all")]) == 0
     assert generations(tmp_path / "all") == {"seed-4": 1, "seed-5": 1}
 

@@ -282,5 +282,27 @@ def test_a_run_without_a_generation_cannot_be_drawn(seeds, tmp_path):
     with pytest.raises(RunFolderError, match=r"progress\.csv has no column 'controller_return_mean', or no row"):
         plot([path], tmp_path / "a.png")
     RunFolder(path).evaluation.unlink()
-    with pytest.raises(RunFolderError, match=r"has no generation yet: evaluation\.csv is missing\. Train it first"):
+    with pytest.raises(RunFolderError, match=r"has nothing to draw yet: evaluation\.csv is missing\. Train it first"):
         plot([path], tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("is_missing", [True, False])
+def test_a_run_without_an_evaluation_does_not_keep_others_from_being_drawn(seeds, tmp_path, is_missing):
+    young = RunFolder(shutil.copytree(seeds[0], tmp_path / "young"))
+    young.evaluation.unlink() if is_missing else young.evaluation.write_text("")
+    assert plot([seeds[1], young.path], tmp_path / "a.png").is_file()
+
+
+def test_a_table_without_a_spread_or_an_abscissa_is_no_traceback(seeds, tmp_path):
+    path = shutil.copytree(seeds[0], tmp_path / "run")
+    table = read_csv(path / "evaluation.csv")
+
+    def write(*names):
+        lines = [names, *zip(*(table[name] for name in names), strict=True)]
+        (path / "evaluation.csv").write_text("".join(f"{','.join(map(str, line))}\n" for line in lines))
+
+    write("generation", "env_steps", "score_mean")
+    assert plot([path], tmp_path / "a.png").is_file()
+    write("generation", "score_mean")
+    with pytest.raises(RunFolderError, match=r"evaluation\.csv has no column 'env_steps'"):
+        plot([path], tmp_path / "b.png")

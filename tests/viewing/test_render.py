@@ -56,6 +56,11 @@ def test_a_video_has_two_frames_for_each_control_step(tiny_run, tmp_path, suffix
     assert FRAMES_PER_SECOND == 20
 
 
+def test_an_episode_shorter_than_a_frame_is_shown(tiny_run, tmp_path, monkeypatch):
+    monkeypatch.setattr("shes.viewing.render.FRAMES_PER_SECOND", 0.01)
+    assert len(read(render([tiny_run, tiny_run], tmp_path / "walk.mp4", steps=1, size=64))) == 1
+
+
 def test_several_checkpoints_are_side_by_side_in_the_same_episode(tiny_run, tmp_path):
     frames = read(render(tiny_run, tmp_path / "walk.mp4", checkpoints=["0", "best", "last"], steps=2, size=96))
     assert frames.shape[1:] == (192, 288, 3)

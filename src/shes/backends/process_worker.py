@@ -19,7 +19,7 @@ from shes.backends.serving import serve
 _PR_SET_PDEATHSIG = 1
 
 
-def _die_with_parent(lifeline: int, parent: int) -> None:
+def die_with_parent(lifeline: int, parent: int) -> None:
     """End this process when process `parent` ends."""
 
     def wait_for_end() -> None:
@@ -37,7 +37,7 @@ def main() -> None:
     """Serve the connection given on the command line."""
     descriptor, lifeline, parent = (int(argument) for argument in sys.argv[1:4])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the parent decides
-    _die_with_parent(lifeline, parent)
+    die_with_parent(lifeline, parent)
     with Connection(descriptor) as connection, suppress(EOFError, BrokenPipeError, ConnectionResetError):
         serve(connection, connection.recv_bytes())
 

@@ -1,13 +1,15 @@
 """Workers that sleep for as long as measured episodes take, and exchange real messages with the real parent.
 
-`python -m shes.bench.sleepers FD ...` is a node of them, with one in a thread for every socket: hundreds of processes
-that import MuJoCo would not fit into the memory of a small machine. As in a cluster, the state is sent once to a node.
+`python -m shes.bench.sleepers LIFELINE PARENT FD ...` is a node of them, with one in a thread for every socket:
+hundreds of processes that import MuJoCo would not fit into the memory of a small machine. As in a cluster, the state is
+sent once to a node.
 """
 
 from __future__ import annotations
 
 import os
 import pickle
+import signal
 import socket
 import subprocess
 import sys
@@ -23,12 +25,14 @@ import numpy as np
 from shes.backends.backend import WorkerFactory
 from shes.backends.job import State
 from shes.backends.process import SocketWorker
+from shes.backends.process_worker import die_with_parent
 from shes.backends.processes import ProcessesBackend
 from shes.backends.remote_worker import RemoteWorker
 from shes.backends.serving import ONE_THREAD, serve
 from shes.backends.work import TaskSource
 from shes.bench.lockstep import Lockstep, StepCost
 from shes.bench.random_results import RandomResults
+from shes.errors import WorkerError
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.types import IntArray
 
@@ -96,6 +100,7 @@ class SleepersBackend(ProcessesBackend):
         self._nodes: list[subprocess.Popen[bytes]] = []
         self._sockets: list[tuple[socket.socket, bool]] = []
         self._first_of_nodes: set[RemoteWorker] = set()
+        self._pipe = list(os.pipe())  # of which only this process holds the end for writing: the nodes' lifeline
         super().__init__(factory, num_workers)
 
     def close(self) -> None:
@@ -106,6 +111,8 @@ class SleepersBackend(ProcessesBackend):
             node.wait()
         self._nodes.clear()
         self._first_of_nodes.clear()
+        while self._pipe:
+            os.close(self._pipe.pop())
 
     def start_missing(self) -> None:
         """Start the nodes before the first workers."""
@@ -115,7 +122,9 @@ class SleepersBackend(ProcessesBackend):
         super().start_missing()
 
     def start_worker(self) -> SocketWorker:
-        """Connect to the next worker of the nodes."""
+        """Connect to the next worker of the nodes; raise WorkerError if one is to be replaced."""
+        if not self._sockets:
+            raise WorkerError("a process of sleeping workers died; none is replaced. Measure again.")
         own, is_first = self._sockets.pop(0)
         worker = SocketWorker(own, self._factory, None)
         if is_first:
@@ -134,9 +143,17 @@ class SleepersBackend(ProcessesBackend):
         """Start the node of the workers from `first` on; return their sockets, and whether it is its first one."""
         pairs = [socket.socketpair() for _ in range(min(self._per_node, self.num_workers - first))]
         numbers = [theirs.fileno() for _, theirs in pairs]
-        command = [sys.executable, "-P", "-m", "shes.bench.sleepers", *map(str, numbers)]
+        lifeline = self._pipe[0]
+        arguments = map(str, (lifeline, os.getpid(), *numbers))
+        command = [sys.executable, "-P", "-m", "shes.bench.sleepers", *arguments]
         environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": self._import_path}
-        self._nodes.append(subprocess.Popen(command, pass_fds=numbers, env=environment, stdin=subprocess.DEVNULL))
+        # The node inherits the mask: a Ctrl-C in a terminal reaches it even before it can ignore it.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            node = subprocess.Popen(command, pass_fds=(lifeline, *numbers), env=environment, stdin=subprocess.DEVNULL)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        self._nodes.append(node)
         for _, theirs in pairs:
             theirs.close()
         return [(own, i == 0) for i, (own, _) in enumerate(pairs)]
@@ -148,8 +165,11 @@ def _serve(descriptor: int) -> None:
 
 
 def main() -> None:
-    """Serve as a worker for each socket given on the command line."""
-    threads = [Thread(target=_serve, args=(int(word),)) for word in sys.argv[1:]]
+    """Serve as a worker for each socket given on the command line, and die with the parent."""
+    lifeline, parent, *descriptors = map(int, sys.argv[1:])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the parent decides
+    die_with_parent(lifeline, parent)
+    threads = [Thread(target=_serve, args=(descriptor,)) for descriptor in descriptors]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -38,11 +38,17 @@ _CHECKED = 4096  # normals generated again when a cached file is opened
 
 
 def default_cache_dir() -> Path:
-    """Return `$SHES_CACHE_DIR`, else `$XDG_CACHE_HOME/shes`, else `~/.cache/shes`."""
+    """Return `$SHES_CACHE_DIR`, else `$XDG_CACHE_HOME/shes`, else `~/.cache/shes`; raise ConfigError without a home."""
     if own := os.environ.get("SHES_CACHE_DIR"):
         return Path(own)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "shes"
+    if base := os.environ.get("XDG_CACHE_HOME"):
+        return Path(base) / "shes"
+    try:
+        return Path.home() / ".cache" / "shes"
+    except RuntimeError as error:
+        raise ConfigError(
+            f"there is no place for the cached noise table: {error} Set SHES_CACHE_DIR to a folder for it."
+        ) from error
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
@@ -11,6 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from time import monotonic, sleep
 from typing import Any
 
 from shes.envs.registry import GYMNASIUM
@@ -20,9 +20,11 @@ from shes.runs.config import TrainConfig
 from shes.runs.device import device_changes
 from shes.runs.provenance import provenance
 from shes.runs.shipped import find_run, shipped_hint, shipped_name
-from shes.storage import storage_errors, write_atomically
+from shes.storage import can_lock, storage_errors, write_atomically
 
 _FORMAT = 2
+_LOCK_S = 0.5
+"""How long a lock is waited for: a list of runs takes it for a moment."""
 _OBJECTS = ("config", "versions", "machine", "device", "controller", "primitive")
 """Entries of the record that are objects, where there are any."""
 
@@ -109,12 +111,14 @@ class RunFolder:
         with storage_errors(self._lock):
             file = self._lock.open("w")
         with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise RunFolderError(
-                    f"{self.path} is in use: another process trains in it. Wait for its end, or choose another folder."
-                ) from error
+            give_up = monotonic() + _LOCK_S
+            while not can_lock(file):
+                if monotonic() > give_up:
+                    raise RunFolderError(
+                        f"{self.path} is in use: another process trains in it. Wait for its end, or choose another "
+                        "folder."
+                    )
+                sleep(_LOCK_S / 10)
             yield
 
     def _check_links(self) -> None:

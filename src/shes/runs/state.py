@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, Literal
 from shes.errors import CheckpointError, ConfigError, RunFolderError, ShesError, UnknownNameError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
+from shes.storage import can_lock
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,8 +116,4 @@ def _is_locked(folder: RunFolder) -> bool:
     if not file.is_file():
         return False
     with file.open() as opened:
-        try:
-            fcntl.flock(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError:
-            return True
-    return False
+        return not can_lock(opened, is_shared=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -65,6 +66,8 @@ def _read_rows(path: Path) -> list[list[str]]:
 def _kept_rows(path: Path, generation: float = math.inf) -> list[list[str]]:
     """Return the header and the whole rows up to `generation`. Later ones may be cut off."""
     rows = _read_rows(path)
+    if len(rows) > 1 and "" in rows[-1]:  # cut off behind a comma
+        rows.pop()
     try:
         kept = [row for row in rows[1:] if len(row) == len(rows[0]) and int(row[0]) <= generation]
         for row in kept:
@@ -80,9 +83,10 @@ def _damaged(path: Path, error: Exception) -> RunFolderError:
 
 
 def check_tables(folder: RunFolder, generation: int, *, owes_evaluation: bool = False) -> None:
-    """Raise RunFolderError unless the tables of a run are there and can be read after `generation`.
+    """Raise RunFolderError unless the tables of a run are there, can be read and are whole after `generation`.
 
-    The first evaluation, of generation 1, may be pending: then there is no table of evaluations.
+    The first evaluation, of generation 1, may be pending: then there is no table of evaluations. A table may be empty:
+    somebody goes on without its rows.
     """
     for path in (folder.progress, folder.evaluation) if generation else ():
         if path == folder.evaluation and generation == 1 and owes_evaluation and not path.exists():
@@ -92,7 +96,12 @@ def check_tables(folder: RunFolder, generation: int, *, owes_evaluation: bool = 
                 f"{path} is missing, but the run has made {generation} generations. Restore it from a copy, or make an "
                 "empty file of this name to go on without the rows so far."
             )
-        _kept_rows(path, generation)
+        rows = _kept_rows(path, generation)[1:]
+        if path == folder.progress and rows and int(rows[-1][0]) != generation:
+            raise RunFolderError(
+                f"{path} ends with generation {rows[-1][0]}, but the run has made {generation}: rows are missing. "
+                "Restore it from a copy, or empty it to go on without the rows so far."
+            )
 
 
 def csv_text(rows: Iterable[Sequence[Any]]) -> str:
@@ -109,6 +118,7 @@ class CsvTable:
         """Open `path` and remove the rows after generation `keep_until`; raise RunFolderError if it is damaged."""
         self._path = path
         self._columns: list[str] | None = None
+        self._is_on_disk = True
         if path.exists():
             self._truncate(keep_until)
 
@@ -122,12 +132,29 @@ class CsvTable:
         write_atomically(self._path, lambda file: file.write(csv_text([header, *kept]).encode()))
 
     def add(self, row: Row) -> None:
-        """Append `row`, with one write; raise StorageError if that fails."""
+        """Append `row`, with one write; raise StorageError if that fails.
+
+        Raises:
+            RunFolderError: The table has a column that `row` does not have.
+        """
         header = [] if self._columns else [list(row)]
         self._columns = self._columns or list(row)
+        if unknown := [name for name in self._columns if name not in row]:
+            raise RunFolderError(
+                f"{self._path} has columns that this run does not write: {', '.join(unknown)}. Remove them, or restore "
+                "the table from a copy."
+            )
         text = csv_text([*header, [repr(row[name]) for name in self._columns]])
         with storage_errors(self._path), self._path.open("a", encoding="utf-8") as file:
             file.write(text)
+        self._is_on_disk = False
+
+    def flush(self) -> None:
+        """Let the rows be on the disk, whatever happens to the machine; raise StorageError if that fails."""
+        if not self._is_on_disk:
+            with storage_errors(self._path), self._path.open("rb") as file:
+                os.fsync(file.fileno())
+            self._is_on_disk = True
 
 
 class Records:
@@ -154,6 +181,11 @@ class Records:
         """Add the row of a generation to `progress`, or that of an evaluation to `evaluation`."""
         self._tables[table].add(row)
         self._events.add(table, row)
+
+    def flush(self) -> None:
+        """Let the rows of the tables be on the disk: a checkpoint there needs those before it."""
+        for table in self._tables.values():
+            table.flush()
 
     def close(self) -> None:
         """Close the event files."""

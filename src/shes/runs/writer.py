@@ -68,6 +68,7 @@ class RunWriter:
             if number != newest:  # it is written later, after the rows that belong to it
                 return
             del self._newest[path]
+        self._records.flush()
         save_checkpoint(path, checkpoint)
 
     def _write_all(self) -> None:

@@ -29,7 +29,7 @@ from shes.studies.study_tables import CellResults, read_tables, write_csv, write
 from shes.studies.summaries import cells_left, read_summaries
 from shes.studies.table1 import settings_beside
 from shes.training.progress_display import format_duration
-from shes.viewing.report.experiment_design import read_designs
+from shes.viewing.report.experiment_design import read_design
 
 _OF_THE_PAPER = ("table1", "fig3", "fig4", "fig5", "fig6")
 _COMPARISON = "comparison"
@@ -121,7 +121,12 @@ def experiment(
 
 def _check_comparison(name: str, out: Path) -> None:
     """Raise ConfigError if `out` holds the comparison of another study, which that of this one would replace."""
-    design = read_designs(out).by_name.get(_COMPARISON) if _table(name) == _COMPARISON else None
+    if _table(name) != _COMPARISON:
+        return
+    try:
+        design = read_design(out, _COMPARISON)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"the comparison in {out} cannot be read: {error}. Remove this file.") from error
     if design is not None and design["title"] != study_title(name):
         raise ConfigError(
             f"{out} holds the comparison of another study, {design['title']}. Choose another folder with --out."

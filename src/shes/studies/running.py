@@ -135,7 +135,13 @@ class StudyWorker:
     def run(self, work: Iterator[tuple[int, Cell]], share: int) -> Iterator[tuple[int, Outcome]]:
         """Yield the outcome of each cell; a failed cell has one, too."""
         for number, cell in work:
-            yield number, _outcome(cell, self._run)
+            try:
+                outcome = _outcome(cell, self._run)
+            except KeyboardInterrupt:  # SIGTERM: the process dies of it, and the parent starts another one
+                signal.signal(signal.SIGTERM, signal.SIG_DFL)
+                signal.raise_signal(signal.SIGTERM)
+                raise
+            yield number, outcome
 
 
 def _outcome(cell: Cell, run: Callable[[Cell], CellResults | None]) -> Outcome:

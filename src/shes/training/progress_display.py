@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -122,7 +123,8 @@ class ProgressDisplay:
     def on_evaluation(self, row: Row) -> None:
         """Show an evaluation, with the last generation; on a plain terminal the next line shows it."""
         self._evaluation = row
-        self._scores.append(row["score_mean"])
+        if math.isfinite(row["score_mean"]):  # a task of one's own may have a score of NaN
+            self._scores.append(row["score_mean"])
         if self._live is not None and self._row:
             self._live.update(self._view(), refresh=True)
 

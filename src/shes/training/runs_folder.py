@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from shes.console import LineConsole
-from shes.errors import PolicyError, RunFolderError, ShesError, WorkerError
+from shes.errors import DivergenceError, PolicyError, RunFolderError, ShesError, WorkerError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
@@ -152,7 +152,7 @@ class RunsFolder:
                     )
                 try:
                     run = finish_run(config, self.path / name, heard)
-                except (PolicyError, WorkerError) as error:  # of this run; another error would end the others, too
+                except (DivergenceError, PolicyError, WorkerError) as error:  # of this run; another would end all
                     yield Ended(name=name, error=error)
                 else:
                     self._ended.add(name)

@@ -71,7 +71,7 @@ def plot(
         Path of the picture.
 
     Raises:
-        RunFolderError: A run is neither a folder of runs nor a shipped agent, or has no generation yet.
+        RunFolderError: A run is neither a folder of runs nor a shipped agent, or has no evaluation yet.
         UnknownNameError: `x` is not one of `X_AXES`.
         ConfigError: `runs` is empty, or the suffix of `out` is not a picture format.
         StorageError: The picture cannot be written.
@@ -82,6 +82,8 @@ def plot(
     target = Path(out)
     opened = [folder for run in given for folder in find_runs(run)]
     folders = list({folder.path.resolve(): folder for folder in opened}.values())  # a run named twice counts once
+    # The first evaluation of a young run comes with its second generation.
+    folders = [folder for folder in folders if _is_evaluated(folder)] or folders
     panels, groups = _panels(folders), group_runs(folders, by_time=x == "wall_time_s")
     width, height = _PANEL_INCHES
     figure, axes = plt.subplots(1, len(panels), figsize=(width * len(panels), height), layout="constrained")
@@ -104,6 +106,11 @@ def plot(
     return target
 
 
+def _is_evaluated(folder: RunFolder) -> bool:
+    """Return whether a run has an evaluation."""
+    return folder.evaluation.is_file() and bool(read_csv(folder.evaluation))
+
+
 def _panels(folders: list[RunFolder]) -> list[Panel]:
     """Return the panels: the score, and the return of each level of any run."""
     levels = dict.fromkeys(name for folder in folders for name in folder.read_config().level_names)
@@ -124,8 +131,9 @@ def _draw_group(axis: Axes, group: Group, table: str, column: str, x: str) -> Me
     draw_mean_curve(axis, curve, group.color, group.label, group.style)
     if len(group.folders) == 1 and column == "score_mean":
         columns = read_csv(group.folders[0].evaluation)
-        error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])
-        axis.fill_between(xs[0], ys[0] - error, ys[0] + error, alpha=0.2, color=group.color, linewidth=0)
+        if {"score_std", "episodes"} <= columns.keys():
+            error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])
+            axis.fill_between(xs[0], ys[0] - error, ys[0] + error, alpha=0.2, color=group.color, linewidth=0)
     return curve
 
 
@@ -150,8 +158,9 @@ def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> tuple[F64
     """Return abscissae and values of a column of a run's table; raise RunFolderError if it does not exist."""
     path = folder.evaluation if table == "evaluation" else folder.progress
     if not path.exists():
-        raise RunFolderError(f"{folder.path} has no generation yet: {path.name} is missing. Train it first.")
+        raise RunFolderError(f"{folder.path} has nothing to draw yet: {path.name} is missing. Train it first.")
     columns = read_csv(path)
-    if column not in columns:
-        raise RunFolderError(f"{path} has no column {column!r}, or no row.")
+    for name in (column, x):
+        if name not in columns:
+            raise RunFolderError(f"{path} has no column {name!r}, or no row.")
     return np.array(columns[x]) * X_AXES[x][1], np.array(columns[column])

@@ -171,6 +171,7 @@ def _frames(
     for step, moment in enumerate(moments):
         start = moment if before is None else before
         frames = round((step + 1) * frames_per_step) - round(step * frames_per_step)
+        frames = max(frames, step == 0)  # an episode may be shorter than a frame
         for frame in range(1, frames + 1):
             pose = drawer.between(start.pose, moment.pose, frame / frames)
             views = [drawer.draw(pose, moment.markers, camera) for camera in cameras]

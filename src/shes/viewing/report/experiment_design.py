@@ -123,6 +123,20 @@ def design_text(design: ExperimentDesign) -> str:
     return json.dumps(design, indent=1, ensure_ascii=False) + "\n"
 
 
+def read_design(folder: Path, name: str) -> ExperimentDesign | None:
+    """Return the design of the experiment `name` in `folder`, None without one; for the errors see `read_designs`."""
+    file = folder / f"{name}{SUFFIX}"
+    return _checked_design(file) if file.exists() else None
+
+
+def _checked_design(file: Path) -> ExperimentDesign:
+    """Return what a file of a design holds; raise ValueError if it is none."""
+    content = json.loads(file.read_text(encoding="utf-8"))
+    if not isinstance(content, dict) or not ExperimentDesign.__required_keys__ <= content.keys():
+        raise ValueError(f"{file.name} is no design of an experiment. Write it again: shes experiment NAME --no-run")
+    return cast("ExperimentDesign", content)
+
+
 def read_designs(folder: Path) -> Designs:
     """Return the designs of the experiments in `folder`; empty without any.
 
@@ -130,14 +144,7 @@ def read_designs(folder: Path) -> Designs:
         ValueError: A file is no design.
         OSError: A file cannot be read.
     """
-    found: dict[str, ExperimentDesign] = {}
-    for file in sorted(folder.glob(f"*{SUFFIX}")):
-        content = json.loads(file.read_text(encoding="utf-8"))
-        if not isinstance(content, dict) or not ExperimentDesign.__required_keys__ <= content.keys():
-            raise ValueError(
-                f"{file.name} is no design of an experiment. Write it again: shes experiment NAME --no-run"
-            )
-        found[file.name.removesuffix(SUFFIX)] = cast("ExperimentDesign", content)
+    found = {file.name.removesuffix(SUFFIX): _checked_design(file) for file in sorted(folder.glob(f"*{SUFFIX}"))}
     try:
         return Designs(found)
     except (KeyError, TypeError, AttributeError) as error:

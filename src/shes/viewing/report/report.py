@@ -86,7 +86,7 @@ def report(
     axes = {x: _looks(read.groups_over(x)) for x in X_AXES}
     made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
     text = page(_title(read.runs), made, body, sections.figures, axes)
-    write_atomically(target, lambda file: file.write(text.encode()))
+    write_atomically(target, lambda file: file.write(text.encode(errors="replace")))
     return target
 
 
