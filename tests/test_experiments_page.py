@@ -326,9 +326,7 @@ def hiro_in_point_gather():
         f"{ours:.1f} after 3 million steps and {60 * float(row['hours_span']):.1f} minutes ({p_value(row['p_holm'])})",
         f"Over the first {60 * float(row['hours_span']):.1f} minutes SHES has the higher mean test score, "
         "{} against {} ({};".format(*hours),
-        "were HIRO's times on the slower machine less by a factor of 1.4, {}, {})".format(
-            *if_hiro_were_as_fast("point-gather")
-        ),
+        "with HIRO's times on the slower machine divided by 1.4, {}, {})".format(*if_hiro_were_as_fast("point-gather")),
         "over equal steps HIRO has, {1} against {0} ({2})".format(*steps),
     )
 
@@ -343,7 +341,7 @@ def hiro_in_point_push():
         f"the last policies in {100 * np.mean(last):.0f} % of the episodes (SHES: {100 * ours:.0f} %)",
         "over equal steps HIRO is ahead, {1} against {0} ({2})".format(*steps),
         "over equal time SHES is, {} against {} ({};".format(*hours),
-        "were HIRO's times on the slower machine less, {}, {}).".format(*if_hiro_were_as_fast("point-push")),
+        "with HIRO's times divided so, {}, {}).".format(*if_hiro_were_as_fast("point-push")),
     )
 
 

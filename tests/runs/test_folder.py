@@ -6,7 +6,6 @@ import json
 import os
 import re
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -83,15 +82,13 @@ def test_two_processes_never_run_in_one_folder(tiny_run, run_copy):
     shes.resume(run_copy, generations=5)
 
 
-def test_a_lock_that_is_held_for_a_moment_is_waited_for(tiny_run, run_copy):
+def test_a_lock_that_is_held_for_a_moment_is_waited_for(run_copy, monkeypatch):
     """A list of runs takes it, too."""
     with (run_copy / ".lock").open() as file:
         fcntl.flock(file, fcntl.LOCK_SH)
-        timer = threading.Timer(0.2, lambda: fcntl.flock(file, fcntl.LOCK_UN))
-        timer.start()
+        monkeypatch.setattr("shes.runs.folder.sleep", lambda _: fcntl.flock(file, fcntl.LOCK_UN))
         with RunFolder.open(run_copy).lock():
             assert run_state(RunFolder.open(run_copy)).state == "running"
-        timer.join()
 
 
 @pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])

@@ -534,9 +534,10 @@ def test_a_comparison_is_not_replaced_by_that_of_another_study_or_by_none(finish
     (tmp_path / "x-design.json").write_text("{", encoding="utf-8")  # another program's
     experiment("ablation", out=tmp_path)
     design = (tmp_path / "comparison-design.json").read_text(encoding="utf-8")
-    (tmp_path / "comparison-design.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"cannot be read: comparison-design\.json is no design .*Remove this file"):
-        experiment("ablation", out=tmp_path)
+    for text, problem in (("{}", "no design of an experiment"), ("{", "not JSON: ")):
+        (tmp_path / "comparison-design.json").write_text(text, encoding="utf-8")
+        with pytest.raises(ConfigError, match=rf"cannot be read: comparison-design\.json is {problem}.* Remove it"):
+            experiment("ablation", out=tmp_path)
     (tmp_path / "comparison-design.json").write_text(design, encoding="utf-8")
     (tmp_path / "runs.csv").unlink()
     shutil.rmtree(tmp_path / cell().name)

@@ -100,7 +100,7 @@ class SleepersBackend(ProcessesBackend):
         self._nodes: list[subprocess.Popen[bytes]] = []
         self._sockets: list[tuple[socket.socket, bool]] = []
         self._first_of_nodes: set[RemoteWorker] = set()
-        self._pipe = list(os.pipe())  # of which only this process holds the end for writing: the nodes' lifeline
+        self._pipe: list[int] = []  # of which only this process holds the end for writing: the nodes' lifeline
         super().__init__(factory, num_workers)
 
     def close(self) -> None:
@@ -117,6 +117,7 @@ class SleepersBackend(ProcessesBackend):
     def start_missing(self) -> None:
         """Start the nodes before the first workers."""
         if not self._nodes:
+            self._pipe = list(os.pipe())
             firsts = range(0, self.num_workers, self._per_node)
             self._sockets = [own for first in firsts for own in self._start_node(first)]
         super().start_missing()

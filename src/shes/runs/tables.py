@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -48,8 +47,12 @@ def trained_minutes(folder: RunFolder) -> float:
 
 def _last_value(path: Path, column: str) -> float | None:
     """Return the value of a column in the last whole row of a table; None without one. A crash may cut off a row."""
-    header, *rows = (_kept_rows(path) if path.exists() else []) or [[]]
-    return float(rows[-1][header.index(column)]) if rows and column in header else None
+    header, *rows = (_read_rows(path) if path.exists() else []) or [[]]
+    whole = [row for row in rows if len(row) == len(header) and "" not in row]
+    try:
+        return float(whole[-1][header.index(column)]) if whole and column in header else None
+    except ValueError as error:
+        raise _damaged(path, error) from error
 
 
 def _read_rows(path: Path) -> list[list[str]]:
@@ -63,11 +66,9 @@ def _read_rows(path: Path) -> list[list[str]]:
         raise _damaged(path, error) from error
 
 
-def _kept_rows(path: Path, generation: float = math.inf) -> list[list[str]]:
+def _kept_rows(path: Path, generation: int) -> list[list[str]]:
     """Return the header and the whole rows up to `generation`. Later ones may be cut off."""
     rows = _read_rows(path)
-    if len(rows) > 1 and "" in rows[-1]:  # cut off behind a comma
-        rows.pop()
     try:
         kept = [row for row in rows[1:] if len(row) == len(rows[0]) and int(row[0]) <= generation]
         for row in kept:

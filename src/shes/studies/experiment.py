@@ -126,7 +126,9 @@ def _check_comparison(name: str, out: Path) -> None:
     try:
         design = read_design(out, _COMPARISON)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"the comparison in {out} cannot be read: {error}. Remove this file.") from error
+        raise ConfigError(
+            f"the design of the comparison in {out} cannot be read: {error}. Remove it: the next run writes it again."
+        ) from error
     if design is not None and design["title"] != study_title(name):
         raise ConfigError(
             f"{out} holds the comparison of another study, {design['title']}. Choose another folder with --out."

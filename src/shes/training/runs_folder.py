@@ -135,10 +135,10 @@ class RunsFolder:
         return Listing({"runs": names, "errors": errors}, parts, errors)
 
     def train(self, names: list[str], listener: Callable[[str], AnyListener]) -> Generator[Ended]:
-        """Train the runs `names` to their ends, in order, and yield each when it has ended.
+        """Train the runs `names` to their ends, in order, and yield each when it has ended or failed.
 
         Raises:
-            RunFolderError: The folder or a run is in use, or a run has other settings.
+            RunFolderError: The folder is in use.
             StorageError: A file cannot be written.
             KeyboardInterrupt: Ctrl-C.
         """
@@ -152,7 +152,7 @@ class RunsFolder:
                     )
                 try:
                     run = finish_run(config, self.path / name, heard)
-                except (DivergenceError, PolicyError, WorkerError) as error:  # of this run; another would end all
+                except (DivergenceError, PolicyError, RunFolderError, WorkerError) as error:  # of this run alone
                     yield Ended(name=name, error=error)
                 else:
                     self._ended.add(name)

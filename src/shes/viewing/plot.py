@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -63,7 +63,8 @@ def plot(
     shes plot runs/seeds runs/other --out mean.pdf --x generation
 
     Args:
-        runs: Run folders, folders of runs, or names of shipped agents.
+        runs: Run folders, folders of runs, or names of shipped agents. Those without an evaluation are left out if
+            others have one.
         out: Path of the picture; the suffix (.png, .pdf, .svg) selects the format.
         x: Horizontal axis.
 
@@ -71,7 +72,8 @@ def plot(
         Path of the picture.
 
     Raises:
-        RunFolderError: A run is neither a folder of runs nor a shipped agent, or has no evaluation yet.
+        RunFolderError: A run is neither a folder of runs nor a shipped agent, or none has an
+            evaluation yet.
         UnknownNameError: `x` is not one of `X_AXES`.
         ConfigError: `runs` is empty, or the suffix of `out` is not a picture format.
         StorageError: The picture cannot be written.
@@ -124,6 +126,11 @@ def _has_level(folder: RunFolder, column: str) -> bool:
     return level == column or level in folder.read_config().level_names
 
 
+def _has_spread(evaluations: Mapping[str, Sequence[float]]) -> bool:
+    """Return whether evaluations tell how much their episodes differ."""
+    return {"score_std", "episodes"} <= evaluations.keys()
+
+
 def _draw_group(axis: Axes, group: Group, table: str, column: str, x: str) -> MeanCurve:
     """Draw a column of the runs of a group; return their mean."""
     xs, ys = zip(*(_read_curve(folder, table, column, x) for folder in group.folders), strict=True)
@@ -131,7 +138,7 @@ def _draw_group(axis: Axes, group: Group, table: str, column: str, x: str) -> Me
     draw_mean_curve(axis, curve, group.color, group.label, group.style)
     if len(group.folders) == 1 and column == "score_mean":
         columns = read_csv(group.folders[0].evaluation)
-        if {"score_std", "episodes"} <= columns.keys():
+        if _has_spread(columns):
             error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])
             axis.fill_between(xs[0], ys[0] - error, ys[0] + error, alpha=0.2, color=group.color, linewidth=0)
     return curve
@@ -143,7 +150,7 @@ def _draw_legend(figure: Figure, groups: Sequence[Group], drawn: Sequence[MeanCu
         (Line2D([], [], color=group.color, ls=group.style), group.label) for group in groups
     ]
     keys += legend_keys(drawn, "runs")
-    if any(len(group.folders) == 1 for group in groups):
+    if any(len(group.folders) == 1 and _has_spread(read_csv(group.folders[0].evaluation)) for group in groups):
         keys.append((Patch(color="grey", alpha=0.3), _OVER_EPISODES))
     width, height = figure.get_size_inches()
     characters = round(width * _CHARACTERS_PER_INCH) - 8

@@ -168,15 +168,18 @@ def _frames(
     If `frames_per_step` is not a whole number, steps differ in their number of frames.
     """
     before: Moment | None = None
+    has_frames = False
     for step, moment in enumerate(moments):
         start = moment if before is None else before
         frames = round((step + 1) * frames_per_step) - round(step * frames_per_step)
-        frames = max(frames, step == 0)  # an episode may be shorter than a frame
         for frame in range(1, frames + 1):
             pose = drawer.between(start.pose, moment.pose, frame / frames)
             views = [drawer.draw(pose, moment.markers, camera) for camera in cameras]
             yield [captioned(views[0], [moment.facts, moment.seen]), *views[1:]]
-        before = moment
+        before, has_frames = moment, has_frames or frames > 0
+    if before is not None and not has_frames:  # an episode shorter than a frame
+        views = [drawer.draw(before.pose, before.markers, camera) for camera in cameras]
+        yield [captioned(views[0], [before.facts, before.seen]), *views[1:]]
 
 
 def _side_by_side(columns: Sequence[Iterator[Picture]]) -> Iterator[Picture]:

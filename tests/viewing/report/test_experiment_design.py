@@ -175,7 +175,7 @@ def test_a_design_that_cannot_be_read_is_named_and_runs_keep_their_names(experim
     design = json.loads((experiment / "fig5-design.json").read_text())
     (experiment / "fig3-design.json").write_text(json.dumps({**design, "variants": []}))
     assert [run.name for run in read_runs([experiment]).runs] == ["point-gather: methods, pieces, seed 5"]
-    with pytest.raises(RunFolderError, match=r"a design of fig3, .* is damaged.*shes experiment NAME --no-run"):
+    with pytest.raises(RunFolderError, match=r"one of fig3-design\.json, .* is damaged.*shes experiment NAME --no-run"):
         experiment_section(experiment)
     design["charts"][0].pop("curves")
     (experiment / "fig3-design.json").write_text(json.dumps(design))

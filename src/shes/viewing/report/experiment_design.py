@@ -123,6 +123,9 @@ def design_text(design: ExperimentDesign) -> str:
     return json.dumps(design, indent=1, ensure_ascii=False) + "\n"
 
 
+_AGAIN = "Write it again: shes experiment NAME --no-run"
+
+
 def read_design(folder: Path, name: str) -> ExperimentDesign | None:
     """Return the design of the experiment `name` in `folder`, None without one; for the errors see `read_designs`."""
     file = folder / f"{name}{SUFFIX}"
@@ -131,9 +134,12 @@ def read_design(folder: Path, name: str) -> ExperimentDesign | None:
 
 def _checked_design(file: Path) -> ExperimentDesign:
     """Return what a file of a design holds; raise ValueError if it is none."""
-    content = json.loads(file.read_text(encoding="utf-8"))
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{file.name} is not JSON: {error}") from error
     if not isinstance(content, dict) or not ExperimentDesign.__required_keys__ <= content.keys():
-        raise ValueError(f"{file.name} is no design of an experiment. Write it again: shes experiment NAME --no-run")
+        raise ValueError(f"{file.name} is no design of an experiment")
     return cast("ExperimentDesign", content)
 
 
@@ -144,10 +150,11 @@ def read_designs(folder: Path) -> Designs:
         ValueError: A file is no design.
         OSError: A file cannot be read.
     """
-    found = {file.name.removesuffix(SUFFIX): _checked_design(file) for file in sorted(folder.glob(f"*{SUFFIX}"))}
+    files = sorted(folder.glob(f"*{SUFFIX}"))
     try:
-        return Designs(found)
+        return Designs({file.name.removesuffix(SUFFIX): _checked_design(file) for file in files})
+    except ValueError as error:
+        raise ValueError(f"{error}. {_AGAIN}") from error
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f"a design of {', '.join(found)} is damaged: {error!r}. Write it again: shes experiment NAME --no-run"
-        ) from error
+        names = ", ".join(file.name for file in files)
+        raise ValueError(f"one of {names} is damaged: {error!r}. {_AGAIN}") from error
