@@ -253,8 +253,9 @@ def evaluations():
             lambda run: run[0] == "point-flagrun",
         )
     )
+    timed = spread([times for run, times in count.items() if run[0].startswith("ant-") and run[1] == "workers"])
     return (
-        f"The ant is evaluated {ant} times in every run of SHES (",
+        f"The ant is evaluated {ant} times in every run of SHES (in `fig4` {timed} times;",
         f"with the learning changes {push} times, because",
         f"the point {point} times, its walkers {walkers.replace('to', 'and')} times",
     )
@@ -443,7 +444,93 @@ def steps_of_the_ant():
     )
 
 
+BODIES = {"point": "point-(gather|maze|push)", "ant": "ant-(gather|maze|push)"}
+
+
+def ratios_of_workers(of):
+    """Return the comparisons of two workers with one, of the tasks whose name matches."""
+    rows = [row for row in rows_of(RESULTS / "fig4.csv") if re.fullmatch(of, row["env"])]
+    return [
+        row
+        for row in rows
+        if row["variant"].endswith("-2") and row["against"] == f"{row['variant'].removesuffix('-2')}-1"
+    ]
+
+
+def more_workers():
+    rows = [row for row in rows_of(RESULTS / "runs.csv") if row["group"] == "workers"]
+    times = {"seconds", "variant", "workers", "commit", "hardware", "settings"}
+    pairs = {}
+    for row in rows:
+        form, _, workers = row["variant"].partition("-")
+        pairs.setdefault((form, row["env"], row["seed"]), {})[workers] = row
+    curves = {}
+    for row in rows_of(RESULTS / "curves.csv"):
+        if row["group"] == "workers":
+            form, _, workers = row["variant"].partition("-")
+            place = curves.setdefault((form, row["env"], row["seed"]), {})
+            place.setdefault(workers, []).append({name: row[name] for name in row.keys() - times})
+    assert curves.keys() == pairs.keys()
+    assert all(of["1"] == of["2"] for of in curves.values())
+    for one, two in (pair.values() for pair in pairs.values()):
+        assert {name: one[name] for name in one.keys() - times} == {name: two[name] for name in two.keys() - times}
+    assert {row["hardware"] for row in rows} == {"AMD EPYC, 2 cores"}
+    said = [f"steps of the {len(pairs)} pairs of runs are the same"]
+    for body, pattern in BODIES.items():
+        found = ratios_of_workers(pattern)
+        means = [float(row["ratio"]) for row in found]
+        ends = min(float(row["ratio_low"]) for row in found), max(float(row["ratio_high"]) for row in found)
+        assert len(found) == 6
+        said.append(f"with the {body} {spread(means, '{:.2f}')} ({spread(ends, '{:.2f}')} by seed)")
+    for env in ("point-push", "ant-gather"):
+        said.append("{} ({})".format(*equal(env, ("workers", "pieces-1"), ("workers", "pieces-2"), "hours", "fig4")))
+    others = [row for row in ratios_of_workers(".*") if float(row["hours_p_holm"]) < 0.05]
+    assert [(row["env"], row["variant"]) for row in others] == [("point-push", "pieces-2"), ("ant-gather", "pieces-2")]
+    return said
+
+
+def speed_ups():
+    found = {}
+    for row in rows_of(RESULTS / "curves.csv"):
+        if row["group"] == "speedup":
+            found[row["variant"], row["kind"], row["cores"]] = row
+    forms = ("published", "pieces", "es")
+
+    def of(kind, cores, sign="{:.0f}", column="speedup"):
+        return listed([float(found[form, kind, cores][column]) for form in forms], sign)
+
+    errors = {
+        cores: [
+            float(found[form, "asleep", cores]["generation_s"])
+            / float(found[form, "projected asleep", cores]["generation_s"])
+            for form in forms
+        ]
+        for cores in ("200", "600")
+    }
+    slower = {cores: [100 * (error - 1) for error in errors[cores]] for cores in errors}
+    here = [
+        100
+        * (
+            float(found[form, "projected here", cores]["generation_s"])
+            / float(found[form, "measured", cores]["generation_s"])
+            - 1
+        )
+        for form in forms
+        for cores in ("1", "2")
+    ]
+    return (
+        f"two workers are {of('measured', '2', '{:.2f}')} times as fast as one",
+        *(f"{of('projected', cores)} on {cores}" for cores in ("48", "240", "600")),
+        f"a generation takes {of('measured', '1', '{:.0f}', 'generation_s')} s on one core",
+        f"With 200 sleeping workers a generation takes {spread(slower['200'])} % longer than projected",
+        f"with 600 it takes {spread(slower['600'])} % longer",
+        f"The projection is {-min(here):.0f} % too fast to {max(here):.0f} % too slow",
+    )
+
+
 CLAIMS = {
+    "speed-ups": speed_ups,
+    "more workers": more_workers,
     "evaluations": evaluations,
     "point as published": point_as_published,
     "point with the changes": point_with_changes,
