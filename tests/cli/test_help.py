@@ -100,7 +100,7 @@ def test_a_command_has_the_flags_and_the_help_of_the_function_behind_it(shes):
 
 
 def test_several_runs_are_shown_as_required(shes):
-    assert "names of shipped agents. (required)" in " ".join(shes("plot", "--help").replace("│", "").split())
+    assert "left out if others have one. (required)" in " ".join(shes("plot", "--help").replace("│", "").split())
 
 
 def test_with_json_a_command_prints_nothing_but_its_facts(capsys):
