@@ -100,8 +100,9 @@ def ratios(rows: list[Named]) -> str:
     """Return the table of variants that are compared by the ratio of each seed."""
     lines = []
     for row, words, other, _ in rows:
-        ends = f"({float(row['ratio_low']):.2f} to {float(row['ratio_high']):.2f})" if row["ratio_low"] else ""
-        ratio = f"{float(row['ratio']):.2f} {ends}" if row["ratio"] else "–"
+        has_ends = row["ratio_low"] and row["seeds"] != "1"
+        ends = f" ({float(row['ratio_low']):.2f} to {float(row['ratio_high']):.2f})" if has_ends else ""
+        ratio = f"{float(row['ratio']):.2f}{ends}" if row["ratio"] else "–"
         lines.append((row["env"], words, row["seeds"], f"{float(row['score_mean']):.4g}", ratio, other))
     return _table(("task", "method", "seeds", "mean", "ratio (of seeds)", "to"), lines)
 

@@ -524,6 +524,16 @@ def speed_ups():
         f"a generation takes {of('measured', '1', '{:.0f}', 'generation_s')} s on one core",
         f"With 200 sleeping workers a generation takes {spread(slower['200'])} % longer than projected",
         f"with 600 it takes {spread(slower['600'])} % longer",
+        "workers wait {} s for their first tasks and {} s for the update, as published {} and {} s, "
+        "of {} and {} s in all".format(
+            *(
+                f"{float(found[form, 'projected', '600'][name]):.2f}"
+                for form, name in (
+                    *(("pieces", "start_s"), ("pieces", "update_s"), ("published", "start_s")),
+                    *(("published", "update_s"), ("pieces", "generation_s"), ("published", "generation_s")),
+                )
+            )
+        ),
         f"The projection is {-min(here):.0f} % too fast to {max(here):.0f} % too slow",
     )
 
