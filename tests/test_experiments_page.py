@@ -482,6 +482,8 @@ def more_workers():
         ends = min(float(row["ratio_low"]) for row in found), max(float(row["ratio_high"]) for row in found)
         assert len(found) == 6
         said.append(f"with the {body} {spread(means, '{:.2f}')} ({spread(ends, '{:.2f}')} by seed)")
+    gather = equal("point-gather", ("workers", "pieces-1"), ("workers", "pieces-2"), "hours", "fig4")
+    said.append("In Point Gather, {}, this is not shown ({})".format(*gather))
     for env in ("point-push", "ant-gather"):
         said.append("{} ({})".format(*equal(env, ("workers", "pieces-1"), ("workers", "pieces-2"), "hours", "fig4")))
     others = [row for row in ratios_of_workers(".*") if float(row["hours_p_holm"]) < 0.05]
