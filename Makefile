@@ -59,7 +59,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@pwd -P > $(STAMP)
 	@echo "setup: done"
 
-demo: $(STAMP) ## an ant learns to walk and to collect food: three minutes
+demo: $(STAMP) ## an ant learns to walk and to collect food: under four minutes
 	$(DEMO_COMMAND)
 
 demo-point: $(STAMP) ## the same with a point robot: three minutes

@@ -145,13 +145,12 @@ class RunsFolder:
         with RunFolder(self.path).lock():
             self._write()
             for name in names:
-                config, heard = self.configs[name], listener(name)
-                if config.run.minutes is not None:
-                    config = config.having(
-                        minutes=max(1e-9, config.run.minutes - trained_minutes(RunFolder(self.path / name)))
-                    )
+                config, path, heard = self.configs[name], self.path / name, listener(name)
                 try:
-                    run = finish_run(config, self.path / name, heard)
+                    if config.run.minutes is not None:
+                        left = config.run.minutes - trained_minutes(RunFolder(path))
+                        config = config.having(minutes=max(1e-9, left))
+                    run = finish_run(config, path, heard)
                 except (DivergenceError, PolicyError, RunFolderError, WorkerError) as error:  # of this run alone
                     yield Ended(name=name, error=error)
                 else:

@@ -72,8 +72,7 @@ def plot(
         Path of the picture.
 
     Raises:
-        RunFolderError: A run is neither a folder of runs nor a shipped agent, or none has an
-            evaluation yet.
+        RunFolderError: A run is neither a folder of runs nor a shipped agent, or none has an evaluation yet.
         UnknownNameError: `x` is not one of `X_AXES`.
         ConfigError: `runs` is empty, or the suffix of `out` is not a picture format.
         StorageError: The picture cannot be written.
