@@ -134,6 +134,17 @@ def test_a_run_that_fails_does_not_stop_the_others_and_is_tried_again(tmp_path, 
     assert generations(tmp_path / "all") == {"seed-4": 1, "seed-5": 1}
 
 
+def test_a_damaged_run_with_a_time_limit_does_not_stop_the_others(tmp_path, capsys):
+    path = tmp_path / "all"
+    assert train(path, "--seed", "4", "5", minutes=10, generations=1) == 0
+    (path / "seed-4" / "progress.csv").write_text("generation,wall_time_s\n1,x\n")
+    capsys.readouterr()
+    assert main(["resume", str(path), "--generations", "2"]) == 1
+    assert "seed-4 failed: " in (error := capsys.readouterr().err)
+    assert "progress.csv cannot be read as a table of numbers" in error
+    assert generations(path)["seed-5"] == 2
+
+
 def test_a_folder_in_use_or_of_other_settings_is_refused_and_unchanged(tmp_path, capsys):
     path = tmp_path / "all"
     assert train(path, "--seed", "4", "5", generations=1) == 0
