@@ -76,7 +76,7 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
                 with temporary.open("xb") as file:  # never through a symbolic link
                     with suppress(OSError):  # a file system without locks
                         fcntl.flock(file, fcntl.LOCK_EX)
-                    if not os.fstat(file.fileno()).st_nlink:  # taken for abandoned before it was locked
+                    if not temporary.exists():  # taken for abandoned before it was locked
                         continue
                     write(file)
                     file.flush()
