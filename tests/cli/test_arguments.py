@@ -20,7 +20,7 @@ GIVEN = {"compare": ("no-run", "no-other"), "experiment": ("ablation",)}
         ("evaluate", "episodes", 0, "a whole number of at least 1"),
         ("evaluate", "seed", -1, "a whole number of at least 0"),
         ("experiment", "budget", 0.0, "a positive number"),
-        ("experiment", "seeds", 0, "a whole number of at least 1"),
+        ("experiment", "seeds", 0, "a whole number between 1 and 1000"),
         ("render", "episode", -1, "a whole number of at least 0 and less than 100000"),
         ("render", "episode", 100_000, "a whole number of at least 0 and less than 100000"),
         ("render", "seed", -1, "a whole number of at least 0"),

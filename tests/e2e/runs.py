@@ -103,6 +103,10 @@ def differences(first, second):
 # Runs in processes of their own.
 
 
+class EndedTooSoonError(AssertionError):
+    """A run came to its end before the test could stop it, as may happen on a busy machine."""
+
+
 def start(*words):
     """Start `shes WORDS` as the leader of a process group of its own."""
     return subprocess.Popen(
@@ -164,9 +168,10 @@ def stop_inside_generation(process, path, generation):
     The process runs for moments only, from its first generation on: else it ends before a test on a busy machine has
     looked twice. A stopped process writes no log, so what the log says then is where it stands.
     """
-    wait_for_generation(process, path, 1)
+    wait_until(lambda: "generation 1 begins" in log_lines(path) or process.poll() is not None, "generation 1 begins")
     while True:
-        assert process.poll() is None, f"the run ended too soon: {process.communicate()}"
+        if process.poll() is not None:
+            raise EndedTooSoonError(f"exit code {process.returncode}, log: {log_lines(path)}")
         os.kill(process.pid, signal.SIGSTOP)
         wait_until(lambda: psutil.Process(process.pid).status() in STANDING, "the process stops")
         inside = generation_under_way(path)

@@ -100,7 +100,7 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
             ["ablation", "--only"],
             "--only needs at least one of choices, sweep, transfer, horizon, point-flagrun, point-gather, point-maze",
         ),
-        (["ablation", "--seeds", "0"], r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."),
+        (["ablation", "--seeds", "0"], r"seeds must be a whole number between 1 and 1000, got 0\. Set --seeds\."),
         (["ablation", "--scale", "paper"], r"unknown scale 'paper'\. Known: laptop, smoke\. Set --scale\."),
         (["fig3", "--scale", "smoke", "--budget", "0"], r"budget must be a positive number, got 0\.0\. Set --budget\."),
         (["ablation", "--workers", "-1"], r"workers must be a whole number of at least 0, got -1\. Set --workers\."),
@@ -175,8 +175,9 @@ def test_what_is_there_is_drawn_without_a_run_and_nothing_is_lost(monkeypatch, t
 
 def test_a_folder_that_is_a_file_or_a_run_is_refused(tmp_path, tiny_run, capsys):
     (tmp_path / "file").touch()
-    assert main(["experiment", "ablation", "--scale", "smoke", "--out", str(tmp_path / "file")]) == 2
-    assert "is a file, not a folder" in capsys.readouterr().err
+    for out in ("file", "file/below"):
+        assert main(["experiment", "ablation", "--scale", "smoke", "--out", str(tmp_path / out)]) == 2
+        assert "file is a file, not a folder" in capsys.readouterr().err
     assert main(["experiment", "ablation", "--scale", "smoke", "--out", str(tiny_run)]) == 2
     assert "is a run folder" in capsys.readouterr().err
 

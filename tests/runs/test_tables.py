@@ -82,11 +82,17 @@ def test_a_damaged_table_is_refused_and_kept(tmp_path):
     assert path.read_text() == "generation,x\none,2\n"
 
 
-@pytest.mark.parametrize("text", ["generation,x\n1,abc\n", "generation,x\n1\n"])
-def test_a_table_that_holds_no_numbers_cannot_be_read(tmp_path, text):
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("generation,x\n1,abc\n", "could not convert string to float: 'abc'"),
+        ("generation,x\n1,2\n2\n", "row 2 below the header has 1 values for 2 columns"),
+    ],
+)
+def test_a_table_that_holds_no_numbers_cannot_be_read(tmp_path, text, problem):
     path = tmp_path / "a.csv"
     path.write_text(text)
-    with pytest.raises(RunFolderError, match=r"a\.csv cannot be read as a table of numbers"):
+    with pytest.raises(RunFolderError, match=rf"a\.csv cannot be read as a table of numbers: {problem}"):
         read_csv(path)
 
 

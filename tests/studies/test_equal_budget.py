@@ -71,6 +71,7 @@ def test_times_are_compared_seed_by_seed_and_tested_unless_there_is_one_seed():
     assert compare(made, summaries)[1].ratio == pytest.approx(0.5)
     first = {name: found for name, found in summaries.items() if name.endswith("seed-1")}
     alone = compare(made, first)[1]
+    assert alone.texts(made.design)[-1] == "0.50"
     assert (alone.ratio, alone.p, alone.p_holm, alone.mann_whitney_p, alone.superiority) == (0.5, *(None,) * 4)
 
 

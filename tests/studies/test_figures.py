@@ -323,7 +323,7 @@ def test_two_seeds_are_drawn_beside_their_mean_and_the_legend_tells_the_numbers(
     }
     draw_figures(study, some, [], tmp_path)
     words = list(legend_of(opened[0]))
-    assert words[:2] == ["SHES as published, small (2 to 3 seeds)", "SHES with the learning changes (2 seeds)"]
+    assert words[:2] == ["SHES as published, small (2 or 3 seeds)", "SHES with the learning changes (2 seeds)"]
     assert words[4:] == [BAND, PAIR, SPAN]
     gather = opened[0].axes[0]
     pieces = [line for line in gather.lines if line.get_color() == "C1"]

@@ -295,6 +295,7 @@ def test_a_damaged_table_is_named_with_the_line(finished, tmp_path, damage, mess
             lambda lines: lines[:-1],
             r"curves.csv has 2 rows of .*seed-5, whose run had 3 evaluations.*Rest",
         ),
+        ("curves.csv", lambda lines: lines[:1], r"curves.csv has 0 rows of .*seed-5, whose run had 3 evaluations"),
         ("curves.csv", lambda lines: [*lines, lines[-1]], r"curves.csv has 4 rows of .*seed-5, whose run had 3 eval"),
         ("runs.csv", lambda lines: [*lines, lines[-1]], r"runs.csv has 2 rows of .*seed-5. Keep the one that is right"),
     ],
@@ -613,8 +614,10 @@ def test_the_design_of_a_study_names_what_there_is(name, scale):
 def test_a_study_refuses_sizes_it_does_not_have(name):
     with pytest.raises(UnknownNameError, match="unknown scale 'large'"):
         STUDIES[name]("large")
-    with pytest.raises(ConfigError, match=r"seeds must be a whole number of at least 1, got 0\. Set --seeds\."):
+    with pytest.raises(ConfigError, match=r"seeds must be a whole number between 1 and 1000, got 0\."):
         STUDIES[name](seeds=0)
+    with pytest.raises(ConfigError, match=r"got 1000000000000\. Set --seeds\."):  # no list of them is made
+        STUDIES[name](seeds=10**12)
 
 
 def test_the_ablation_has_the_seeds_that_were_asked_for():

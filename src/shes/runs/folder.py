@@ -48,8 +48,9 @@ def new_folder(config: TrainConfig, kind: str = "") -> Path:
 
 def check_folder_of_runs(path: Path) -> None:
     """Raise RunFolderError if `path`, for a folder of several runs, is a file or a run folder."""
-    if path.exists() and not path.is_dir():
-        raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
+    for place in (path, *path.parents):
+        if place.exists() and not place.is_dir():
+            raise RunFolderError(f"{place} is a file, not a folder. Choose another path with --out.")
     if (path / "config.json").exists():
         raise RunFolderError(f"{path} is a run folder: several runs need a folder of their own. Set --out.")
 

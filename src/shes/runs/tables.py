@@ -23,9 +23,12 @@ Row = dict[str, Any]
 def read_csv(path: Path) -> dict[str, list[float]]:
     """Return the columns of a CSV file of numbers by name; raise RunFolderError if it is missing or damaged."""
     header, *rows = _read_rows(path) or [[]]
+    if (short := next((i for i, row in enumerate(rows, start=1) if len(row) < len(header)), None)) is not None:
+        text = f"row {short} below the header has {len(rows[short - 1])} values for {len(header)} columns"
+        raise _damaged(path, ValueError(text))
     try:
         return {name: [float(row[i]) for row in rows] for i, name in enumerate(header if rows else ())}
-    except (ValueError, IndexError) as error:
+    except ValueError as error:
         raise _damaged(path, error) from error
 
 
@@ -67,14 +70,21 @@ def _read_rows(path: Path) -> list[list[str]]:
 
 
 def _kept_rows(path: Path, generation: int) -> list[list[str]]:
-    """Return the header and the whole rows up to `generation`. Later ones may be cut off."""
+    """Return the header and the rows up to `generation`; one of them that is cut off is an error.
+
+    Later ones may be cut off, even within the number of the generation.
+    """
     rows = _read_rows(path)
     try:
-        kept = [row for row in rows[1:] if len(row) == len(rows[0]) and int(row[0]) <= generation]
+        kept = [row for row in rows[1:] if len(row) > 1 and int(row[0]) <= generation]
         for row in kept:
             [float(value) for value in row]
     except ValueError as error:
         raise _damaged(path, error) from error
+    for row in kept:
+        if len(row) != len(rows[0]):
+            text = f"the row of generation {row[0]} has {len(row)} values for {len(rows[0])} columns"
+            raise _damaged(path, ValueError(text))
     return rows[:1] + kept
 
 
@@ -89,7 +99,9 @@ def check_tables(folder: RunFolder, generation: int, *, owes_evaluation: bool = 
     The first evaluation, of generation 1, may be pending: then there is no table of evaluations. A table may be empty:
     somebody goes on without its rows.
     """
-    for path in (folder.progress, folder.evaluation) if generation else ():
+    for path, until in ((folder.progress, generation), (folder.evaluation, generation - owes_evaluation)):
+        if not generation:
+            return
         if path == folder.evaluation and generation == 1 and owes_evaluation and not path.exists():
             continue
         if not path.is_file():
@@ -97,7 +109,7 @@ def check_tables(folder: RunFolder, generation: int, *, owes_evaluation: bool = 
                 f"{path} is missing, but the run has made {generation} generations. Restore it from a copy, or make an "
                 "empty file of this name to go on without the rows so far."
             )
-        rows = _kept_rows(path, generation)[1:]
+        rows = _kept_rows(path, until)[1:]
         if path == folder.progress and rows and int(rows[-1][0]) != generation:
             raise RunFolderError(
                 f"{path} ends with generation {rows[-1][0]}, but the run has made {generation}: rows are missing. "

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from shes.checked import checked
-from shes.settings import Choices, Ge
+from shes.settings import Choices
 from shes.studies.design import (
     Curve,
     CurvePanel,
@@ -27,7 +27,7 @@ from shes.studies.design import (
     whole,
     within,
 )
-from shes.studies.study import Study
+from shes.studies.study import Seeds, Study
 from shes.studies.study_tables import Cell
 from shes.training.make_config import make_config
 
@@ -144,12 +144,12 @@ SCALES: dict[str, _AblationScale] = {
 
 
 @checked
-def ablation(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated[int, Ge(1)] | None = None) -> Study:
+def ablation(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Seeds | None = None) -> Study:
     """Return the cells of the ablation, with `seeds` seeds of every variant; with those of the scale if None.
 
     Raises:
         UnknownNameError: There is no such scale: `laptop` takes hours on two cores, `smoke` a minute.
-        ConfigError: `seeds` is not positive.
+        ConfigError: `seeds` is not from 1 to 1000.
     """
     size = SCALES[scale]
     bases = {env: _base(env, size) for env in _BASES}

@@ -112,6 +112,8 @@ class Comparison:
         if design.has_ratios:
             numbers = self.ratio, self.ratio_low, self.ratio_high
             last = "-" if None in numbers else "{:.2f} [{:.2f}, {:.2f}]".format(*numbers)
+            if self.ratio is not None and self.ratio_low == self.ratio_high:  # of a single seed
+                last = f"{self.ratio:.2f}"
         return self.group, variant, str(self.seeds), score, last
 
     def equal_texts(self, design: StudyDesign) -> tuple[str, ...] | None:

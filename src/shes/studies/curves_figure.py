@@ -185,7 +185,7 @@ def _curve_keys(curves: Sequence[_Drawn]) -> list[_Key]:
     keys: list[_Key] = []
     for number, words in sorted({(curve.number, curve.words) for curve in curves}):
         seeds = sorted({curve.seeds for curve in curves if (curve.number, curve.words) == (number, words)})
-        numbers = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"{seeds[0]}"
+        numbers = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 2 else " or ".join(map(str, seeds))
         keys.append((Line2D([], [], color=f"C{number}"), f"{words} ({numbers} seed{'s' * (seeds[-1] != 1)})"))
     return keys
 

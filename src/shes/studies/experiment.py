@@ -238,7 +238,9 @@ def with_progress(
     study: Study, outcomes: Iterable[Outcome], left: Collection[str], num_workers: int, say: Callable[[str], None]
 ) -> Iterator[Outcome]:
     """Yield the outcomes of the cells that are `left`; say a forecast, and after each its result and the time left."""
-    design, at_once = study.design, max(1, num_workers if study.has_large_runs else min(num_workers, len(left)))
+    # Large runs have all cores in turn, but no more than their own workers where they set them.
+    most = max((cell.settings.get("num_workers", num_workers) for cell in study.cells), default=1)
+    design, at_once = study.design, max(1, min(num_workers, most if study.has_large_runs else len(left)))
     steps = sum(sum(cell_steps(cell, study.episodes)) for cell in study.cells)
     seconds = forecast(study, at_once)
     to_make, made, start = {name: seconds[name] for name in left}, 0.0, monotonic()

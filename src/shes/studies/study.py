@@ -8,10 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
+from shes.settings import Ge, Le
 from shes.studies.design import StudyDesign
 from shes.studies.study_tables import Cell, CellResults
 from shes.training.make_config import make_config
@@ -19,6 +20,8 @@ from shes.training.make_config import make_config
 CHECKPOINTS = ("best", "last")
 """Checkpoints that are evaluated on fresh episodes at the end of a cell."""
 _TRANSFER = ("primitive", "freeze_primitive")
+Seeds = Annotated[int, Ge(1), Le(1000)]
+"""Number of seeds per variant; every cell is made before the first runs."""
 
 
 @dataclass(frozen=True, kw_only=True)

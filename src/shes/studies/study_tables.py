@@ -101,7 +101,7 @@ def read_tables(cells: Sequence[Cell], out: Path) -> dict[str, CellResults]:
     summaries: dict[str, CellResults] = {}
     for cell in cells:
         rows, curve = runs.get(_key(cell), []), curves.get(_key(cell), [])
-        if not rows or not curve:
+        if not rows or not (curve or rows[0].get(_EVALUATIONS)):
             continue
         if len(rows) > 1:
             raise RunFolderError(f"{out / 'runs.csv'} has {len(rows)} rows of {cell.name}. Keep the one that is right.")
@@ -139,7 +139,8 @@ def _read(path: Path) -> list[Row]:
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError) as error:
-        raise RunFolderError(f"{path} cannot be read as a table of runs: {error!r}. Move it elsewhere.") from error
+        text = error.strerror if isinstance(error, OSError) else error
+        raise RunFolderError(f"{path} cannot be read as a table of runs: {text}. Move it elsewhere.") from error
 
 
 def _check_columns(row: Mapping[str, str]) -> None:

@@ -26,7 +26,8 @@ def read_summary(cell: Cell, out: Path) -> CellResults | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunFolderError(f"{file} cannot be read: {error!r}. Remove it to have it made again.") from error
+        text = f"{error} is missing" if isinstance(error, KeyError) else error
+        raise RunFolderError(f"{file} cannot be read: {text}. Remove it to have it made again.") from error
     if digest is None:
         raise RunFolderError(
             f"{file} was written by an earlier version, without the settings of its run. Remove it to have it made "

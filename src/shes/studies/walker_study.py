@@ -13,7 +13,7 @@ from itertools import combinations
 from typing import Annotated, Any
 
 from shes.checked import checked
-from shes.settings import Choices, Ge
+from shes.settings import Choices
 from shes.studies.design import (
     Curve,
     CurvePanel,
@@ -28,7 +28,7 @@ from shes.studies.design import (
     whole,
     within,
 )
-from shes.studies.study import Study, generation_steps
+from shes.studies.study import Seeds, Study, generation_steps
 from shes.studies.study_tables import Cell
 from shes.training.make_config import make_config
 
@@ -205,12 +205,12 @@ def _pieces(whole_episodes: Mapping[str, Any]) -> dict[str, Variant]:
 
 
 @checked
-def learning(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Annotated[int, Ge(1)] | None = None) -> Study:
+def learning(scale: Annotated[str, Choices(SCALES)] = "laptop", seeds: Seeds | None = None) -> Study:
     """Return the cells of the learning study, with `seeds` seeds of every variant; with those of the scale if None.
 
     Raises:
         UnknownNameError: There is no such scale: `laptop` takes three hours on two cores, `smoke` a minute.
-        ConfigError: `seeds` is not positive.
+        ConfigError: `seeds` is not from 1 to 1000.
     """
     size, groups = SCALES[scale], variants(scale)
     cells = tuple(

@@ -160,10 +160,12 @@ class ProgressDisplay:
         if evaluation:
             plus_minus = "+/-" if self._is_ascii else "±"
             score = f"{evaluation['score_mean']:.2f} {plus_minus} {evaluation['score_std']:.2f}"
-        total = self._config.run.generations if self._config else 0
+        run = self._config.run if self._config else None
+        total = run.generations if run else 0
+        has_other_limit = run is not None and (run.env_steps is not None or run.minutes is not None)
         names = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
         return [
-            ("generation", f"{row['generation']} / {total}"),
+            ("generation", f"{row['generation']} / {total}{' at most' * has_other_limit}"),
             *(
                 (f"{name} return", f"{row[f'{name}_return_mean']:.2f} (best {row[f'{name}_return_max']:.2f})")
                 for name in names

@@ -106,7 +106,7 @@ class ExternalEnvironment:
         try:
             yield
         except Exception as error:
-            kind = f"{type(error).__name__}: " * (not isinstance(error, ShesError))
+            kind = f"{type(error).__name__}: " * (not isinstance(error, ShesError | ModuleNotFoundError))
             told = f"{self.name} cannot {action}: {kind}{' '.join(str(error).split())}"
             if not isinstance(error, ImportError | gymnasium.error.DependencyNotInstalled):
                 raise ConfigError(told) from error
