@@ -170,8 +170,9 @@ def stop_inside_generation(process, path, generation):
     """
     wait_until(lambda: "generation 1 begins" in log_lines(path) or process.poll() is not None, "generation 1 begins")
     while True:
-        if process.poll() is not None:
-            raise EndedTooSoonError(f"exit code {process.returncode}, log: {log_lines(path)}")
+        assert not process.poll(), process.communicate()
+        if process.poll() == 0:
+            raise EndedTooSoonError(log_lines(path))
         os.kill(process.pid, signal.SIGSTOP)
         wait_until(lambda: psutil.Process(process.pid).status() in STANDING, "the process stops")
         inside = generation_under_way(path)

@@ -16,7 +16,7 @@ from tests.e2e.conftest import BRANCHED
 pytestmark = pytest.mark.timeout(3600)  # on a machine with a load of 100; what they wait for has its own limit
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def imports_no_glfw(monkeypatch):
     """A worker killed while it imports glfw leaves a process behind that says so of its closed pipe on stderr."""
     monkeypatch.setenv("MUJOCO_GL", "off")
@@ -86,6 +86,7 @@ def test_a_run_killed_inside_a_generation_goes_on_with_the_same_numbers(started,
     assert runs.differences(undisturbed, path) == []
 
 
+@pytest.mark.usefixtures("imports_no_glfw")
 def test_a_worker_killed_inside_a_generation_is_replaced_and_the_numbers_stay_the_same(started, undisturbed):
     process, path = started()
     worker, others, inside = kill_worker_inside(process, path, 2, stops_others=True)
@@ -184,16 +185,19 @@ def test_a_run_killed_in_every_generation_has_the_same_numbers(started, undistur
 
 
 @pytest.mark.extras
+@pytest.mark.usefixtures("imports_no_glfw")
 def test_workers_killed_twice_in_every_generation_change_no_number(started, undisturbed):
     process, path = started()
-    killed = []
+    killed, generations = [], set()
     for generation in (1, 1, 2, 2, 3, 3, 4, 4):
         try:
-            worker, others, _ = kill_worker_inside(process, path, generation, stops_others=True)
+            worker, others, inside = kill_worker_inside(process, path, generation, stops_others=True)
         except runs.EndedTooSoonError:
             assert len(killed) >= 4
+            assert len(generations) >= 2
             break
         killed.append(worker)
+        generations.add(inside)
         runs.wait_until(lambda worker=worker: not runs.is_alive(worker), "it is gone")
         runs.wait_until(lambda: len(runs.workers_of(process.pid)) == 2, "replaced")
         for pid in others:
@@ -208,6 +212,7 @@ def test_workers_killed_twice_in_every_generation_change_no_number(started, undi
 
 
 @pytest.mark.extras
+@pytest.mark.usefixtures("imports_no_glfw")
 def test_all_workers_killed_at_once_change_no_number(started, undisturbed):
     process, path = started()
     runs.stop_inside_generation(process, path, 2)

@@ -54,14 +54,18 @@ def test_a_damaged_table_is_one_clear_error(run_copy, name, case, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["progress", "evaluation"])
-@pytest.mark.parametrize("row", [1, -1])
-def test_a_row_before_the_checkpoint_that_is_cut_off_is_named(run_copy, name, row):
+@pytest.mark.parametrize(("row", "values", "end"), [(1, 3, ""), (1, 1, ""), (-1, 3, ""), (-1, 3, "-"), (-1, 3, "1e-")])
+def test_a_row_before_the_checkpoint_that_is_cut_off_is_named(run_copy, name, row, values, end):
     path = run_copy / f"{name}.csv"
     lines = path.read_text().splitlines()
     columns, number = len(lines[0].split(",")), lines[row].partition(",")[0]
-    lines[row] = ",".join(lines[row].split(",")[:3])
+    lines[row] = ",".join(lines[row].split(",")[:values])
+    if end:
+        lines[row] = lines[row].rpartition(",")[0] + "," + end
     path.write_text("\n".join(lines))
-    refused(run_copy, rf"{name}\.csv cannot .*: the row of generation {number} has 3 values for {columns} columns\.")
+    refused(
+        run_copy, rf"{name}\.csv is damaged: the row of generation {number} has {values} values for {columns} columns\."
+    )
 
 
 @pytest.mark.parametrize("name", ["progress", "evaluation"])

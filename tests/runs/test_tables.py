@@ -15,7 +15,7 @@ from tensorboardX.proto.plugin_hparams_pb2 import HParamsPluginData
 
 from shes.errors import RunFolderError, StorageError
 from shes.runs.folder import RunFolder
-from shes.runs.tables import CsvTable, Records, read_csv, read_process_time, trained_minutes
+from shes.runs.tables import CsvTable, Records, check_tables, read_csv, read_process_time, trained_minutes
 from shes.training.session import Session
 from tests.e2e import runs
 
@@ -70,6 +70,28 @@ def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path, lengt
     for generation in range(kept + 1, 5):
         table.add({"generation": generation, "x": generation / 3})
     assert path.read_text() == whole
+
+
+@pytest.mark.parametrize("cut", range(13))
+def test_a_row_of_an_evaluation_that_is_pending_may_be_cut_anywhere(folder, cut):
+    fill(folder.progress, 4)
+    whole = fill(folder.evaluation, 4)
+    folder.evaluation.write_text(whole[: len(whole) - cut])
+    check_tables(folder, 4, owes_evaluation=True)
+
+
+def test_a_last_row_without_the_end_of_its_line_is_not_read(tmp_path):
+    """A plot may be drawn while the run writes a row."""
+    path = tmp_path / "a.csv"
+    whole = fill(path, 4)
+    rows = read_csv(path)
+    fill(path, 5)
+    longer = path.read_text()
+    for end in range(len(whole), len(longer)):
+        path.write_text(longer[:end])
+        assert read_csv(path) == rows
+    path.write_text(longer)
+    assert len(read_csv(path)["x"]) == 5
 
 
 def test_a_damaged_table_is_refused_and_kept(tmp_path):

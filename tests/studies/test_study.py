@@ -24,7 +24,7 @@ from shes.studies import ablation as ablations
 from shes.studies import paper_scales as papers
 from shes.studies import running, walker_study
 from shes.studies.comparison import compare
-from shes.studies.design import Curves, Measure, StudyDesign, sweep_name
+from shes.studies.design import STEPS_PER_S, Curves, Measure, StudyDesign, sweep_name
 from shes.studies.experiment import experiment, forecast, with_progress
 from shes.studies.named_studies import STUDIES
 from shes.studies.running import check_study, run_cell, run_study
@@ -506,19 +506,35 @@ def test_rows_of_other_cells_stay_in_the_tables(finished, tmp_path):
     assert len(rows(tmp_path / "runs.csv")) == 2
 
 
-def test_figures_and_comparisons_are_those_of_the_tables(finished, tmp_path, monkeypatch):
+@pytest.fixture
+def as_if_run(monkeypatch):
+    """Let study ablation have one cell, and nothing be run or drawn; return the results that would be drawn."""
     seen = {}
     study = Study(cells=(cell(),), episodes=3)
     monkeypatch.setitem(STUDIES, "ablation", lambda *_: study)
     monkeypatch.setattr("shes.studies.experiment.run_study", lambda *_, **__: (each for each in ()))
     monkeypatch.setattr("shes.studies.experiment._write_results", lambda *given: (seen.update(given[3]) or {}, []))
+    return seen
+
+
+@pytest.mark.parametrize(("table", "keep"), [("curves.csv", 0), ("curves.csv", 1), ("curves.csv", -1), ("runs.csv", 1)])
+def test_tables_that_lost_rows_are_written_again_from_the_folders(finished, tmp_path, as_if_run, table, keep):
+    shutil.copytree(finished[0] / cell().name, tmp_path / cell().name)
+    experiment("ablation", out=tmp_path)
+    text = (tmp_path / table).read_text(encoding="utf-8")
+    (tmp_path / table).write_text("".join(text.splitlines(keepends=True)[:keep]), encoding="utf-8")
+    experiment("ablation", out=tmp_path)
+    assert (tmp_path / table).read_text(encoding="utf-8") == text
+
+
+def test_figures_and_comparisons_are_those_of_the_tables(finished, tmp_path, as_if_run):
     shutil.copytree(finished[0] / cell().name, tmp_path / cell().name)
     experiment("ablation", out=tmp_path)  # after a crash before the tables were written
-    assert seen[cell().name].row["env_steps"] == finished[1].row["env_steps"]
+    assert as_if_run[cell().name].row["env_steps"] == finished[1].row["env_steps"]
     text = (tmp_path / "runs.csv").read_text(encoding="utf-8")
     (tmp_path / "runs.csv").write_text(text.replace(f",{finished[1].row['env_steps']},", ",7,"), encoding="utf-8")
     experiment("ablation", out=tmp_path)
-    assert seen[cell().name].row["env_steps"] == 7
+    assert as_if_run[cell().name].row["env_steps"] == 7
 
 
 def test_a_comparison_is_not_replaced_by_that_of_another_study_or_by_none(finished, tmp_path, monkeypatch):
@@ -643,11 +659,11 @@ def test_every_variant_of_the_ablation_makes_as_many_environment_steps_as_the_ba
             assert number == pytest.approx(steps[env, "base"], rel=tolerance), (scale, env, variant)
 
 
-def test_an_experiment_of_scale_laptop_takes_at_most_nine_hours_on_two_cores_without_hiro():
+def test_an_experiment_of_scale_laptop_takes_at_most_ten_hours_on_two_cores_without_hiro():
     for name, make in MADE.items():
         study = make()
         seconds = forecast(study, 2)
-        assert sum(seconds[found.name] for found in study.cells if found.variant != "hiro") <= 9 * 3600, name
+        assert sum(seconds[found.name] for found in study.cells if found.variant != "hiro") <= 10 * 3600, name
         # Of a step of HIRO, which comes with updates, the speed is its own.
         for found in (each for each in study.cells if each.variant == "hiro"):
             alone = found.settings["env_steps"] / study.design.slower["hiro"]
@@ -657,11 +673,11 @@ def test_an_experiment_of_scale_laptop_takes_at_most_nine_hours_on_two_cores_wit
         timed = forecast(MADE["fig4"](), 8)[f"point-push/workers/published-{number}/seed-1"]
         cell = next(found for found in MADE["fig4"]().cells if found.name.endswith("published-1/seed-1"))
         steps = sum(cell_steps(replace(cell, env="point-push"), MADE["fig4"]().episodes))
-        assert timed == pytest.approx(steps / MADE["fig4"]().design.steps_per_s / number)
+        assert timed == pytest.approx(steps / STEPS_PER_S["point"] / number)
     # A generation of figure 6 on each of three cores alone, then on two and on three workers.
     study = MADE["fig6"]()
     for found in study.cells:
-        alone = cell_steps(found, 0)[0] / study.design.steps_per_s
+        alone = cell_steps(found, 0)[0] / STEPS_PER_S["ant"]
         assert forecast(study, 3)[found.name] == pytest.approx(alone * (3 + 1 / 2 + 1 / 3))
 
 

@@ -21,8 +21,11 @@ Row = dict[str, Any]
 
 
 def read_csv(path: Path) -> dict[str, list[float]]:
-    """Return the columns of a CSV file of numbers by name; raise RunFolderError if it is missing or damaged."""
-    header, *rows = _read_rows(path) or [[]]
+    """Return the columns of a CSV file of numbers by name; raise RunFolderError if it is missing or damaged.
+
+    A last row without the end of its line is left out: it is being written, or a crash has cut it off.
+    """
+    header, *rows = _read_rows(path, are_whole=True) or [[]]
     if (short := next((i for i, row in enumerate(rows, start=1) if len(row) < len(header)), None)) is not None:
         text = f"row {short} below the header has {len(rows[short - 1])} values for {len(header)} columns"
         raise _damaged(path, ValueError(text))
@@ -58,34 +61,42 @@ def _last_value(path: Path, column: str) -> float | None:
         raise _damaged(path, error) from error
 
 
-def _read_rows(path: Path) -> list[list[str]]:
-    """Return the rows of a CSV file, its header first; those without a value are left out."""
+def _read_rows(path: Path, *, are_whole: bool = False) -> list[list[str]]:
+    """Return the rows of a CSV file, its header first; those without a value are left out.
+
+    If `are_whole`, so is a last row without the end of its line.
+    """
     if path.exists() and not path.is_file():  # a pipe would be waited for
         raise _damaged(path, OSError("it is not a regular file"))
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            return [row for row in csv.reader(file) if row]
+            text = file.read()
+        rows = list(csv.reader(io.StringIO(text)))
+        return [row for row in (rows[:-1] if are_whole and not text.endswith("\n") else rows) if row]
     except (OSError, ValueError, csv.Error) as error:
         raise _damaged(path, error) from error
 
 
 def _kept_rows(path: Path, generation: int) -> list[list[str]]:
-    """Return the header and the rows up to `generation`; one of them that is cut off is an error.
+    """Return the header and the rows up to `generation`; raise RunFolderError if one of them is not whole.
 
-    Later ones may be cut off, even within the number of the generation.
+    Later ones need not be, and the last may be cut off within its generation.
     """
-    rows = _read_rows(path)
+    header, *rows = _read_rows(path) or [[]]
+    if rows and len(rows[-1]) == 1:
+        rows.pop()
     try:
-        kept = [row for row in rows[1:] if len(row) > 1 and int(row[0]) <= generation]
+        kept = [row for row in rows if int(row[0]) <= generation]
+        if (short := next((row for row in kept if len(row) != len(header)), None)) is not None:
+            raise RunFolderError(
+                f"{path} is damaged: the row of generation {short[0]} has {len(short)} values for {len(header)} "
+                "columns. Restore the file from a copy, or empty it to go on without the rows so far."
+            )
         for row in kept:
             [float(value) for value in row]
     except ValueError as error:
         raise _damaged(path, error) from error
-    for row in kept:
-        if len(row) != len(rows[0]):
-            text = f"the row of generation {row[0]} has {len(row)} values for {len(rows[0])} columns"
-            raise _damaged(path, ValueError(text))
-    return rows[:1] + kept
+    return [header, *kept]
 
 
 def _damaged(path: Path, error: Exception) -> RunFolderError:

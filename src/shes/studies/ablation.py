@@ -53,7 +53,6 @@ _CURVES = {
     "point-gather": Measure("score_mean", "evaluation score"),
     "point-maze": Measure("training_success_rate", "share of training's targets reached"),
 }
-_STEPS_PER_S = 30_000
 """Of one core in a whole run; measured: 32,000 to 45,000 on an AMD EPYC."""
 
 _PRIMITIVE_ENV = "point-flagrun"
@@ -220,7 +219,6 @@ def _design(horizon: int, size: _AblationScale) -> StudyDesign:
                 ),
             ),
         ),
-        steps_per_s=_STEPS_PER_S,
     )
 
 

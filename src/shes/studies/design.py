@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
+
+STEPS_PER_S = MappingProxyType({"point": 35_000, "ant": 10_000})
+"""Environment steps per second of one core in a whole run, by body, for the forecast."""
 
 
 class Variant(NamedTuple):
@@ -127,10 +131,8 @@ class StudyDesign:
     figures: tuple[Forest | Sweep | Curves | Speedup, ...] = ()
     formats: tuple[str, ...] = ("png",)
     """File formats of every figure."""
-    steps_per_s: int = 30_000
-    """Environment steps per second of one core in a whole run, for the forecast."""
     slower: Mapping[str, int] = field(default_factory=dict)
-    """The same for variants that are slower."""
+    """Environment steps per second of one core, as in STEPS_PER_S, of variants that are slower."""
 
     def label(self, variant: str) -> str:
         """Return the name of a variant in words."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -14,18 +14,18 @@ from typing import Annotated, Any, Literal
 
 from shes.checked import checked
 from shes.console import LineConsole
-from shes.errors import ConfigError
+from shes.errors import ConfigError, RunFolderError
 from shes.listing import Listing, Table
 from shes.runs.sections import WorkerSettings
 from shes.settings import Gt
 from shes.studies.comparison import Comparison, compare
-from shes.studies.design import StudyDesign
+from shes.studies.design import STEPS_PER_S, StudyDesign
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
 from shes.studies.report_design import study_title, write_report_design
 from shes.studies.running import Outcome, check_study, run_study
 from shes.studies.study import Study, cell_steps, choose
-from shes.studies.study_tables import CellResults, read_tables, write_csv, write_tables
+from shes.studies.study_tables import Cell, CellResults, read_tables, write_csv, write_tables
 from shes.studies.summaries import cells_left, read_summaries
 from shes.studies.table1 import settings_beside
 from shes.training.progress_display import format_duration
@@ -138,11 +138,14 @@ def _check_comparison(name: str, out: Path) -> None:
 def _in_tables(study: Study, summaries: Mapping[str, CellResults], out: Path) -> dict[str, CellResults]:
     """Return the summaries of finished runs as the tables have them, from which alone figures are made.
 
-    The tables are written only if a run is not in them, as after a crash: each run was written with the folder's lock,
-    which another study may hold now.
+    The tables are written only if a run is not, or not as a whole, in them, as after a crash: each run was written with
+    the folder's lock, which another study may hold now.
     """
     cells = [cell for cell in study.ordered() if cell.name in summaries]
-    if read_tables(cells, out).keys() != summaries.keys():
+    found: dict[str, CellResults] = {}
+    with suppress(RunFolderError):  # one that nothing can be written to is met again
+        found = read_tables(cells, out)
+    if found.keys() != summaries.keys():
         write_tables(study.ordered(), summaries, out)
     return read_tables(cells, out)
 
@@ -226,11 +229,12 @@ def forecast(study: Study, num_workers: int) -> dict[str, float]:
         # Large runs have all workers one after another, the others one each side by side.
         workers = cell.settings.get("num_workers", num_workers) if study.has_large_runs else num_workers
         training, evaluation = cell_steps(cell, study.episodes)
-        speed = design.slower.get(cell.variant, design.steps_per_s)
+        of_body = STEPS_PER_S[cell.body]
+        speed = design.slower.get(cell.variant, of_body)
         if study.run_cell is not None:  # a generation is timed on every core alone, then on 2, 3, ... workers
             found[cell.name] = training / speed * (num_workers + sum(1 / count for count in range(2, 1 + num_workers)))
         else:
-            found[cell.name] = (training / speed + evaluation / design.steps_per_s) / min(workers, num_workers)
+            found[cell.name] = (training / speed + evaluation / of_body) / min(workers, num_workers)
     return found
 
 
@@ -238,19 +242,13 @@ def with_progress(
     study: Study, outcomes: Iterable[Outcome], left: Collection[str], num_workers: int, say: Callable[[str], None]
 ) -> Iterator[Outcome]:
     """Yield the outcomes of the cells that are `left`; say a forecast, and after each its result and the time left."""
+    to_do = [cell for cell in study.cells if cell.name in left]
     # Large runs have all cores in turn, but no more than their own workers where they set them.
-    most = max((cell.settings.get("num_workers", num_workers) for cell in study.cells), default=1)
-    design, at_once = study.design, max(1, min(num_workers, most if study.has_large_runs else len(left)))
-    steps = sum(sum(cell_steps(cell, study.episodes)) for cell in study.cells)
+    most = max((cell.settings.get("num_workers", num_workers) for cell in to_do), default=1)
+    at_once = max(1, min(num_workers, most if study.has_large_runs else len(left)))
     seconds = forecast(study, at_once)
-    to_make, made, start = {name: seconds[name] for name in left}, 0.0, monotonic()
-    done = f"; {len(seconds) - len(left)} are done" if len(left) < len(seconds) else ""
-    slower = "".join(f" ({design.label(name)}: {speed:,})" for name, speed in design.slower.items())
-    say(
-        f"{len(seconds)} runs, {steps / 1e6:,.1f} M environment steps{done}. About "
-        f"{format_duration(sum(to_make.values()))} on {at_once} core{'s' * (at_once != 1)} at {design.steps_per_s:,} "
-        f"steps a second and core{slower}; Ctrl-C stops, the same command continues."
-    )
+    to_make, made, start = {cell.name: seconds[cell.name] for cell in to_do}, 0.0, monotonic()
+    say(_forecast_text(study, to_do, sum(to_make.values()), at_once))
     for outcome in outcomes:
         for event in outcome.events:
             say(event)
@@ -262,3 +260,19 @@ def with_progress(
         time_left = format_duration(sum(to_make.values()) * (monotonic() - start) / made)
         say(f"[{len(seconds) - len(to_make)}/{len(seconds)}] {outcome.cell.name}: {result}; {time_left} left")
         yield outcome
+
+
+def _forecast_text(study: Study, to_do: Sequence[Cell], seconds: float, num_cores: int) -> str:
+    """Return in words how much there is `to_do` of a study, and for how many seconds."""
+    steps = sum(sum(cell_steps(cell, study.episodes)) for cell in study.cells)
+    in_words = f"{steps / 1e6:,.1f} M" if steps >= 1e5 else f"{steps:,}"
+    num_done = len(study.cells) - len(to_do)
+    bodies, variants = {cell.body for cell in to_do}, {cell.variant for cell in to_do}
+    speeds = {body: speed for body, speed in STEPS_PER_S.items() if body in bodies}
+    speeds |= {study.design.label(name): speed for name, speed in study.design.slower.items() if name in variants}
+    each = ", ".join(f"{name}: {speed:,}" for name, speed in speeds.items())
+    return (
+        f"{len(study.cells)} runs, {in_words} environment steps{f'; {num_done} are done' if num_done else ''}. About "
+        f"{format_duration(seconds)} on {num_cores} core{'s' * (num_cores != 1)}"
+        f"{f' (steps a second and core: {each})' if each else ''}; Ctrl-C stops, the same command continues."
+    )

@@ -13,9 +13,11 @@ TASKS = ("gather", "maze", "push")
 PUBLISHED, PIECES = "published", "pieces"
 STEPS: Mapping[str, tuple[str, ...]] = {
     "point": ("views", "branches", "ties"),
-    "ant": ("views", "symmetry", "branches", "gait"),
+    "ant": ("views", "symmetry", "branches", "gait", "goals", "patrol"),
 }
 """Forms between the two, by body: each has the changes of those before it."""
+WITH_OTHER_GOALS = ("goals", "patrol")
+"""Those whose goals are not those as published."""
 STEPS_TASK = "gather"
 
 REFERENCES: dict[str, tuple[Reference, ...]] = {
@@ -95,6 +97,8 @@ _STEP_NAMES = {
     ),
     "ties": ("output_weights", "weight_decay", "hold_tied"),
     "gait": ("clock_frequency", "fall_price", "output_weights", "weight_decay", "hold_tied"),
+    "goals": ("controller_interval", "controller_output", "minimum_goal_distance"),
+    "patrol": ("controller_view",),
 }
 """Settings of the form with the changes that each step adds to the form as published."""
 OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")

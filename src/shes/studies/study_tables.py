@@ -46,6 +46,11 @@ class Cell:
         return f"{self.env}/{self.group}/{self.variant}/seed-{self.seed}"
 
     @property
+    def body(self) -> str:
+        """Name of the robot in that of its environment: `point` or `ant`."""
+        return self.env.partition("-")[0]
+
+    @property
     def identity(self) -> Row:
         """The columns that identify it in tables."""
         return {"group": self.group, "variant": self.variant, "env": self.env, "seed": self.seed}

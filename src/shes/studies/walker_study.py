@@ -267,5 +267,4 @@ def _design(labels: Mapping[str, str]) -> StudyDesign:
                 ),
             ),
         ),
-        steps_per_s=10_000,
     )
