@@ -110,7 +110,7 @@ _HYPERPARAMETERS = (
 
 
 def hyperparameters() -> str:
-    """Return the table of the method's settings: those of the paper, and those of preset `laptop` of each ant task."""
+    """Return the table of the method's settings in `paper.md`: those of the paper, and of `laptop` of each ant task."""
     columns = {"paper": make_config("ant-gather", "paper").values}
     columns |= {
         env.removeprefix("ant-").title(): make_config(env, "laptop").values

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from code_tables import commands, deviations, hyperparameters, public_names, settings
+from code_tables import commands, deviations, public_names, settings
 from environment_pages import environment_page, environment_table, picture
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -25,12 +25,13 @@ _RESULTS = _REPOSITORY / "results"
 _GENERATED = {
     "differences.md": deviations,
     "environments/index.md": environment_table,
-    "paper.md": hyperparameters,
     "reference/command-line.md": commands,
     "reference/settings.md": settings,
     "reference/shes.md": public_names,
 }
 
+_SHOWN = {"results.md": '--8<-- "results/README.md"'}
+"""Pages of the site that show a file of the repository; without the site they name it."""
 _COPIES = "repository"
 """Folder of the site with copies of linked files."""
 _FILE = re.compile(r"\]\((?P<up>(?:\.\./)*)\.\./(?P<path>[\w/.-]+\.(?:csv|json)|results/[\w/.-]+\.png)\)")
@@ -55,6 +56,8 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Put its generated table into a page, and lead its links to files of the repository to their copies."""
     uri = page.file.src_uri
+    if uri in _SHOWN:
+        return _SHOWN[uri]
     markdown = _FILE.sub(rf"](\g<up>{_COPIES}/\g<path>)", markdown)
     return markdown.replace("<!-- generated -->", _GENERATED[uri]()) if uri in _GENERATED else markdown
 

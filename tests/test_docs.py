@@ -307,6 +307,17 @@ def test_code_that_a_page_links_to_exists(path):
         pkgutil.resolve_name(name)
 
 
+@pytest.mark.extras
+def test_the_settings_of_the_report_are_those_of_the_presets(monkeypatch):
+    monkeypatch.syspath_prepend(DOCS)
+    import code_tables
+
+    found = (
+        (DOCS / "paper.md").read_text(encoding="utf-8").partition("<!-- settings -->")[2].partition("<!-- end -->")[0]
+    )
+    assert found.strip() == code_tables.hyperparameters()
+
+
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())
 def test_tables_that_a_page_links_to_are_in_the_repository(path):
     links = re.findall(r"\]\(([\w/.-]+\.(?:csv|json))\)", path.read_text(encoding="utf-8"))

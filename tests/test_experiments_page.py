@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 from shes.studies.comparison import compare
+from shes.studies.equal_budget import compare_curves
 from shes.studies.named_studies import STUDIES
-from shes.studies.paper_scales import STEPS
+from shes.studies.paper_scales import STEPS, WITH_OTHER_GOALS
+from shes.studies.significance import holm, permutation_test
 from shes.studies.study import cell_steps
 from shes.studies.summaries import read_summaries
 
@@ -224,6 +226,46 @@ def point_with_changes():
     )
 
 
+def last_training_reward(env, group, variant):
+    """Return the mean training reward before the last evaluation, for each seed."""
+    last = {}
+    for row in rows_of(RESULTS / "curves.csv"):
+        if (row["env"], row["group"], row["variant"]) == (env, group, variant):
+            last[row["seed"]] = float(row["training_return_mean"])
+    return np.array(list(last.values()))
+
+
+def transferred_reward(env, variant):
+    """Return the mean training rewards at the end, with a transferred primitive and without, and p."""
+    alone, transferred = (last_training_reward(env, group, variant) for group in ("methods", "transfer"))
+    sign = "{:.2f}" if env.endswith("gather") else "{:,.0f}"
+    words = " against ".join(sign.format(side.mean()).replace("-", "\N{MINUS SIGN}") for side in (transferred, alone))
+    return words, permutation_test(alone, transferred)
+
+
+def training_rewards():
+    tasks = ("gather", "maze", "push")
+    words, p = zip(*(transferred_reward(f"point-{task}", "published") for task in tasks), strict=True)
+    ant, p_of_ant = transferred_reward("ant-gather", "pieces")
+    gather, maze, push = (
+        f"{each} in {task.title()} ({p_value(corrected)}"
+        for each, task, corrected in zip(words, tasks, holm(p), strict=True)
+    )
+    return f"at the end {gather}), {maze}) and {push};", f"its training reward ends at {ant} ({p_value(p_of_ant)})"
+
+
+def machines():
+    """The two machines are compared by the methods that have seeds on both, of runs in one process."""
+    times = {}
+    for row in rows_of(RESULTS / "runs.csv"):
+        if row["group"] not in ("workers", "speedup"):
+            of = times.setdefault((row["env"], row["group"], row["variant"]), {})
+            of.setdefault("Xeon" in row["hardware"], []).append(float(row["seconds"]))
+    ratios = [np.mean(of[False]) / np.mean(of[True]) for of in times.values() if len(of) == 2]
+    assert len(ratios) >= 10
+    return f"an AMD EPYC, which takes {spread(ratios, '{:.1f}')} times as long for the same runs"
+
+
 def point_transfer():
     def published(env):
         return compared(f"point-{env}", variant="published", against="published").replace(", ", f" in {env.title()} (")
@@ -429,18 +471,25 @@ def steps_of_the_ant():
         return np.mean(column("last_primitive_return", "gather", "steps" if name in STEPS["ant"] else "methods", name))
 
     names = STEPS["ant"]
-    returns = [returns_of(name) for name in ("published", *names)]
+    returns = [returns_of(name) for name in ("published", *names) if name not in WITH_OTHER_GOALS]
     scores = [np.mean(column("best_score", "gather", variant="published")), *step_scores("ant")]
-    rows = [
-        comparison("ant-gather", ("steps", before), ("steps", name), "fig3")
+    rows = {
+        name: comparison("ant-gather", ("steps", before), ("steps", name), "fig3")
         for before, name in itertools.pairwise(names)
-    ]
-    last = comparison("ant-gather", ("methods", "pieces"), ("steps", "gait"), "fig3")
+    }
+    first = min(float(rows[name]["p_holm"]) for name in ("symmetry", "branches", "gait"))
+    last = comparison("ant-gather", ("methods", "pieces"), ("steps", "patrol"), "fig3")
+    goals, patrol = (
+        f"{score:.2f} ({p_value(rows[name]['p_holm'])}; U {p_value(rows[name]['mann_whitney_p'])})"
+        for name, score in (("goals", scores[5]), ("patrol", scores[6]))
+    )
     return (
         f"the last primitives return {listed(returns, '{:.0f}')}",
-        f"the scores are {listed(scores[:-1], '{:.2f}')}.",
-        f"no step differs from the one before (p at least {min(float(row['p_holm']) for row in rows):.2f}",
-        f"With the rest of the changes the score is {scores[-1]:.2f} ({p_value(last['p_holm'])})",
+        f"the scores are {listed(scores[:5], '{:.2f}')}.",
+        f"none of the next three differs from the one before (p at least {first:.2f})",
+        f"With goals of 1 s at full distance the score is {goals}",
+        f"with the controller's view turned to the nearest food {patrol}",
+        f"With all changes it is {scores[-1]:.2f} ({p_value(last['p_holm'])})",
     )
 
 
@@ -483,7 +532,17 @@ def more_workers():
         assert len(found) == 6
         said.append(f"with the {body} {spread(means, '{:.2f}')} ({spread(ends, '{:.2f}')} by seed)")
     gather = equal("point-gather", ("workers", "pieces-1"), ("workers", "pieces-2"), "hours", "fig4")
-    said.append("In Point Gather, {}, this is not shown ({})".format(*gather))
+    found = read_summaries(study := STUDIES["fig4"]("laptop", None), RESULTS)
+    one, two = (
+        [found[cell.name] for cell in study.cells if (cell.env, cell.variant) == ("point-gather", f"pieces-{workers}")]
+        for workers in (1, 2)
+    )
+    made = compare_curves(one, two, "seconds")
+    assert all(second > first for first, second in zip(made.first, made.second, strict=True))
+    ahead = len(made.second)
+    assert ahead == 10
+    said.append(f"In Point Gather, {gather[0]}, two workers are ahead in each of the ten seeds")
+    said.append(f"gives {gather[1]} (a sign test of the ten pairs p = {2 * 0.5**ahead:.3f})")
     for env in ("point-push", "ant-gather"):
         said.append("{} ({})".format(*equal(env, ("workers", "pieces-1"), ("workers", "pieces-2"), "hours", "fig4")))
     others = [row for row in ratios_of_workers(".*") if float(row["hours_p_holm"]) < 0.05]
@@ -500,6 +559,11 @@ def speed_ups():
 
     def of(kind, cores, sign="{:.0f}", column="speedup"):
         return listed([float(found[form, kind, cores][column]) for form in forms], sign)
+
+    def parts(form):
+        row = found[form, "projected", "600"]
+        start, update, play, whole = (float(row[f"{name}_s"]) for name in ("start", "update", "episodes", "generation"))
+        return start, update, whole - start - update - play, play
 
     errors = {
         cores: [
@@ -520,21 +584,20 @@ def speed_ups():
         for form in forms
         for cores in ("1", "2")
     ]
+    plan = {cell.variant: cell_steps(cell, 0)[0] for cell in STUDIES["fig6"]("laptop", None).cells}
+    speeds = [plan[form] / float(found[form, "measured", "1"]["generation_s"]) for form in ("published", "pieces")]
+    on_600 = [600 / float(found[form, "projected", "600"]["speedup"]) for form in ("published", "pieces")]
     return (
+        "That one made {:,} as published and {:,} with the".format(*(round(speed, -2) for speed in map(int, speeds))),
+        "cost {:.1f} times as many core-hours as published, and {:.1f} times with the".format(*on_600),
         f"two workers are {of('measured', '2', '{:.2f}')} times as fast as one",
         *(f"{of('projected', cores)} on {cores}" for cores in ("48", "240", "600")),
         f"a generation takes {of('measured', '1', '{:.0f}', 'generation_s')} s on one core",
         f"With 200 sleeping workers a generation takes {spread(slower['200'])} % longer than projected",
         f"with 600 it takes {spread(slower['600'])} % longer",
-        "workers wait {} s for their first tasks and {} s for the update, as published {} and {} s, "
-        "of {} and {} s in all".format(
-            *(
-                f"{float(found[form, 'projected', '600'][name]):.2f}"
-                for form, name in (
-                    *(("pieces", "start_s"), ("pieces", "update_s"), ("published", "start_s")),
-                    *(("published", "update_s"), ("pieces", "generation_s"), ("published", "generation_s")),
-                )
-            )
+        "workers wait {} s for their first tasks, {} s for the update and {} s for the slowest worker of a stage, and "
+        "play for {} s; as published these are {}, {}, {} and {} s.".format(
+            *(f"{seconds:.2f}" for form in ("pieces", "published") for seconds in parts(form))
         ),
         f"The projection is {-min(here):.0f} % too fast to {max(here):.0f} % too slow",
     )
@@ -554,14 +617,12 @@ CLAIMS = {
     "Gather": lambda: f"SHES scores {listed(column('best_score', 'gather'), '{:.1f}')} in Gather",
     "Maze": lambda: f"the target of Maze in {per_cent('maze')}",
     "Push": lambda: f"that of Push in {per_cent('push')} of the episodes",
-    "Gather, transfer": lambda: (
-        f"scores {listed(column('best_score', 'gather', 'transfer'), '{:.1f}')}, and over equal"
-    ),
+    "Gather, transfer": lambda: f"scores {listed(column('best_score', 'gather', 'transfer'), '{:.1f}')}, its training",
     "Gather, equal steps": lambda: "it has a mean test score of {} ({}).".format(
         *equal("ant-gather", ("methods", "pieces"), ("transfer", "pieces"))
     ),
     "Maze, slow seeds": lambda: (
-        "they have covered only "
+        "have covered only "
         f"{listed(column('metres_behind_mean', 'maze', table='metres_behind')[:2], '{:.0f}')} m of the 48 m"
     ),
     "Gather, a score of 2": lambda: (
@@ -572,6 +633,8 @@ CLAIMS = {
         f"have covered {spread(column('metres_behind_mean', 'maze', 'transfer', table='metres_behind'))}"
     ),
     "HIRO, machines": machines_of_hiro,
+    "machines": machines,
+    "training rewards": training_rewards,
     "HIRO, Point Gather": hiro_in_point_gather,
     "HIRO, Point Push": hiro_in_point_push,
     "HIRO, Point Maze": hiro_in_point_maze,
@@ -596,6 +659,7 @@ def test_the_page_says_how_long_a_run_of_scale_paper_takes_on_48_cores(tables):
     steps = [sum(cell_steps(cell, study.episodes)) for cell in study.cells if cell.variant != "hiro"]
     hours = [each / speed / 3600 / 48 for each in (min(steps), max(steps)) for speed in tables.SPEEDS]
     assert f"a run of 3000 generations takes {spread(hours)} hours" in PAGES
+    assert f"a run would take {spread([48 / 10 * each for each in hours])} hours" in PAGES
 
 
 def test_the_pages_say_how_many_core_hours_all_experiments_take_at_scale_paper(tables):

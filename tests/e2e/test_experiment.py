@@ -283,8 +283,8 @@ def test_a_stopped_experiment_of_many_workers_leaves_none_and_the_same_command_g
 
 
 # A base, 9 choices, 20 of the sweep, 3 of transfer and their pairs, on both tasks; 2 horizons and their pair.
-# A base, 10 pieces and a pair, the form, 4 pieces added and their pairs, 6 alternatives, 8 of the sweep.
-COMPARISONS = {"ablation": 2 * (1 + 9 + 20 + 3 + 3) + 3, "learning": 1 + 10 + 1 + 1 + 4 + 4 + 6 + 8}
+# A base, 10 pieces, 8 variants of the form, 8 alternatives, 12 of the grid, 8 of the sweep, and 8 pairs.
+COMPARISONS = {"ablation": 2 * (1 + 9 + 20 + 3 + 3) + 3, "learning": 1 + 10 + 8 + 8 + 12 + 8 + 8}
 
 
 @pytest.mark.slow

@@ -69,7 +69,7 @@ def experiment(
         only: Groups or environments to run, groups beside the base; all if none. ablation: choices, horizon, sweep,
             transfer; learning: alternatives, form, grid, pieces, sweep; table1: methods, steps; fig3: methods, steps;
             fig4: workers; fig5: methods, transfer; fig6: speedup.
-        budget: Hours after which all runs stop; the same command continues them.
+        budget: Hours after which all runs stop, and no measurement of fig6 begins; the same command continues them.
         run: Whether to run what is missing. --no-run draws figures and comparisons of the finished runs and of the rows
             in runs.csv and curves.csv.
 
@@ -189,10 +189,11 @@ def _write_results(
         write_csv(out / f"{table}.csv", rows)
         write_report_design(name, study, table, out)
     figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
+    tables = [name for name in ("runs.csv", "curves.csv", f"{table}.csv") if (out / name).is_file()]
     facts: dict[str, Any] = {"figures": figures, "comparisons": rows}
     parts = [
         *_parts(study.design, comparisons),
-        f"Tables: runs.csv, curves.csv, {table}.csv in {quote(str(out))}",
+        f"Tables: {', '.join(tables) or 'none'} in {quote(str(out))}",
         f"Figures: {' '.join(map(quote, figures)) or 'none'}",
     ]
     if name == "table1":

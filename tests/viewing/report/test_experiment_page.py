@@ -246,7 +246,7 @@ def test_an_experiment_is_reported_with_its_runs_and_without(tables, tiny_run, t
     out = tmp_path / "report.html"
     arguments = {"episodes": 1, "num_workers": 1, "video": False}
     report(tables, out, **arguments)
-    assert "<h2>Runs</h2>" not in out.read_text(encoding="utf-8")
+    assert "No folder of a run is here, so that " in out.read_text(encoding="utf-8")
     assert "1.50 ± 0.25" in out.read_text(encoding="utf-8")
     run = tables / "point-gather" / "methods" / "published" / "seed-5"
     shutil.copytree(tiny_run, run)
@@ -258,6 +258,7 @@ def test_an_experiment_is_reported_with_its_runs_and_without(tables, tiny_run, t
     (run / "config.json").write_text(record, encoding="utf-8")
     report(tables, out, **arguments)
     text = out.read_text(encoding="utf-8")
+    assert "No folder of a run" not in text
     titles = ["<h2>Experiment ", "1.50 ± 0.25", "<h2>Runs</h2>", "<summary>1 run</summary>", "<h2>Fresh episodes</h2>"]
     assert sorted(titles, key=text.index) == titles
     (tables / "fig3.csv").write_text(f"{HEADER}\n{ROWS[0].replace('1.5', 'much')}\n", encoding="utf-8")

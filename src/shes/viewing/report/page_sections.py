@@ -178,6 +178,8 @@ class Sections:
         notes = [*self.read.left_out, *(f"{run.name}: {note}" for run in self.read.runs for note in run.notes)]
         for note in notes:
             logger.warning(note)  # on standard error, unless logging is set up
+        if self.read.experiments and not rows:  # as where its tables alone are kept
+            notes.append("No folder of a run is here, so that evaluations, maps, videos and settings are not shown.")
         shown = self._folded(_counted(len(rows), "run"), table(headings, rows))
         return section("Runs", shown, *(paragraph(note, "note") for note in notes))
 
