@@ -681,6 +681,23 @@ def test_an_experiment_of_scale_laptop_takes_at_most_ten_hours_on_two_cores_with
         assert forecast(study, 3)[found.name] == pytest.approx(alone * (3 + 1 / 2 + 1 / 3))
 
 
+@pytest.mark.parametrize(
+    ("name", "part", "words"),
+    [
+        ("fig4", "", "on 2 cores (steps a second and core: point: 35,000, ant: 10,000)"),  # its own workers
+        ("fig4", "pieces-1", "on 1 core (steps"),
+        ("fig6", "", "on 9 cores (steps a second and core: ant: 10,000)"),
+        ("fig3", "hiro", "HIRO, small: 1,000)"),
+        ("fig3", "point-gather/steps/views", "(steps a second and core: point: 35,000)"),
+    ],
+)
+def test_the_forecast_is_of_what_is_left_and_names_its_speeds(name, part, words):
+    study, said = MADE[name](), []
+    left = [found.name for found in study.cells if part in found.name]
+    assert not list(with_progress(study, (), left, 9, said.append))
+    assert words in said[0]
+
+
 def test_a_sweep_multiplies_the_base_and_rounds_whole_numbers():
     cells = {(found.env, found.variant): found.settings for found in ablation(seeds=1).cells}
     base = cells["point-maze", "base"]

@@ -156,14 +156,18 @@ def test_time_left_is_the_pace_times_what_is_left_but_no_more_than_the_minutes(c
     console = plain()
     config = make_config("point-gather", "smoke", {"generations": 40, "minutes": 1.0})
     play(console, clock, config, generations=11)
-    assert console.export_text().splitlines()[-1].endswith("time left 38 s")  # 60 - 22, not 2 * 29
+    last = console.export_text().splitlines()[-1]
+    assert last.startswith("generation 11 / 40 at most  ")
+    assert last.endswith("time left 38 s")  # 60 - 22, not 2 * 29
 
 
 def test_time_left_is_judged_by_environment_steps_where_they_end_the_run(clock):
     console = plain()
     config = make_config("point-gather", "smoke", {"generations": 40, "env_steps": 15 * row(1)["env_steps"]})
     play(console, clock, config, generations=11)
-    assert console.export_text().splitlines()[-1].endswith("time left 8 s")  # 2 * (15 - 11), not 2 * 29
+    last = console.export_text().splitlines()[-1]
+    assert last.startswith("generation 11 / 40 at most  ")
+    assert last.endswith("time left 8 s")  # 2 * (15 - 11), not 2 * 29
 
 
 def test_a_run_in_this_process_and_after_a_resume_says_so(clock):
