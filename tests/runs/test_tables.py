@@ -72,7 +72,7 @@ def test_a_table_cut_anywhere_goes_on_as_if_nothing_had_happened(tmp_path, lengt
     assert path.read_text() == whole
 
 
-@pytest.mark.parametrize("cut", range(13))
+@pytest.mark.parametrize("cut", range(22))
 def test_a_row_of_an_evaluation_that_is_pending_may_be_cut_anywhere(folder, cut):
     fill(folder.progress, 4)
     whole = fill(folder.evaluation, 4)
