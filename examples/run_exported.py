@@ -75,9 +75,11 @@ class ExportedAgent:
 
     def decide(self, seen, heading):
         boss = self.spec["controller"]
-        values, angle = view_of(seen, boss["view"], heading)
-        heading = angle if boss["view"]["kind"] in ("nearest", "patrol") else heading
+        values, _ = view_of(seen, boss["view"], heading)
         out = self.network("controller", values).astype(np.float64)
+        if boss["num_sectors"]:
+            along = sectors_of(boss["num_sectors"]) * (2 / boss["num_sectors"])
+            out = np.array([sum(out * along.real), sum(out * along.imag)])
         way = complex(*out[:2]) * unit(heading)
         out *= boss["goal_distance_m"]
         vectors = {
@@ -107,21 +109,22 @@ def pose_in(seen, position, quaternion):
     return *seen[position], np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
 
 
+def sectors_of(count):
+    """Return the direction of the middle of each sector, counter-clockwise from straight behind."""
+    middle = (np.arange(count) + 0.5) * (2 * np.pi / count) - np.pi
+    return np.cos(middle) + 1j * np.sin(middle)
+
+
 def view_of(seen, view, heading):
     """Return what a level sees of the observation, and the angle of the frame in which it sees it."""
     columns = seen if view["columns"] is None else seen[view["columns"]]
     if view["kind"] == "columns":
         return columns, heading
-    if view["kind"] in ("nearest", "patrol"):
-        rings = seen[np.array(view["rings"])]
-        sectors, senses = rings.shape[1], rings[0].max() > 0
-        nearest = rings[0].argmax() if senses else sectors // 2
-        angle = heading + ((nearest + 0.5) * 2 * np.pi / sectors - np.pi)
-        if view["kind"] == "patrol" and not senses:
-            at = complex(*seen[view["position"]])
-            angle = np.angle(view["radius_m"] * np.sqrt(2) * unit(np.angle(at) + np.pi / 4) - at)
-            nearest = int((((angle - heading) / (2 * np.pi) + 0.5) % 1) * sectors)
-        return np.concatenate([np.roll(rings, -nearest, axis=1).ravel(), columns]), angle
+    if view["kind"] == "sectors":
+        vectors = [complex(*(seen[[x, y]] / scale)) * unit(heading).conjugate() for x, y, scale in view["vectors"]]
+        along = sectors_of(len(view["rings"][0]))
+        parts = [vector.real * along.real + vector.imag * along.imag for vector in (1 + 0j, *vectors)]
+        return np.concatenate([*seen[np.array(view["rings"])], *parts]), heading
     qpos, qvel = seen[view["qpos"]], seen[view["qvel"]]
     if view["body"] == "point":
         return np.concatenate([qpos[2:], qvel, columns]), 0.0

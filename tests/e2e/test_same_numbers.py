@@ -129,7 +129,7 @@ WITH = {
 """What a setting, or one of its choices, asks of others."""
 OF_THE_ANT = {"symmetry"}
 """Settings that say nothing of a point."""
-OF_GATHER = {"nearest", "patrol"}
+OF_GATHER = {"sectors", "equivariant"}
 """Choices that a maze has not."""
 
 
@@ -196,6 +196,11 @@ BY_HAND = {
         **SCHEDULES_OF_ALL,
     },
 }  # fmt: skip
+EQUIVARIANT = {
+    "controller_network": "equivariant",
+    "controller_view": "sectors",
+    "controller_output": "heading_direction",
+}
 DIHEDRAL = {**EGOCENTRIC, "symmetry": "dihedral"}
 WALKER = {
     **DIHEDRAL,
@@ -222,7 +227,7 @@ BY_ENVIRONMENT = {
     },
     "ant-gather": {
         "walker": {
-            **WALKER, "controller_view": "patrol", "controller_output": "heading_direction", "mirrored": "pair",
+            **WALKER, **EQUIVARIANT, "mirrored": "pair",
             "fitness_shaping": "pair_rank", "primitive_population_size": 8, "primitive_sigma": 0.1,
             "primitive_learning_rate": 0.05, "intervals": 1, "clock_frequency": 1.2,
         },
@@ -233,7 +238,7 @@ BY_ENVIRONMENT = {
     },
     # Many members are paid the same here, so that it matters how ties rank.
     "point-gather": {
-        "ties by index": {"rank_ties": "index", "controller_view": "nearest"}, "novelty": {"novelty": "ns"},
+        "ties by index": {"rank_ties": "index", "controller_view": "sectors"}, "novelty": {"novelty": "ns"},
     },
 }  # fmt: skip
 METHODS = [

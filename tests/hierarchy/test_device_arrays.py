@@ -55,8 +55,10 @@ CHOICES = {
             "primitive_reward": "metres",
         },
     ),
-    "nearest": ("point-gather", {"controller_view": "nearest", "controller_output": "heading_direction"}),
-    "patrol": ("point-gather", {"controller_view": "patrol", "controller_output": "heading_direction"}),
+    "equivariant": (
+        "point-gather",
+        {"controller_network": "equivariant", "controller_view": "sectors", "controller_output": "heading_direction"},
+    ),
     "position": ("point-maze", {"controller_view": "position", "controller_output": "direction"}),
     "egocentric, alone": (
         "ant-flagrun",

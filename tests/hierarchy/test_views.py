@@ -11,7 +11,7 @@ from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, register_external
 from shes.envs.worlds import empty_world
 from shes.errors import ConfigError
-from shes.hierarchy.views import PATROL_RADIUS_M, ColumnsView, EgocentricView, NearestView, PatrolView
+from shes.hierarchy.views import ColumnsView, EgocentricView
 from shes.training.build import build_algorithm, build_task
 from shes.training.make_config import make_config
 from tests.contracts.variants import VARIANTS
@@ -247,85 +247,43 @@ def test_a_primitives_egocentric_view_is_the_robots_alone(env):
     assert learner.design.primitive.sizes[0] == len(inputs) == 3 + 2 + len(names)
 
 
-RINGS, OTHERS = [[1, 2, 3, 4], [6, 7, 8, 9]], [0, 5]
-NEAREST = {  # readings of both rings, those seen, and the angle of the frame to the heading, in eighths of a turn
-    "behind to the right": ([9, 3, 0, 1], [5, 6, 7, 8], [9, 3, 0, 1], [5, 6, 7, 8], -3),
-    "ahead to the left": ([2, 1, 5, 4], [5, 6, 7, 8], [5, 4, 2, 1], [7, 8, 5, 6], 1),
-    "the first of equals": ([0, 2, 2, 1], [5, 6, 7, 8], [2, 2, 1, 0], [6, 7, 8, 5], -1),
-    "behind to the left": ([0, 1, 2, 3], [0, 0, 0, 0], [3, 0, 1, 2], [0, 0, 0, 0], 3),
-    "nothing": ([0, 0, 0, 0], [5, 6, 7, 8], [0, 0, 0, 0], [7, 8, 5, 6], 1),
-}
+SECTORS = {"controller_view": "sectors", "controller_output": "heading_direction"}
 
 
-def test_the_nearest_view_turns_the_readings_of_all_rings_to_the_strongest_of_the_first():
-    view, heading = NearestView(RINGS, OTHERS), np.array([0.0, 2.0, -3.0, 1.0, 0.5])
-    observed = np.array([[-1, *food, -2, *poison] for food, poison, *_ in NEAREST.values()], float)
-    before, out = observed.copy(), np.zeros((5, view.size(10)))
-    angle = view.write(observed, heading, out)
-    assert angle == pytest.approx(heading + np.pi / 4 * np.array([row[-1] for row in NEAREST.values()]))
-    assert out.tolist() == [[*food, *poison, -1, -2] for *_, food, poison, _ in NEAREST.values()]
-    assert np.array_equal(observed, before)
-    names = view.names([f"value {i}" for i in range(10)])
-    assert len(names) == view.size(10) == len(set(names)) == 10
-    assert names[-2:] == ("value 0", "value 5")
-
-
-@pytest.mark.parametrize("view_name", ["nearest", "patrol"])
+@pytest.mark.parametrize("env", ["ant-gather", "point-gather"])
 @pytest.mark.parametrize("spec", ["shes", "hiro"])
-def test_food_in_any_direction_is_ahead_for_a_controller_that_looks_to_the_nearest(spec, view_name):
-    """A goal straight ahead in the view's frame lies in the sector of the nearest food, where it is in the world."""
-    config = make_config("ant-gather", "smoke", {"spec": spec, "reset_noise": 0.1, "controller_view": view_name})
-    design, task = build_algorithm(config).design, build_task(config, 64, is_evaluation=False)
-    observed, view = _states(task, 64), design.controller_view
-    assert view.size(task.observation_size) == design.controller.sizes[0] == 21  # ten of each kind, and the time
-    out = np.zeros((64, 21))
-    angle = view.write(observed, task.heading, out)
-    offset = np.where(task.present[:, 0, :, None], task.objects[:, 0] - task.position[:, None], np.inf)
-    distance = np.hypot(*np.moveaxis(offset, -1, 0))
-    sees = distance.min(axis=1) < (8 if spec == "shes" else 6)
-    assert sees.sum() > 32
-    x, y = offset[np.arange(64), distance.argmin(axis=1)].T
-    off_centre = np.arctan2(y, x) - angle
-    assert (np.cos(off_centre)[sees] >= np.cos(np.pi / 10) - 1e-9).all()
-    assert (out[sees, 0] == out[sees, :10].max(axis=1)).all()
-    assert not out[~sees, :10].any()
-
-
-def test_without_food_in_range_the_frame_of_a_patrol_is_turned_along_its_walk():
-    """At (3, 0), inside the circle, the frame points to (4, 4); poison stays in its sector."""
-    view, heading = PatrolView(RINGS, [10, 11], OTHERS), np.array([0.0, np.pi / 2, 0.3])
-    food = [[0, 0, 0, 0], [0, 0, 0, 0], [0, 9, 0, 0]]
-    observed = np.array([[-1, *each, -2, 5, 6, 7, 8, 3, 0] for each in food], float)
-    before, out = observed.copy(), np.zeros((3, view.size(12)))
-    angle = view.write(observed, heading, out)
-    assert angle == pytest.approx([np.arctan2(4, 1), np.arctan2(4, 1), 0.3 - np.pi / 4])
-    assert out.tolist() == [
-        [0, 0, 0, 0, 7, 8, 5, 6, -1, -2],  # the walk lies ahead to the left of a robot that looks along x,
-        [0, 0, 0, 0, 6, 7, 8, 5, -1, -2],  # and ahead to the right of one that looks along y
-        [9, 0, 0, 0, 6, 7, 8, 5, -1, -2],
-    ]
+def test_the_view_by_sectors_has_the_readings_and_the_component_of_each_vector_along_each_sector(env, spec):
+    config = make_config(env, "smoke", {"spec": spec, "reset_noise": 0.1, **SECTORS})
+    design, task = build_algorithm(config).design, build_task(config, 8, is_evaluation=False)
+    observed, view = _states(task, 8), design.controller_view
+    before, out = observed.copy(), np.full((8, 50), np.nan)
+    assert view.size(task.observation_size) == design.controller.sizes[0] == 50
+    assert view.write(observed, task.heading, out) is task.heading
     assert np.array_equal(observed, before)
+    assert out[:, :20].tolist() == observed[:, task.sensor_rings.ravel()].tolist()
+    for row in range(8):
+        vectors = (
+            [np.cos(task.heading[row]), np.sin(task.heading[row])],
+            task.position[row] / 8,
+            task.sim.qvel[row, :2],
+        )
+        for sector in range(10):
+            middle = task.heading[row] - np.pi + (sector + 0.5) * np.pi / 5
+            along = [vector[0] * np.cos(middle) + vector[1] * np.sin(middle) for vector in vectors]
+            assert out[row, 20 + sector :: 10].tolist() == pytest.approx(along, abs=1e-12)
+    names = view.names(task.observation_names)
+    assert len(set(names)) == 50
+    assert (names[0], names[10], names[21], names[49]) == (
+        "food_0", "poison_0", "heading along sector 1", "velocity along sector 9",
+    )  # fmt: skip
 
 
-def test_a_patrol_walks_on_its_circle_from_wherever_it_starts():
-    """From anywhere in the arena, a robot that follows the frame comes to walk on the circle."""
-    view, rng = PatrolView(RINGS, [10, 11], OTHERS), np.random.default_rng(9)
-    place, out = rng.uniform(-12, 12, (100, 2)), np.zeros((100, view.size(12)))
-    for _ in range(600):
-        observed = np.hstack([np.zeros((100, 10)), place])
-        angle = view.write(observed, rng.uniform(-9, 9, 100), out)
-        before, place = place, place + 0.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    assert np.hypot(*place.T) == pytest.approx(PATROL_RADIUS_M, abs=0.5)
-    assert (before[:, 0] * place[:, 1] - before[:, 1] * place[:, 0] > 0).all()  # counter-clockwise
-
-
-@pytest.mark.parametrize("view", ["nearest", "patrol"])
-def test_a_task_without_sensors_around_the_robot_has_no_nearest_view(view):
+def test_a_task_without_sensors_around_the_robot_has_no_view_by_sectors():
     message = (
-        rf"'{view}', but ant-maze has the ant, and no sensors around it.*, as Gather has\. Set --controller-view to"
+        r"'sectors', but ant-maze has the ant, and no sensors around it.*, as Gather has\. Set --controller-view to"
     )
     with pytest.raises(ConfigError, match=message):
-        build_algorithm(make_config("ant-maze", "smoke", {"controller_view": view}))
+        build_algorithm(make_config("ant-maze", "smoke", SECTORS))
 
 
 POSITION = ("torso_x", "torso_y")

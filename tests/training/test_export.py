@@ -35,10 +35,10 @@ KINDS = {
     "ant with two levels": ("ant-gather", {"goal_encoding": "angle", "controller_interval": 5}),
     "one-hot controller": ("ant-maze", {"controller_output": "one_hot", "primitive_view": "proprioception"}),
     "egocentric points": ("point-fall", {**EGOCENTRIC, "controller_view": "egocentric", "goal_encoding": "vector"}),
-    "towards food": ("point-gather", {"controller_view": "nearest", "controller_output": "heading_direction"}),
-    "patrol": (
-        "point-gather",
-        {"controller_view": "patrol", "controller_output": "heading_direction"},
+    "sectors": ("ant-gather", {"controller_view": "sectors", "controller_output": "heading_vector"}),
+    "equivariant": (
+        "ant-gather",
+        {"controller_network": "equivariant", "controller_view": "sectors", "controller_output": "heading_direction"},
     ),
     "position": ("point-push", {"controller_view": "position", "controller_output": "direction"}),
     "rotations": (

@@ -9,7 +9,6 @@ import pytest
 from PIL import Image, ImageSequence
 
 from shes.drawing import opengl
-from shes.envs.markers import FRAME
 from shes.errors import CheckpointError, ConfigError, RunFolderError, StorageError
 from shes.training.evaluate import evaluate
 from shes.viewing.playback import Playback
@@ -127,23 +126,6 @@ def test_what_the_sensors_read_is_shown_if_asked_for(tiny_run):
         lines = len(with_them.markers) - len(without.markers)
         assert lines > 0
         assert with_them.markers[-1] == without.markers[-1]
-
-
-def test_the_frame_of_the_controller_is_turned_to_the_nearest_food_and_shown():
-    playback = Playback("ant-gather", "best", steps=30, sensors=True)
-    task, num_sensing = playback.task, 0
-    for moment in playback.play(3):
-        (frame,) = (marker for marker in moment.markers if marker.color == FRAME)
-        way = np.subtract(frame.end, frame.position)[:2]
-        assert frame.position[:2] == tuple(task.position[0])
-        assert np.hypot(*way) == pytest.approx(2.0)
-        food = (task.objects[0, 0] - task.position[0])[task.present[0, 0]]
-        distance = np.hypot(*food.T)
-        if distance.min() < 8:  # the sensors' range; their sectors are 36 degrees wide
-            num_sensing += 1
-            cosine = food[distance.argmin()] @ way / (distance.min() * 2)
-            assert cosine >= np.cos(np.radians(18.001))
-    assert num_sensing > 20
 
 
 @pytest.mark.parametrize("camera", ["follow", "top"])

@@ -106,14 +106,18 @@ class AgentBatch(ABC, Generic[Design]):
         self.shares_noise = shares_noise
         self.num_rows = rows = num_lanes * rows_per_lane
         self.theta = tuple(self._zero_parameters(num_lanes, dim) for dim in design.dims)
-        """Parameters, or noise, [P, D] of each level. Write those of a lane before `start`."""
+        """Parameters, or noise, [P, D] of each level. Write those of a lane before `start`, which expands them."""
 
         def zeros(size: int) -> F32Array:
             return xp.zeros((num_lanes, rows_per_lane, size), np.float32)
 
         self.scale: tuple[F32Array, ...] = tuple(zeros(1) for _ in design.dims)
         """Factor of the lane's noise in the parameters of each episode [P, R, 1], at each level."""
-        self._mean = tuple(self._zero_parameters(1, dim) for dim in design.dims)
+        self._weights = tuple(  # those of a network without ties are its parameters
+            self._zero_parameters(num_lanes, policy.num_weights) if policy.is_tied else theta
+            for policy, theta in zip(design.policies, self.theta, strict=True)
+        )
+        self._mean = tuple(self._zero_parameters(1, policy.num_weights) for policy in design.policies)
         self.moments = tuple(Moments.zeros(rows, size, xp) for size in design.observation_sizes)
         self.is_recording = False
         """Whether observations are summed into `moments`."""
@@ -128,7 +132,7 @@ class AgentBatch(ABC, Generic[Design]):
         self._policies = design.policies
         self._control_limit = np.float32(design.control_limit)
         self._clock = design.clock
-        self._layers = [policy.layers(theta) for policy, theta in zip(design.policies, self.theta, strict=True)]
+        self._layers = [policy.layers(own) for policy, own in zip(design.policies, self._weights, strict=True)]
         self._mean_layers = [policy.layers(mean) for policy, mean in zip(design.policies, self._mean, strict=True)]
         self._normalisation: list[tuple[Any, Any]] = [(0.0, 1.0)] * len(design.dims)
         self.allocate()
@@ -148,15 +152,15 @@ class AgentBatch(ABC, Generic[Design]):
 
     def centre_on(self, levels: tuple[LevelParameters, ...]) -> None:
         """Set the mean parameters, to which noise is added, to those of `levels`."""
-        for mean, level in zip(self._mean, levels, strict=True):
-            mean[0] = self.xp.asarray(level.theta)
+        for policy, mean, level in zip(self._policies, self._mean, levels, strict=True):
+            mean[:] = policy.expand(self.xp.asarray(level.theta)[None], self.xp)
         self._mean_layers = [self._contiguous(*each) for each in zip(self._policies, self._mean, strict=True)]
 
     def parameters(self, lane: int) -> tuple[F32Array, ...]:
-        """Return for each level the parameters [D] of a lane, or mean and noise [2, D] if noise is shared."""
+        """Return for each level the weights [W] of a lane, or mean and noise [2, W] if noise is shared."""
         if not self.shares_noise:
-            return tuple(theta[lane] for theta in self.theta)
-        return tuple(self.xp.stack([mean[0], theta[lane]]) for mean, theta in zip(self._mean, self.theta, strict=True))
+            return tuple(weights[lane] for weights in self._weights)
+        return tuple(self.xp.stack([mean[0], own[lane]]) for mean, own in zip(self._mean, self._weights, strict=True))
 
     def start(self, lanes: slice | IntArray) -> None:
         """Start new episodes in `lanes`."""
@@ -165,8 +169,11 @@ class AgentBatch(ABC, Generic[Design]):
         self.goals_reached[rows] = 0
         for moments in self.moments:
             moments.clear(rows)
+        for policy, theta, weights in zip(self._policies, self.theta, self._weights, strict=True):
+            if policy.is_tied:
+                weights[lanes] = policy.expand(theta[lanes], self.xp)
         if self.xp is not np:
-            self._layers = [self._contiguous(*each) for each in zip(self._policies, self.theta, strict=True)]
+            self._layers = [self._contiguous(*each) for each in zip(self._policies, self._weights, strict=True)]
         if self.shares_noise:
             self._spread(lanes)
 
@@ -219,9 +226,9 @@ class AgentBatch(ABC, Generic[Design]):
     def _zero_parameters(self, rows: int, size: int) -> F32Array:
         return aligned_rows(rows, size) if self.xp is np else self.xp.zeros((rows, size), np.float32)
 
-    def _contiguous(self, policy: MLP, theta: F32Array) -> Layers:
-        """Return the layers of `theta` [P, D]: on a GPU as contiguous copies, else it would copy them in every step."""
-        layers = policy.layers(theta)
+    def _contiguous(self, policy: MLP, own: F32Array) -> Layers:
+        """Return the layers of weights [P, W]: on a GPU as contiguous copies, else it would copy them in every step."""
+        layers = policy.layers(own)
         if self.xp is np:
             return layers
         return tuple((self.xp.ascontiguousarray(weights), biases) for weights, biases in layers)
@@ -257,7 +264,8 @@ class AgentBatch(ABC, Generic[Design]):
             rows = self._rows_of_levels[level]
         if not isinstance(lanes, slice):
             # Each row on a cache line, as in theta: the place of a policy must not change its rounding.
-            own = np.take(self.theta[level], lanes, axis=0, out=aligned_rows(len(lanes), self.theta[level].shape[1]))
+            weights = self._weights[level]
+            own = np.take(weights, lanes, axis=0, out=aligned_rows(len(lanes), weights.shape[1]))
             layers = policy.layers(own)
             rows = rows and tuple((scales[lanes], biases[lanes]) for scales, biases in rows)
         if rows is None:

@@ -62,17 +62,15 @@ class HierarchicalAgent(GoalReachingAgent[HierarchicalDesign]):
         """Return the goals that the controllers set."""
         design, seen = self.design, self._controller_inputs[rows]
         observation, heading = given.observation[rows], given.heading[rows]
-        view = self._controller_view
-        angle = view.write(observation, heading, seen)
+        self._controller_view.write(observation, heading, seen)
         if self.is_recording:
             self.moments[CONTROLLER].add(rows, seen)
         scaled = normalise(seen, *self._normalisation[CONTROLLER], design.input_clip)
         output = self._forward(CONTROLLER, self._by_lane(scaled), due)
         if noise is not None:
             output += noise[due]
-        flat = output.reshape(len(scaled), -1)
-        towards = angle if view.turns_outputs else heading
-        vector = design.controller_output.vector(flat.astype(np.float64), towards, design.goal_distance)
+        flat = output.reshape(len(scaled), -1).astype(np.float64)
+        vector = design.controller_output.vector(flat, heading, design.goal_distance)
         if design.has_minimum_goal_distance:
             vector = _push_outward(vector)
         return given.position[rows] + vector

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class ControllerOutput(ABC):
     A subclass that is also a `shes.settings.Settings` dataclass has its fields as flags of `shes train`.
     """
 
-    size: ClassVar[int]
+    size: int
     """Number of outputs of the network."""
 
     @abstractmethod
@@ -118,6 +118,28 @@ class OneHotOutput(ControllerOutput):
         angle += heading
         distance = np.maximum(output.max(axis=1).astype(np.float64) * goal_distance, MIN_DISTANCE_M)
         return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
+
+
+class SectorOutput(ControllerOutput):
+    """Sum of the outputs of the sectors around the robot, each a vector along its sector's middle.
+
+    The sum is what the `of_sum` output takes as (ahead, left), so turned outputs turn the goal. Equal outputs cancel.
+    """
+
+    def __init__(self, num_sectors: int, of_sum: ControllerOutput) -> None:
+        """Sum up `num_sectors` outputs, counter-clockwise from straight behind."""
+        self.size = num_sectors
+        self._of_sum = of_sum
+        middle = (np.arange(num_sectors) + 0.5) * (2 * np.pi / num_sectors) - np.pi
+        self._along: F64Array = np.stack([np.cos(middle), np.sin(middle)]) * (2 / num_sectors)
+
+    def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
+        """Return the vector to the goal for the sum of the sectors' vectors."""
+        # Not a matmul: on a device the constants would have to be transferred, and its rounding depends on the rows.
+        ahead, left = (
+            sum(output[:, sector] * float(part) for sector, part in enumerate(along)) for along in self._along
+        )
+        return self._of_sum.vector(np.stack([ahead, left], axis=1), heading, goal_distance)
 
 
 CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(

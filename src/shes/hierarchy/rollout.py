@@ -202,9 +202,10 @@ class Rollout:
             k = lane.task.slots.index(slot)
             results = lane.results
             results.outcomes[k] = outcomes[i]
-            for mine, summed in zip(results.moments or (), moments, strict=False):
+            for policy, mine, summed in zip(self.design.policies, results.moments or (), moments, strict=False):
                 for taken, of_all in zip((mine.count, mine.total, mine.total_squares), summed, strict=True):
                     taken[k] = of_all[i]
+                policy.pool(mine.total[k], mine.total_squares[k])
             if lane.task.kept_slot == slot:
                 has_ended_early = outcomes["has_diverged"][i] or outcomes["has_terminated"][i]
                 results.snapshots[k] = None if has_ended_early else self._snapshot(row, lane.task)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.hierarchy.views import ColumnsView, EgocentricView, NearestView, PatrolView, View
+from shes.hierarchy.views import ColumnsView, EgocentricView, SectorsView, View
 from shes.options import subclass_of
 from shes.registry import Registry
 
@@ -82,28 +82,18 @@ class EgocentricAndOthers(Egocentric):
         return _not_the_robots(task)
 
 
-class Nearest(ViewChoice):
-    """The task's sensors in a frame turned to the nearest food, and the time (Gather)."""
-
-    lack = "and no sensors around it, as Gather has"
-
-    def of(self, task: EpisodeBatch) -> View | None:
-        """Return the view of the sensors and of all values but the robot's, if there are sensors."""
-        if not task.sensor_rings.size:
-            return None
-        return NearestView(task.sensor_rings.tolist(), _beside_the_sensors(task))
-
-
-class Patrol(ViewChoice):
-    """As nearest; while no food is in range, in a frame turned along a walk around the origin (Gather)."""
+class Sectors(ViewChoice):
+    """The task's sensors, and the heading and the position by sector (Gather): what the equivariant network needs."""
 
     lack = "and no sensors around it beside its position, as Gather has"
 
     def of(self, task: EpisodeBatch) -> View | None:
-        """Return the view of the sensors and of all values but the robot's, if there are sensors and a position."""
-        if not task.sensor_rings.size or not len(task.position_columns):
+        """Return the view of the sensors and the vectors, if there are sensors and a position."""
+        if not task.sensor_rings.size or not len(task.position_columns) or task.robot is None:
             return None
-        return PatrolView(task.sensor_rings.tolist(), task.position_columns.tolist(), _beside_the_sensors(task))
+        velocity = task.proprioception[task.robot.num_qpos :][:2]  # that of a root joint is in the world's frame
+        vectors = {"position": task.position_columns.tolist(), "velocity": velocity.tolist()}
+        return SectorsView(task.sensor_rings.tolist(), vectors)
 
 
 class Position(ViewChoice):
@@ -119,12 +109,6 @@ class Position(ViewChoice):
         if not len(task.position_columns):
             return None
         return ColumnsView([*task.position_columns.tolist(), *_not_the_robots(task)])
-
-
-def _beside_the_sensors(task: EpisodeBatch) -> list[int]:
-    """Return the indices of the observed values besides the robot's coordinates and the sensors, in ascending order."""
-    sensors = set(task.sensor_rings.ravel().tolist())
-    return [index for index in _not_the_robots(task) if index not in sensors]
 
 
 def _not_the_robots(task: EpisodeBatch) -> list[int]:
@@ -144,8 +128,7 @@ CONTROLLER_VIEWS: Registry[type[ViewChoice]] = Registry(
     {
         "observation": WholeObservation,
         "egocentric": EgocentricAndOthers,
-        "nearest": Nearest,
-        "patrol": Patrol,
+        "sectors": Sectors,
         "position": Position,
     },
     fix="Set --controller-view.",

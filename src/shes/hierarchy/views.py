@@ -7,7 +7,7 @@ views).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -16,8 +16,8 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.types import F64Array, IntArray
 
-PATROL_RADIUS_M = 4.0
-"""Radius of the walk of `PatrolView`. Sensors that reach 8 m then cover all of Gather's food but the far corners."""
+SECTORS_SCALE = {"position": 8.0, "velocity": 1.0}
+"""Length in metres, and speed in metres per second, that read 1 in `SectorsView`."""
 
 
 class View(ABC):
@@ -25,8 +25,6 @@ class View(ABC):
 
     is_egocentric: bool = False
     """Whether the values, and the goals beside them, are expressed in the robot's own frame."""
-    turns_outputs: bool = False
-    """Whether a controller's outputs that are relative to the heading are relative to the view's frame instead."""
 
     @abstractmethod
     def size(self, observation_size: int) -> int:
@@ -138,112 +136,62 @@ class EgocentricView(View):
         return EgocentricView(self.body, *self._places, xp)
 
 
-class NearestView(View):
-    """Sensors around the robot in a frame that is turned towards the nearest thing that they sense, and other values.
+class SectorsView(View):
+    """A task's range sensors and three vectors, each as one value per sector around the robot: a symmetric input.
 
-    The frame is turned by whole sectors, and the readings are rotated with it: the strongest reading of the first ring
-    is always that of sector 0, the others follow counter-clockwise. Without any reading the frame is that of the sector
-    to the left of straight ahead. What a controller learns for one direction it has thereby learned for all.
+    Turning the world around the robot, or mirroring it, permutes the sectors of every channel alike. The channels are
+    the rings of sensors, the heading, the robot's position in the world, and its velocity. A vector's value in a sector
+    is its component along the sector's middle. The heading is always straight ahead, so its values are constants, by
+    which a controller can tell the sectors apart.
 
-    The robot's own state is not among the values: it has no part in where to go, and each input of a controller adds
-    the noise of its weights.
-
-    Source: `docs/learning.md`, "A controller's frame".
-    """
-
-    turns_outputs = True
-
-    def __init__(self, rings: Sequence[Sequence[int]], others: Sequence[int] = (), xp: ModuleType = np) -> None:
-        """See the sensors at `rings` [ring, sector], then the values at `others`."""
-        self._places = tuple(tuple(ring) for ring in rings), tuple(others)
-        self._rings = xp.asarray(np.array(rings, dtype=np.int64))
-        self._others = _columns(self._places[1], xp)
-        self._sectors = xp.arange(self._rings.shape[1])
-
-    def size(self, observation_size: int) -> int:
-        """Return the number of sensors and of the other values."""
-        return self._rings.size + len(self._places[1])
-
-    def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
-        """Rotate the readings and copy the other values; return the bearing of the nearest sector's middle."""
-        first = observation[:, self._rings[0]]
-        nearest = np.where(first.max(axis=1) > 0, first.argmax(axis=1), len(self._sectors) // 2)
-        self._write_from(nearest, observation, out)
-        return self._bearing(nearest, heading)
-
-    def _write_from(self, sector: IntArray, observation: F64Array, out: F64Array) -> None:
-        """Write the readings, rotated so that `sector` [N] is the first, and the other values."""
-        turned = (sector[:, None] + self._sectors) % len(self._sectors)  # [N, sector]
-        columns = self._rings[:, turned].swapaxes(0, 1).reshape(len(out), -1)  # [N, ring * sector]
-        out[:, : self._rings.size] = np.take_along_axis(observation, columns, axis=1)
-        out[:, self._rings.size :] = observation[:, self._others]
-
-    def _bearing(self, sector: IntArray, heading: F64Array) -> F64Array:
-        """Return the bearing of the middle of `sector` [N] in the world [N] in radians."""
-        return heading + ((sector + 0.5) * (2 * np.pi / len(self._sectors)) - np.pi)
-
-    def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
-        """Return the names of the sensors, by sectors from the nearest, and of the other values."""
-        rings, others = self._places
-        turned = (f"{observation_names[ring[0]]} + {i} from nearest" for ring in rings for i in range(len(ring)))
-        return (*turned, *(observation_names[i] for i in others))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the indices of the sensors and of the other values."""
-        rings, others = self._places
-        return {"kind": "nearest", "rings": [list(ring) for ring in rings], "columns": list(others)}
-
-    def on(self, xp: ModuleType) -> NearestView:
-        """Return this view for arrays of `xp`."""
-        return NearestView(*self._places, xp)
-
-
-class PatrolView(NearestView):
-    """As `NearestView`, but while nothing is in range the frame is aligned with a walk around the origin.
-
-    The walk is a circle of radius r = `PATROL_RADIUS_M`, counter-clockwise. The frame points to a place at a distance
-    of r sqrt(2) from the origin, an eighth of a turn ahead: along the tangent for a robot on the circle, back to it for
-    any other. A controller that goes straight ahead thereby searches the arena without memory.
-
-    Source: `docs/learning.md`, "Searching".
+    Source: `docs/learning.md`, "Equivariant controllers".
     """
 
     def __init__(
-        self,
-        rings: Sequence[Sequence[int]],
-        position: Sequence[int],
-        others: Sequence[int] = (),
-        xp: ModuleType = np,
+        self, rings: Sequence[Sequence[int]], vectors: Mapping[str, Sequence[int]], xp: ModuleType = np
     ) -> None:
-        """See the sensors at `rings` [ring, sector] and the values at `others`; x and y are at `position`."""
-        super().__init__(rings, others, xp)
-        self._position = int(position[0]), int(position[1])
+        """See the sensors at `rings` [ring, sector], and the vectors whose x and y are at these places, by name."""
+        self.rings = tuple(tuple(ring) for ring in rings)
+        self.vectors = {name: (int(x), int(y)) for name, (x, y) in vectors.items()}
+        self.num_sectors = len(self.rings[0])
+        """Number of sectors, S. The first begins straight behind the robot, the others follow counter-clockwise."""
+        self.num_channels = len(self.rings) + 1 + len(self.vectors)
+        """Number of values per sector, C."""
+        self._columns = _columns(tuple(index for ring in self.rings for index in ring), xp)
+        middle = (np.arange(self.num_sectors) + 0.5) * (2 * np.pi / self.num_sectors) - np.pi
+        self._ahead, self._left = (xp.asarray(part) for part in (np.cos(middle), np.sin(middle)))
+
+    def size(self, observation_size: int) -> int:
+        """Return the number of channels times the number of sectors."""
+        return self.num_channels * self.num_sectors
 
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
-        """Rotate the readings and copy the other values; see `View.write`."""
-        x, y = (observation[:, column] for column in self._position)
-        first, count = observation[:, self._rings[0]], len(self._sectors)
-        senses, round_origin = first.max(axis=1) > 0, np.arctan2(y, x) + np.pi / 4
-        far = PATROL_RADIUS_M * np.sqrt(2)  # whoever always walks towards a point at this distance stays on the circle
-        way = np.arctan2(far * np.sin(round_origin) - y, far * np.cos(round_origin) - x)
-        turn = (way - heading) / (2 * np.pi) + 0.5
-        facing = np.minimum(((turn - np.floor(turn)) * count).astype(np.intp), count - 1)
-        sector = np.where(senses, first.argmax(axis=1), facing)
-        self._write_from(sector, observation, out)
-        return np.where(senses, self._bearing(sector, heading), way)
+        """Write the channels one after another; see `View.write`."""
+        channels = out.reshape(len(out), self.num_channels, self.num_sectors)
+        rings = len(self.rings)
+        channels[:, :rings] = observation[:, self._columns].reshape(len(out), rings, self.num_sectors)
+        channels[:, rings] = self._ahead
+        cosine, sine = np.cos(heading), np.sin(heading)
+        for channel, (name, columns) in enumerate(self.vectors.items(), rings + 1):
+            x, y = (observation[:, column] / SECTORS_SCALE[name] for column in columns)
+            ahead, left = cosine * x + sine * y, cosine * y - sine * x
+            channels[:, channel] = ahead[:, None] * self._ahead + left[:, None] * self._left
+        out[:] = channels.reshape(out.shape)
+        return heading
+
+    def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
+        """Return the names of the sensors, then those of the components of the vectors."""
+        vectors = (f"{name} along sector {i}" for name in ("heading", *self.vectors) for i in range(self.num_sectors))
+        return (*(observation_names[i] for ring in self.rings for i in ring), *vectors)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the indices of the sensors, of the position and of the other values, and the radius in metres."""
-        return super().to_dict() | {
-            "kind": "patrol",
-            "position": list(self._position),
-            "radius_m": PATROL_RADIUS_M,
-        }
+        """Return the indices of the sensors and of each vector, with its scale."""
+        vectors = [[*columns, SECTORS_SCALE[name]] for name, columns in self.vectors.items()]
+        return {"kind": "sectors", "rings": [list(ring) for ring in self.rings], "columns": [], "vectors": vectors}
 
-    def on(self, xp: ModuleType) -> PatrolView:
+    def on(self, xp: ModuleType) -> SectorsView:
         """Return this view for arrays of `xp`."""
-        rings, others = self._places
-        return PatrolView(rings, self._position, others, xp)
+        return SectorsView(self.rings, self.vectors, xp)
 
 
 def _columns(indices: tuple[int, ...], xp: ModuleType) -> slice | IntArray:

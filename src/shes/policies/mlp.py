@@ -8,13 +8,14 @@ its number of rows stays the same. Callers therefore never change the row count 
 from __future__ import annotations
 
 from itertools import pairwise
+from types import ModuleType
 from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
 
 from shes.checked import checked
 from shes.settings import Example, Ge
-from shes.types import F32Array
+from shes.types import F32Array, F64Array
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
 """`glorot_normal` is that of the authors' code: a bias vector of n has the standard deviation sqrt(2 / (1 + n))."""
@@ -46,6 +47,8 @@ class MLP:
 
     hidden_activation: ClassVar[str] = "tanh"
     """Activation of the hidden layers, for an exported agent. That of the output is tanh."""
+    is_tied: ClassVar[bool] = False
+    """Whether weights share parameters, so that `expand` has to be called before `layers`."""
 
     @checked
     def __init__(
@@ -53,7 +56,7 @@ class MLP:
     ) -> None:
         """Create a network with layers of these sizes; raise ConfigError unless the hidden ones are positive."""
         self.sizes = (num_inputs, *hidden, num_outputs)
-        self.num_params = sum((fan_in + 1) * fan_out for fan_in, fan_out in pairwise(self.sizes))
+        self.num_params = self.num_weights = sum((fan_in + 1) * fan_out for fan_in, fan_out in pairwise(self.sizes))
 
     def initial(
         self, rng: np.random.Generator, bias_initialisation: str = "zero", output_initialisation: str = "glorot_normal"
@@ -68,19 +71,28 @@ class MLP:
             parts[-2:] = [np.zeros_like(part) for part in parts[-2:]]
         return np.concatenate(parts)
 
-    def layers(self, theta: F32Array) -> Layers:
-        """Return the layers of policies `theta` [P, D] as views."""
-        policies, start = theta.shape[0], 0
+    def expand(self, theta: F32Array, xp: ModuleType = np) -> F32Array:
+        """Return the weights and biases [P, W] of policies `theta` [P, D]: here the parameters themselves."""
+        return theta
+
+    def pool(self, total: F64Array, total_squares: F64Array) -> None:
+        """Make sums over observations [O] as symmetric as the network, in place: here they remain as they are."""
+
+    def layers(self, weights: F32Array) -> Layers:
+        """Return the layers of policies with `weights` [P, W], as `expand` returns them, as views."""
+        policies, start = weights.shape[0], 0
         found: list[tuple[F32Array, F32Array]] = []
         for fan_in, fan_out in pairwise(self.sizes):
             end = start + fan_in * fan_out
-            found.append((theta[:, start:end].reshape(policies, fan_in, fan_out), theta[:, None, end : end + fan_out]))
+            found.append(
+                (weights[:, start:end].reshape(policies, fan_in, fan_out), weights[:, None, end : end + fan_out])
+            )
             start = end + fan_out
         return tuple(found)
 
     def act(self, theta: F32Array, observation: F32Array) -> F32Array:
         """Return the outputs [P, R, A] in [-1, 1] of policies `theta` [P, D] on normalised `observation` [P, R, O]."""
-        return self.forward(self.layers(theta), observation)
+        return self.forward(self.layers(self.expand(theta)), observation)
 
     @staticmethod
     def activate(layer: F32Array) -> None:

@@ -117,6 +117,7 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         found["controller"] = {
             "view": design.controller_view.to_dict(),
             "output": settings["controller_output"],
+            "num_sectors": design.controller_output.size if design.controller.is_tied else 0,
             "goal_distance_m": design.goal_distance,
             "min_component_m": float(MIN_COMPONENT_M) if design.has_minimum_goal_distance else 0.0,
         }
@@ -173,7 +174,9 @@ def _write_npz(path: Path, description: Mapping[str, Any], networks: Networks) -
     arrays: dict[str, Any] = {"description": np.array(json.dumps(description))}
     for name, (policy, level) in networks.items():
         arrays |= {f"{name}/mean": level.mean, f"{name}/inverse_std": level.inverse_std}
-        for i, (weights, biases) in enumerate(policy.layers(level.theta[None])):
+        if policy.is_tied:  # the layers below are expanded, so that a reader needs no case for them
+            arrays[f"{name}/parameters"] = level.theta
+        for i, (weights, biases) in enumerate(policy.layers(policy.expand(level.theta[None]))):
             arrays |= {f"{name}/weights_{i}": weights[0], f"{name}/biases_{i}": biases[0, 0]}
     write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
     return (path,)

@@ -37,7 +37,6 @@ class Agent:
     @checked
     def __init__(self, run: OpenedRun, num_envs: Annotated[int, Ge(1)] = 1) -> None:
         self._build(run.config, run.algorithm, run.algorithm.parameters(run.state), num_envs)
-        self.reset()
 
     def __repr__(self) -> str:
         """Return the environment, the levels with their numbers of parameters, and the number of environments."""
@@ -58,6 +57,7 @@ class Agent:
         self._agent.normalise_by(levels)
         for theta, level in zip(self._agent.theta, levels, strict=True):
             theta[:] = level.theta
+        self.reset()
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the agent's settings, parameters and running episodes, for `pickle` and `copy`."""

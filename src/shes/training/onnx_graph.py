@@ -33,7 +33,8 @@ def onnx_model(name: str, policy: MLP, level: LevelParameters, clip: float | Non
         helper.make_node("Min", ["above", "high"], ["clipped"]),
         helper.make_node("Cast", ["clipped"], ["layer_0"], to=kinds.FLOAT),
     ]
-    layers, hidden = policy.layers(level.theta[None]), {"tanh": "Tanh", "relu": "Relu"}[policy.hidden_activation]
+    layers = policy.layers(policy.expand(level.theta[None]))
+    hidden = {"tanh": "Tanh", "relu": "Relu"}[policy.hidden_activation]
     for i, (weights, biases) in enumerate(layers):
         constants |= {f"weights_{i}": weights[0], f"biases_{i}": biases[0, 0]}
         end, activation = ("output", "Tanh") if i == len(layers) - 1 else (f"layer_{i + 1}", hidden)

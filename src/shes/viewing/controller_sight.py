@@ -1,4 +1,4 @@
-"""The inputs of a controller in words, before normalisation, and the direction of its frame."""
+"""The inputs of a controller in words, before normalisation."""
 
 from __future__ import annotations
 
@@ -7,12 +7,8 @@ import re
 import numpy as np
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.envs.markers import FRAME, Marker, line
 from shes.hierarchy.views import View
 
-ABOVE_GROUND_M = 0.03
-LINE_RADIUS_M = 0.05
-_FRAME_LENGTH_M = 2.0
 _MOST_LISTED = 12
 """Number of inputs up to which each is listed; of more, those whose names begin with one word are summed up."""
 _FEW_ALIKE = 3
@@ -29,15 +25,11 @@ class ControllerSight:
         self._position = {task.observation_names[column] for column in task.position_columns}
         self._seen = np.zeros((1, len(self._names)))
 
-    def look(self) -> tuple[tuple[str, ...], list[Marker]]:
-        """Return what the controller sees now, in words, and a line along its frame if that is not the robot's own."""
-        angle = float(self._view.write(self._task.observe(), self._task.heading, self._seen)[0])
+    def look(self) -> tuple[str, ...]:
+        """Return what the controller sees now, in words."""
+        self._view.write(self._task.observe(), self._task.heading, self._seen)
         count = len(self._names)
-        words = [f"controller sees {count} value{'s' * (count != 1)}", *self._described()]
-        if not self._view.turns_outputs:
-            return tuple(words), []
-        degrees = (np.degrees(angle) + 180) % 360 - 180
-        return (*words, f"frame at {degrees:.0f} degrees"), [self._frame(angle)]
+        return (f"controller sees {count} value{'s' * (count != 1)}", *self._described())
 
     def _described(self) -> list[str]:
         """Return names and values of the inputs; of many, the largest of those that begin with one word."""
@@ -52,12 +44,6 @@ class ControllerSight:
             else:
                 found.append(f"{len(kind)} of {word} up to {max(kind.values()):.2f}")
         return found
-
-    def _frame(self, angle: float) -> Marker:
-        """Return a line from the robot in direction `angle` in radians."""
-        (x, y), height = self._task.position[0], self._task.ground_m + ABOVE_GROUND_M
-        end = (x + _FRAME_LENGTH_M * np.cos(angle), y + _FRAME_LENGTH_M * np.sin(angle), height)
-        return line((x, y, height), end, LINE_RADIUS_M, FRAME)
 
 
 def _first_word(name: str) -> str:

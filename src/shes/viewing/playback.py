@@ -17,9 +17,11 @@ from shes.training.build import open_run
 from shes.training.evaluate import fresh_seeds
 from shes.training.loaded_agent import Agent
 from shes.types import F64Array
-from shes.viewing.controller_sight import ABOVE_GROUND_M, LINE_RADIUS_M, ControllerSight
+from shes.viewing.controller_sight import ControllerSight
 
 _TRAIL_STEPS = 150
+_ABOVE_GROUND_M = 0.03
+_LINE_RADIUS_M = 0.05
 _GOAL_RADIUS_M = 0.45
 
 
@@ -30,8 +32,7 @@ class Moment:
     pose: Any
     """The pose to draw: qpos [nq] or a picture."""
     markers: list[Marker]
-    """The task's markers, those of the sensors and of the controller's frame if asked for, the goal, and the robot's
-    trail."""
+    """The task's markers, those of the sensors if asked for, the goal, and the robot's trail."""
     facts: tuple[str, ...]
     """Label of the agent, if any, its training so far, time, score, and how the episode ended."""
     seen: tuple[str, ...] = ()
@@ -86,13 +87,12 @@ class Playback:
     def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
         task = self.task
         sensed = task.sensor_markers(0) if self._has_sensors else []
-        seen, frame = ((), []) if self._sight is None else self._sight.look()
         facts = (*self._facts, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending)
         return Moment(
             pose=task.pose(0),
-            markers=[*task.markers(0), *sensed, *frame, *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
+            markers=[*task.markers(0), *sensed, *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
             facts=tuple(fact for fact in facts if fact),
-            seen=seen,
+            seen=() if self._sight is None else self._sight.look(),
         )
 
 
@@ -114,11 +114,11 @@ def _ending(task: EpisodeBatch, is_last: bool) -> str:
 
 def _goal_and_trail(goals: F64Array | None, trail: deque[F64Array], ground: float) -> list[Marker]:
     """Return markers of the robot's trail and position, and of the goal and a line to it, if there is one."""
-    height = ground + ABOVE_GROUND_M
+    height = ground + _ABOVE_GROUND_M
     places = [(*place, height) for place in trail]
-    way = [line(*pair, LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
+    way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
     spot = disc(places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
     if goals is None:
         return [*way, spot]
     goal = (*goals[0], height)
-    return [*way, spot, line(places[-1], goal, LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]
+    return [*way, spot, line(places[-1], goal, _LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]

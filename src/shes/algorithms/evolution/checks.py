@@ -30,6 +30,8 @@ def check_together(settings: Any) -> None:
             f"{settings.run.env}. Set --no-freeze-primitive to train it further."
         )
     _check_population(settings)
+    if "hierarchy" in settings and not is_alone(settings) and settings.hierarchy.controller_network == "equivariant":
+        _check_equivariant(settings.hierarchy)
     if is_branched(settings):
         _check_branches(settings)
 
@@ -78,6 +80,18 @@ def _check_population(settings: Any) -> None:
         perturbation.signs(0, small, evolution.mirrored, levels)
     except ConfigError:  # the message is to have the size that was asked for
         perturbation.signs(0, evolution.population_size, evolution.mirrored, levels)
+
+
+def _check_equivariant(hierarchy: Any) -> None:
+    """Check that the controller's view and output turn with the robot."""
+    allowed = {"controller_view": ("sectors",), "controller_output": ("heading_direction", "heading_vector")}
+    for name, values in allowed.items():
+        value = getattr(hierarchy, name)
+        if value not in values:
+            raise ConfigError(
+                f"controller_network is 'equivariant', but {name} is {value!r}, which does not turn with the robot. "
+                f"Set {flag(name)} {' or '.join(values)}, or --controller-network mlp."
+            )
 
 
 def _check_branches(settings: Any) -> None:

@@ -15,11 +15,12 @@ from shes.hierarchy.clock import Clock
 from shes.hierarchy.flat import FlatDesign
 from shes.hierarchy.goals import make_goal_encoding
 from shes.hierarchy.hierarchical import HierarchicalDesign
-from shes.hierarchy.outputs import make_controller_output
+from shes.hierarchy.outputs import SectorOutput, make_controller_output
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
 from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Proprioception, ViewChoice
-from shes.hierarchy.views import ColumnsView, View
+from shes.hierarchy.views import ColumnsView, SectorsView, View
+from shes.policies.equivariant import EquivariantMLP, sector_actions
 from shes.policies.mlp import MLP
 from shes.settings import flag
 
@@ -49,8 +50,14 @@ def hierarchical_design(problem: Problem) -> HierarchicalDesign:
         make_controller_output(settings.hierarchy.controller_output, settings.values),
         _controller_view(settings, task),
     )
+    hidden, controller = settings.networks.hidden, None
+    if settings.hierarchy.controller_network == "equivariant":
+        assert isinstance(view, SectorsView), "check_together has seen to it"
+        channels = (view.num_channels, *hidden, 1)
+        controller = EquivariantMLP([sector_actions(view.num_sectors, count) for count in channels])
+        output = SectorOutput(view.num_sectors, output)
     return HierarchicalDesign(
-        controller=MLP(view.size(task.observation_size), settings.networks.hidden, output.size),
+        controller=controller or MLP(view.size(task.observation_size), hidden, output.size),
         controller_output=output,
         controller_view=view,
         goal_distance=settings.hierarchy.goal_distance,
