@@ -28,6 +28,7 @@ WAYS: dict[str, tuple[str, dict[str, Any]]] = {
     "coevolved": ("ant-gather", {"env_steps": 2_000_000}),
 }
 """Environment and settings over the preset by way."""
+PLAIN = {"controller_network": "mlp", "hidden": (32,), "primitive_hidden": (64, 64)}
 CHOICES: dict[str, dict[str, dict[str, Any]]] = {
     "walker": {
         "preset": {},
@@ -37,11 +38,9 @@ CHOICES: dict[str, dict[str, dict[str, Any]]] = {
     },
     "transfer": {
         "preset": {},
-        "nearest": {"controller_view": "nearest"},
-        "egocentric, heading_vector": {"controller_view": "egocentric", "controller_output": "heading_vector"},
-        "egocentric, vector": {"controller_view": "egocentric", "controller_output": "vector"},
-        "observation, heading_vector": {"controller_view": "observation", "controller_output": "heading_vector"},
-        "observation, vector": {"controller_view": "observation", "controller_output": "vector"},
+        "a plain network of the same inputs": {"controller_network": "mlp", "hidden": (32,)},
+        "egocentric": {**PLAIN, "controller_view": "egocentric"},
+        "observation, vector": {**PLAIN, "controller_view": "observation", "controller_output": "vector"},
         "goals for 2.5 s": {"controller_interval": 25},
     },
     "coevolved": {
@@ -49,7 +48,7 @@ CHOICES: dict[str, dict[str, dict[str, Any]]] = {
         # Both levels then share population, sigma and learning rate: those of whole episodes in the learning study.
         "whole episodes": {"primitive_estimate": "episode", "sigma": 0.05, "learning_rate": 0.02},
         "one interval": {"intervals": 1},
-        "egocentric, heading_vector": {"controller_view": "egocentric", "controller_output": "heading_vector"},
+        "egocentric": {**PLAIN, "controller_view": "egocentric"},
     },
 }
 """Settings over those of the way; `preset` is the base of each."""

@@ -14,6 +14,8 @@ from shes.hierarchy.outputs import OneHotOutput, VectorOutput
 from shes.hierarchy.rewards import ProgressReward
 from shes.hierarchy.views import ColumnsView
 from shes.policies.mlp import MLP
+from shes.training.build import build_algorithm
+from shes.training.make_config import make_config
 from shes.types import CONTROLLER, PRIMITIVE
 
 INTERVAL = 4
@@ -363,3 +365,44 @@ def test_the_design_knows_its_sizes():
     assert design.dims == (7 * 4 + 4 + 4 * 2 + 2, 10 * 5 + 5 + 5 * 8 + 8)
     assert design.observation_sizes == (7, 10)
     assert (design.decision_size, design.controller_interval, design.intrinsic_level) == (2, INTERVAL, PRIMITIVE)
+
+
+@pytest.mark.parametrize("change", ["mirror", "turn"])
+def test_an_equivariant_controller_answers_a_changed_world_with_a_changed_goal(change):
+    """Normalisation included. The heading stays as it is, so a controller that sees it answers mirrored worlds only."""
+    equivariant = {"controller_network": "equivariant", "controller_view": "sectors", "minimum_goal_distance": False}
+    config = make_config("point-gather", "smoke", {**equivariant, "controller_output": "heading_direction"})
+    design, rng = build_algorithm(config).design, np.random.default_rng(5)
+    network, view = design.controller, design.controller_view
+    theta = rng.normal(0, 0.5, network.num_params).astype(np.float32)
+    if change == "turn":
+        of_heading = network.index[: network.sizes[0] * network.sizes[1]].reshape(5, 10, -1)[2]
+        theta[np.unique(of_heading)] = 0
+    total, squares = rng.uniform(0, 9, 50), rng.uniform(40, 60, 50)
+    network.pool(total, squares)
+    statistics = ObservationStatistics(count=20, total=total, total_squares=squares)
+    primitive = design.policies[1]
+    unseen = ObservationStatistics.empty(primitive.sizes[0])
+    levels = (LevelParameters.of(theta, statistics), LevelParameters.of(primitive.initial(rng), unseen))
+
+    def goals(observation, position):
+        agent = design.make(1, len(observation))
+        agent.normalise_by(levels)
+        agent.theta[0][0], agent.theta[1][0] = (level.theta for level in levels)
+        agent.start(slice(None))
+        agent.act(observation, position, np.zeros(len(observation)))
+        return agent.goal - position
+
+    observation = rng.uniform(0, 1, (6, 25))
+    angle = np.pi / 5
+    matrix = (
+        [[1, 0], [0, -1]] if change == "mirror" else [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    )
+    rings, changed = np.array(view.rings), observation.copy()
+    changed[:, rings] = observation[:, rings[:, ::-1] if change == "mirror" else np.roll(rings, 1, axis=1)]
+    for columns in view.vectors.values():
+        changed[:, columns] = observation[:, columns] @ np.transpose(matrix)
+    plain, answer = (goals(each, each[:, view.vectors["position"]]) for each in (observation, changed))
+    np.testing.assert_allclose(np.hypot(*plain.T), 4.0, rtol=1e-6)
+    np.testing.assert_allclose(answer, plain @ np.transpose(matrix), atol=1e-4)
+    assert np.abs(answer - plain).max() > 0.5

@@ -141,6 +141,10 @@ class SectorOutput(ControllerOutput):
         )
         return self._of_sum.vector(np.stack([ahead, left], axis=1), heading, goal_distance)
 
+    def of_direction(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, S] whose vectors add up to the directions `angles` [K]: their components."""
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1) @ self._along * (self.size / 2)
+
 
 CONTROLLER_OUTPUTS: Registry[type[ControllerOutput]] = Registry(
     "controller output",

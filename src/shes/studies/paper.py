@@ -63,7 +63,7 @@ _WORDS = {
     "ties": "… and output layers at zero, no update of ties",
     "gait": "… and a clock, a price of falls, output layers at zero",
     "goals": "… and goals of 1 s at full distance",
-    "patrol": "… and the controller's view turned to the nearest food",
+    "equivariant": "… and an equivariant controller",
     PIECES: "with the learning changes",
     HIRO: "HIRO",
 }

@@ -13,10 +13,10 @@ TASKS = ("gather", "maze", "push")
 PUBLISHED, PIECES = "published", "pieces"
 STEPS: Mapping[str, tuple[str, ...]] = {
     "point": ("views", "branches", "ties"),
-    "ant": ("views", "symmetry", "branches", "gait", "goals", "patrol"),
+    "ant": ("views", "symmetry", "branches", "gait", "goals", "equivariant"),
 }
 """Forms between the two, by body: each has the changes of those before it."""
-WITH_OTHER_GOALS = ("goals", "patrol")
+WITH_OTHER_GOALS = ("goals", "equivariant")
 """Those whose goals are not those as published."""
 STEPS_TASK = "gather"
 
@@ -82,6 +82,7 @@ _ALONE: dict[tuple[str, str], dict[str, Any]] = {
 _PIECES = (
     *("primitive_view", "symmetry", "goal_encoding", "clock_frequency", "primitive_estimate", "intervals"),
     *("fall_price", "output_weights", "weight_decay", "hold_tied", "controller_view", "controller_output"),
+    *("controller_network", "explore"),
     *("controller_interval", "minimum_goal_distance", "primitive_population_size", "primitive_sigma"),
     *("primitive_learning_rate", "max_tilt"),
 )
@@ -98,7 +99,7 @@ _STEP_NAMES = {
     "ties": ("output_weights", "weight_decay", "hold_tied"),
     "gait": ("clock_frequency", "fall_price", "output_weights", "weight_decay", "hold_tied"),
     "goals": ("controller_interval", "controller_output", "minimum_goal_distance"),
-    "patrol": ("controller_view",),
+    "equivariant": ("controller_view", "controller_network", "hidden", "primitive_hidden"),
 }
 """Settings of the form with the changes that each step adds to the form as published."""
 OF_PRIMITIVE = ("symmetry", "goal_encoding", "clock_frequency", "intervals", "fall_price", "hide_position")

@@ -61,8 +61,8 @@ def render(
         seed: Seed of the episodes, as for `evaluate`.
         size: Height and width of a view in pixels; even.
         steps: Maximum number of control steps; those of an evaluation if None.
-        sensors: Whether to show what the controller sees, in words, and what the agent's sensors read and the direction
-            of its controller's frame (purple), if it has any (Gather).
+        sensors: Whether to show what the controller sees, in words, and what the agent's sensors read, if it has any
+            (Gather).
         on_step: Called with the number of control steps drawn and their maximum.
 
     Returns:

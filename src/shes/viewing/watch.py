@@ -22,8 +22,8 @@ def watch(
         run: The run folder, or the name of a shipped agent.
         checkpoint: Checkpoint: `best`, `last` or the number of a generation.
         seed: Seed of the episodes, as for `evaluate`.
-        sensors: Whether to show what the controller sees, in words, and what the agent's sensors read and the direction
-            of its controller's frame (purple), if it has any (Gather).
+        sensors: Whether to show what the controller sees, in words, and what the agent's sensors read, if it has any
+            (Gather).
 
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
