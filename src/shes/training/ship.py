@@ -25,7 +25,7 @@ from shes.runs import shipped
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
-from shes.runs.shipped import AGENT_FILE, FreshEvaluation, ShippedAgent
+from shes.runs.shipped import AGENT_FILE, FreshEvaluation, FreshScore, ShippedAgent
 from shes.runs.tables import csv_text, read_csv
 from shes.storage import storage_errors, write_atomically
 from shes.training.build import open_run
@@ -86,14 +86,34 @@ def ship(
     with temporary:
         folder = RunFolder.create(Path(temporary.name) / name)
         _copy(source, checkpoint, chosen, folder, commands[-1])
-        found = evaluate(folder.path, episodes=episodes, seed=seed, num_workers=num_workers)
+        found = fresh_evaluation(folder, episodes=episodes, seed=seed, num_workers=num_workers)
         runs = [source, *(RunFolder.open(each) for each in earlier)]
-        agent = _describe(runs, chosen, found, seed, description, commands)
+        agent = _describe(runs, chosen, found, description, commands)
         text = json.dumps(agent.to_dict(), indent=2, ensure_ascii=False) + "\n"
         write_atomically(folder.path / AGENT_FILE, lambda file: file.write(text.encode()))
         with storage_errors(place / name):
             folder.path.rename(place / name)
     return agent
+
+
+def fresh_evaluation(run: RunFolder, *, seed: int | None, **chosen: int) -> FreshEvaluation:
+    """Return the scores of the agent in `run` and, on the same episodes, those of the other controllers, if it has one.
+
+    `chosen` are other arguments of `evaluate`.
+    """
+    trained = evaluate(run.path, seed=seed, **chosen)
+    others: dict[str, FreshScore | None] = {"constant": None, "random": None}
+    if trained.controller is not None:
+        for name in ("constant", "random"):
+            found = evaluate(run.path, seed=seed, controller=name, **chosen)
+            others[name] = FreshScore(**_shared(found, FreshScore))
+    return FreshEvaluation(seed=seed, **others, **_shared(trained, FreshEvaluation))
+
+
+def _shared(found: Evaluation, kind: type[FreshScore]) -> dict[str, Any]:
+    """Return the fields of `kind` that `found` or its summary has."""
+    values = {**found.summary(), "controller": found.controller}
+    return {field.name: values[field.name] for field in fields(kind) if field.name in values}
 
 
 def _check_words(name: str, description: str, commands: Sequence[str]) -> None:
@@ -113,8 +133,7 @@ def _check_words(name: str, description: str, commands: Sequence[str]) -> None:
 def _describe(
     runs: Sequence[RunFolder],
     checkpoint: Checkpoint,
-    found: Evaluation,
-    seed: int | None,
+    found: FreshEvaluation,
     description: str,
     commands: Sequence[str],
 ) -> ShippedAgent:
@@ -122,8 +141,7 @@ def _describe(
 
     Its time and steps are those of all runs.
     """
-    config, summary, tables = runs[0].read_config(), found.summary(), [read_csv(run.progress) for run in runs]
-    names = [field.name for field in fields(FreshEvaluation) if field.name != "seed"]
+    config, tables = runs[0].read_config(), [read_csv(run.progress) for run in runs]
     return ShippedAgent(
         description=description,
         env=config.run.env,
@@ -132,7 +150,7 @@ def _describe(
         hours=round(sum(table["wall_time_s"][-1] for table in tables) / 3600, 3),
         env_steps=sum(int(table["env_steps"][-1]) for table in tables),
         generation=checkpoint.generation,
-        evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in names}),
+        evaluation=found,
     )
 
 
