@@ -13,6 +13,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -96,18 +97,13 @@ def ship(
     return agent
 
 
-def fresh_evaluation(run: RunFolder, *, seed: int | None, **chosen: int) -> FreshEvaluation:
-    """Return the scores of the agent in `run` and, on the same episodes, those of the other controllers, if it has one.
-
-    `chosen` are other arguments of `evaluate`.
-    """
-    trained = evaluate(run.path, seed=seed, **chosen)
-    others: dict[str, FreshScore | None] = {"constant": None, "random": None}
-    if trained.controller is not None:
-        for name in ("constant", "random"):
-            found = evaluate(run.path, seed=seed, controller=name, **chosen)
-            others[name] = FreshScore(**_shared(found, FreshScore))
-    return FreshEvaluation(seed=seed, **others, **_shared(trained, FreshEvaluation))
+def fresh_evaluation(run: RunFolder, *, episodes: int, seed: int | None, num_workers: int) -> FreshEvaluation:
+    """Return the result of the agent in `run` and, if it has a controller, of other ones on the same episodes."""
+    result = partial(evaluate, run.path, episodes=episodes, seed=seed, num_workers=num_workers)
+    trained = result()
+    others = [result(controller="constant"), result(controller="random")] if trained.controller else [None, None]
+    constant, random = (each and FreshScore(**_shared(each, FreshScore)) for each in others)
+    return FreshEvaluation(seed=seed, constant=constant, random=random, **_shared(trained, FreshEvaluation))
 
 
 def _shared(found: Evaluation, kind: type[FreshScore]) -> dict[str, Any]:
