@@ -33,11 +33,15 @@ StateT = TypeVar("StateT", bound=AnyState)
 ControllerName: TypeAlias = Literal["trained", "constant", "random"]
 """The controller of an evaluation: the trained one, the best of nine constant ones, or random directions."""
 _DEGREES = (0, 45, 90, 135, 180, -135, -90, -45)
-_CONSTANT: dict[str, Decisions] = {
-    "constant: weights at zero": "zero",
-    **{f"constant: {degrees} degrees": radians(degrees) for degrees in _DEGREES},
+_DECISIONS: dict[ControllerName, dict[str, Decisions | None]] = {
+    "trained": {"trained": None},
+    "constant": {
+        "constant: weights at zero": "zero",
+        **{f"constant: {degrees} degrees": radians(degrees) for degrees in _DEGREES},
+    },
+    "random": {"random": "random"},
 }
-"""Decisions of the nine constant controllers."""
+"""The controllers of an evaluation, of which the best counts, with their decisions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,12 +122,9 @@ def evaluate_state(
 
     Of the constant controllers, return that with the highest mean score, then mean return; of equal ones, the first.
     """
-    decisions: dict[str, Decisions | None] = {controller: "random" if controller == "random" else None}
-    if controller == "constant":
-        decisions = {**_CONSTANT}
     found = [
-        replace(EvaluationBeside(algorithm, state, seeds, backend, each).result(), controller=name)
-        for name, each in decisions.items()
+        replace(EvaluationBeside(algorithm, state, seeds, backend, decisions).result(), controller=name)
+        for name, decisions in _DECISIONS[controller].items()
     ]
     return max(found, key=lambda each: (each.scores.mean(), each.returns.mean()))
 
@@ -252,8 +253,7 @@ def evaluate(
         execution["backend"] = "processes"  # the cluster that trained the run need not be there
     opened = open_run(run, checkpoint, **execution, evaluation_episodes=episodes)
     levels = opened.algorithm.design.level_names
-    has_controller = "controller" in levels
-    if controller != "trained" and not has_controller:
+    if controller != "trained" and "controller" not in levels:
         raise ConfigError(
             f"controller is {controller!r}, but {run} has no controller (levels: {', '.join(levels)}), so that only "
             "'trained' is allowed. Omit --controller, or choose a run of two levels."
@@ -269,5 +269,5 @@ def evaluate(
         backend.on_event = logger.warning  # of silent or lost workers; on standard error, unless logging is set up
         seeds = fresh_seeds(opened.state, episodes, seed)
         found = evaluate_state(opened.algorithm, opened.state, seeds, backend, controller)
-    shown = found.controller if has_controller else None
+    shown = found.controller if "controller" in levels else None
     return replace(found, run=str(run), checkpoint=checkpoint, controller=shown)
