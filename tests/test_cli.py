@@ -84,8 +84,11 @@ def test_list_shows_runs_and_shipped_agents(shes, agent, tiny_run, monkeypatch):
     text = shes("list", tiny_run.parent)
     assert re.search(r"│ \S+run +│ point-gather +│ 4 / 4 +│ -?[\d.]+ +│ finished", text)
     fresh = read_agent(agent).evaluation
-    score = f"{fresh.score_mean:.2f} ± {fresh.score_std / math.sqrt(fresh.episodes):.2f}"
-    assert re.search(rf"point-food +│ point-gather +│ {score} +│ 640 +│", text)
+    scores = " +│ ".join(
+        f"{each.score_mean:.2f} ± {each.score_std / math.sqrt(each.episodes):.2f}"
+        for each in (fresh, fresh.constant, fresh.random)
+    )
+    assert re.search(rf"point-food +│ point-gather +│ {scores} +│ 640 +│", text)
     assert f"{agent} Collects food.\n" in text
     (line,) = shes("list", tiny_run.parent, "--json").splitlines()
     found = json.loads(line)
@@ -178,6 +181,8 @@ def test_info_shows_how_a_shipped_agent_was_trained(shes, agent):
     told = read_agent(agent)
     text = shes("info", agent)
     assert f"{told.evaluation.score} over {told.evaluation.episodes} fresh episodes" in text
+    for other in (told.evaluation.constant, told.evaluation.random):
+        assert re.search(rf"score, {other.controller} +│ {other.score} ", text)
     assert f"Trained by:\n{told.commands[0]}\n" in text
     found = json.loads(shes("info", agent, "--json"))
     assert {**found, **told.to_dict()} == found

@@ -4,6 +4,7 @@ The device is a stand-in, `strict_arrays`: it refuses what CuPy refuses. Weights
 so that a matmul may round differently: numbers agree to a tolerance, counts exactly.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -77,12 +78,12 @@ def make(name, **more):
     return build_algorithm(config)
 
 
-def run(name, simulator, num_lanes, xp=np, episodes=3):
+def run(name, simulator, num_lanes, xp=np, episodes=3, **changed):
     """Return the results of a generation, by number, and the waits for the device of every step."""
     learner = make(name, episodes_per_policy=episodes)
     design, table, plan = learner.design, learner.table, learner.plan()
     work = generation_work(learner.start(1), learner.hyperparameters, table.size)
-    tasks, generation = work.tasks, work.generation
+    tasks, generation = work.tasks, replace(work.generation, **changed)
     rollout = Rollout(
         design,
         lambda n: plan.env.make(n, plan.training, simulator),
@@ -125,6 +126,18 @@ def test_a_device_gives_the_numbers_of_the_cpu_with_two_waits_a_step(name):
     found, waits = run(name, DeviceSimulator, 8, strict_xp)
     assert_same(found, run(name, CpuSimulator, 8)[0])
     assert set(waits) == {2}
+
+
+@pytest.mark.parametrize("name", ["gather", "one-hot", "nearest"])
+def test_decisions_that_are_not_learned_are_those_of_the_cpu(name):
+    ends = set()
+    for decisions in ("zero", "random", 0.5):
+        asked = {"decisions": decisions, "is_evaluation": True}
+        found, waits = run(name, DeviceSimulator, 8, strict_xp, **asked)
+        assert_same(found, run(name, CpuSimulator, 8, **asked)[0])
+        assert set(waits) == {2}
+        ends.add(found[0].final_position.tobytes())
+    assert len(ends) == 3
 
 
 @pytest.mark.parametrize("name", ["gather", "flat", "one level in turns"])

@@ -150,6 +150,33 @@ def test_a_vector_turns_with_the_robot_or_does_not_know_its_heading(name, headin
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_the_outputs_of_a_direction_point_there_at_the_goal_distance(name, heading):
+    made, angles = make_controller_output(name), np.arange(-8, 16) * np.pi / 4
+    outputs = made.of_direction(angles)
+    assert outputs.shape == (24, made.size)
+    seen = angles + heading * TURNS_WITH_THE_ROBOT[name]
+    expected = 4 * np.stack([np.cos(seen), np.sin(seen)], axis=1)
+    assert made.vector(outputs, np.full(24, heading), 4.0) == pytest.approx(expected, abs=1e-9)
+    assert np.abs(outputs).max() <= 1
+
+
+def test_the_outputs_of_a_direction_of_ones_own_are_a_unit_vector_or_the_nearest_of_equal_steps():
+    class Three(Polar):
+        size = 3
+
+    angles = np.radians([0, 59, 61, 240, 301, -119])
+    assert Polar().of_direction(angles) == pytest.approx(np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    assert Three().of_direction(angles).argmax(axis=1).tolist() == [0, 0, 1, 2, 0, 2]
+    assert Three().of_direction(angles).sum(axis=1).tolist() == [1] * 6
+
+
+def test_a_one_hot_direction_is_the_nearest_one():
+    angles = np.radians([22, 23, -22, 158, -158])
+    assert OneHotOutput().of_direction(angles).argmax(axis=1).tolist() == [3, 4, 3, 7, 7]
+
+
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", [0.0, -0.0, 1.0, -1.0, 1.05, -1.05, 1e-300])
 def test_a_vector_is_finite_for_outputs_without_a_direction_and_at_the_limits(name, value):
     made = make_controller_output(name)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shes.errors import ConfigError
-from shes.policies.mlp import MLP, aligned_rows
+from shes.policies.mlp import MLP, RectifiedMLP, aligned_rows
 
 
 def _layers(theta, sizes):
@@ -51,6 +51,13 @@ def test_a_network_worked_out_by_hand():
     theta = np.array([[0.5, -1.0, 0.25, 2.0, -0.125]], np.float32)  # weights, bias; weight, bias
     output = mlp.act(theta, np.array([[[1.0, 0.5]]], np.float32))
     assert output.item() == pytest.approx(math.tanh(2 * math.tanh(0.5 - 0.5 + 0.25) - 0.125), rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", [MLP, RectifiedMLP])
+def test_parameters_of_zero_give_outputs_of_exactly_zero(kind):
+    mlp = kind(9, (7, 5), 3)
+    theta = np.zeros((2, mlp.num_params), np.float32)
+    assert not mlp.act(theta, 1e6 * _observation(mlp, 2, 4)).any()
 
 
 def test_acting_leaves_parameters_and_observations_as_they_were():

@@ -188,9 +188,14 @@ def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_ru
     assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 640)
     assert told.generation == checkpoint.generation
     assert 0 <= told.hours < 0.1
+    result, scores = told.to_dict()["evaluation"], {"episodes", "score_mean", "score_std", "success_rate"}
+    for controller in ("constant", "random"):
+        found = evaluate("point-gather", episodes=3, seed=7, num_workers=1, controller=controller)
+        other = result.pop(controller)
+        assert other == {"controller": found.controller, **{name: found.summary()[name] for name in scores}}
     found = evaluate("point-gather", episodes=3, seed=7, num_workers=1).summary()
-    result = told.to_dict()["evaluation"]
-    assert (result.pop("seed"), result) == (7, {name: found[name] for name in result})
+    assert (result.pop("seed"), result.pop("controller")) == (7, "trained")
+    assert result == {name: found[name] for name in result}
     assert set(result) == {
         "episodes",
         "score_mean",
@@ -199,7 +204,8 @@ def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_ru
         "success_rate",
         "episode_steps_mean",
     }
-    assert read_agent("point-walker").evaluation.seed is None
+    walker = read_agent("point-walker").evaluation
+    assert (walker.seed, walker.controller, walker.constant, walker.random) == (None, None, None, None)
 
 
 def test_no_path_of_this_machine_is_shipped(walker_run, tmp_path):
@@ -322,11 +328,16 @@ def test_the_command_ships_an_agent_and_prints_what_is_told_of_it(tiny_run, tmp_
     assert capsys.readouterr().err.startswith("Error: ")
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"commands": [], "evaluation": {}}'])
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"commands": [], "evaluation": {}}', "without random"])
 def test_a_damaged_agent_file_is_an_error_that_names_it(agents, tmp_path, monkeypatch, text):
     shutil.copytree(agents, "agents")
     monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
-    (tmp_path / "agents" / "point-gather" / "agent.json").write_text(text)
+    file = tmp_path / "agents" / "point-gather" / "agent.json"
+    if text == "without random":
+        told = json.loads(file.read_text())
+        del told["evaluation"]["random"]
+        text = json.dumps(told)
+    file.write_text(text)
     with pytest.raises(RunFolderError, match=r"agent\.json is damaged: .*Install SHES again"):
         read_agent("point-gather")
 
@@ -347,6 +358,9 @@ def test_every_shipped_agent_is_small_complete_and_acts():
         assert told.description.strip()
         assert told.commands
         assert min(told.cores, told.hours, told.env_steps, told.generation, told.evaluation.episodes) > 0
+        for other in (told.evaluation.constant, told.evaluation.random):
+            assert (other is not None) == ("controller" in folder.read_config().level_names)
+            assert other is None or (other.episodes, other.controller == "trained") == (told.evaluation.episodes, False)
         for values in (read_csv(folder.progress), read_csv(folder.evaluation)):
             assert 0 < len(values["generation"]) <= 300
         assert "/home/" not in folder.config.read_text()

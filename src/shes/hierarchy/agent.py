@@ -64,6 +64,14 @@ class AgentDesign(ABC):
         """Number of outputs of the level that decides every `controller_interval` steps; 0 if there is none."""
         return 0
 
+    def direction_outputs(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, decision_size] of the controller for goals in directions `angles` [K] in radians.
+
+        The goals are at full distance. Angles are counter-clockwise in the frame of the outputs. A design with a
+        controller overrides this.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no controller, or no direction_outputs for it")
+
     def make(
         self, num_lanes: int, rows_per_lane: int, xp: ModuleType = np, *, shares_noise: bool = False
     ) -> AgentBatch[Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from shes.types import F64Array
 PARTS = ("physics", "policy", "task")
 """Parts of a rollout that are timed: MuJoCo; the agent; the task's observations and rewards, and the rest."""
 
+Decisions: TypeAlias = Literal["zero", "random"] | float
+"""Decisions of a controller that has learned nothing: outputs of zero, a random direction each, or one in radians."""
 
 Outcomes: TypeAlias = NDArray[np.void]
 """A structured array with one element per episode and the fields of `empty_outcomes`."""
@@ -96,6 +98,8 @@ class Generation:
     """Number of control steps in a branch; 0 for whole episodes."""
     snapshot_goals: int = 0
     """Number of goals in the snapshots of whole episodes; 0 for no snapshots."""
+    decisions: Decisions | None = None
+    """Added to the outputs of the deciding level, whose parameters in `levels` are then 0; None for its own outputs."""
 
     @property
     def kind(self) -> str:

@@ -1,4 +1,7 @@
-"""Exploration noise on the outputs of the deciding level and on the controls, in whole episodes of training."""
+"""What is added to the outputs of the deciding level and to the controls.
+
+In whole episodes of training it is exploration noise. In evaluations it is nothing, or decisions that are not learned.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from shes.hierarchy.agent import AgentBatch
-from shes.hierarchy.episodes import EpisodeTask, Generation
-from shes.types import F32Array, IntArray
+from shes.hierarchy.episodes import Decisions, EpisodeTask, Generation
+from shes.types import F32Array, F64Array, IntArray
 
 EXPLORATION_STD = 0.01
 """Standard deviation of the exploration noise on the controller's output and on the control (authors' code)."""
@@ -26,21 +29,37 @@ class Exploration:
         ]
         self._decision_noise, self._control_noise = self._drawn  # on a device, copies
         self.is_on = False
-        """Whether this generation has exploration noise."""
-        self._has_frozen_control = False
+        """Whether anything is added in this generation."""
+        self._decisions: Decisions | None = None
+        self._has_control_noise = False
 
     def begin(self, generation: Generation) -> None:
         """Start a generation. Evaluations and branches have no exploration noise."""
-        self.is_on = not generation.is_evaluation and not generation.branch_steps
-        self._has_frozen_control = generation.has_frozen_control
+        explores = not generation.is_evaluation and not generation.branch_steps
+        self._decisions = generation.decisions
+        self.is_on = explores or self._decisions is not None
+        self._has_control_noise = explores and not generation.has_frozen_control
 
     def draw(self, lane: int, task: EpisodeTask) -> None:
-        """Draw the noise of the episodes of `task` in `lane`, each from its own seed."""
+        """Draw the noise, or the decisions, of the episodes of `task` in `lane`, each from its own seed."""
         for slot, seed in zip(task.slots, task.seeds, strict=True):
+            if self._decisions is not None:
+                self._drawn[0][:, lane, slot] = self._decide(self._decisions, seed)
+                continue
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
             for noise in self._drawn:
                 drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
                 np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, lane, slot])
+
+    def _decide(self, decisions: Decisions, seed: int) -> F64Array:
+        """Return the outputs [decisions, decision_size] of the deciding level in an episode."""
+        count, design = len(self._drawn[0]), self._agent.design
+        if decisions == "zero":
+            return np.zeros((count, design.decision_size))
+        if decisions == "random":
+            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(2,))))
+            return design.direction_outputs(rng.uniform(0, 2 * np.pi, count))
+        return design.direction_outputs(np.full(count, decisions))
 
     def upload(self) -> None:
         """Transfer the drawn noise to the agent's device."""
@@ -58,7 +77,7 @@ class Exploration:
         design = self._agent.design
         if design.decision_size:
             noise["decision_noise"] = _at(self._decision_noise, step // design.controller_interval)
-        if not self._has_frozen_control:
+        if self._has_control_noise:
             noise["control_noise"] = _at(self._control_noise, step)
         return noise
 

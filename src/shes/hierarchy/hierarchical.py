@@ -40,6 +40,10 @@ class HierarchicalDesign(GoalReachingDesign):
         """Number of outputs of the controller."""
         return self.controller_output.size
 
+    def direction_outputs(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, decision_size] of the controller for goals in directions `angles` [K]."""
+        return self.controller_output.of_direction(angles)
+
     @property
     def agent(self) -> type[HierarchicalAgent]:
         """The class of the agents."""

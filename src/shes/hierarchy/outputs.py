@@ -42,6 +42,17 @@ class ControllerOutput(ABC):
             goal_distance: Goal distance in metres for an output of 1.
         """
 
+    def of_direction(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, size] for goals at the goal distance in directions `angles` [K] in radians.
+
+        Angles are counter-clockwise in the frame of the outputs: from the heading, or from the x axis. By default these
+        are (cos, sin) for two outputs. For other numbers one output is 1, the others are 0: the outputs stand for
+        directions at equal steps from 0. Override it for outputs that mean something else.
+        """
+        if self.size == 2:
+            return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        return np.eye(self.size)[np.rint(angles * self.size / (2 * np.pi)).astype(int) % self.size]
+
 
 class VectorOutput(ControllerOutput):
     """Vector to the goal in the world frame, in goal distances."""
@@ -118,6 +129,10 @@ class OneHotOutput(ControllerOutput):
         angle += heading
         distance = np.maximum(output.max(axis=1).astype(np.float64) * goal_distance, MIN_DISTANCE_M)
         return np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
+
+    def of_direction(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, 8] that select the nearest of the eight directions."""
+        return super().of_direction(angles + np.pi - 2 * np.pi / NUM_DIRECTIONS)
 
 
 class SectorOutput(ControllerOutput):

@@ -7,7 +7,7 @@ from typing import Any
 
 from shes.listing import Listing, Table, facts_listing
 from shes.runs.folder import RunFolder
-from shes.runs.shipped import read_agent, shipped_name, shipped_names
+from shes.runs.shipped import FreshEvaluation, read_agent, shipped_name, shipped_names
 from shes.runs.state import RunState, run_state, states_below, unregistered_state
 
 
@@ -23,14 +23,20 @@ def list_runs(folder: Path | str = "runs") -> Listing:
         parts = [Table(("run", "environment", "generation", "best score", "state"), list(map(_row, runs)))]
     parts += [f"{run.run} is {run.state}: {run.problem}" for run in runs if run.problem is not None]
     if agents:
-        rows = [(name, it.env, it.evaluation.score, f"{it.env_steps:,}") for name, it in agents.items()]
+        rows = [(name, it.env, *_scores(it.evaluation), f"{it.env_steps:,}") for name, it in agents.items()]
         parts += [
-            Table(("agent", "environment", "score", "steps"), rows),
+            Table(("agent", "environment", "score", "constant", "random", "steps"), rows),
             "Score: mean and standard error over fresh episodes. Steps: environment steps of training.",
+            "Constant, random: score with the best constant controller, and with random goals, on the same episodes.",
             *(f"{name} {agent.description.rstrip('.')}." for name, agent in agents.items()),
         ]
     shown = {name: agent.to_dict() for name, agent in agents.items()}
     return Listing({"runs": [run.to_dict() for run in runs], "agents": shown}, parts)
+
+
+def _scores(found: FreshEvaluation) -> list[str]:
+    """Return the score of an agent, and those of the other controllers."""
+    return ["-" if each is None else each.score for each in (found, found.constant, found.random)]
 
 
 def _row(run: RunState) -> tuple[str, ...]:
@@ -70,6 +76,9 @@ def describe_run(run: Path | str, *, full: bool = False) -> Listing:
         facts = {"agent": name, "algorithm": config.run.algorithm, "levels": levels, **agent.to_dict()}
         shown = {each: facts[each] for each in ("agent", "env", "algorithm", "levels", "env_steps", "hours", "cores")}
         shown["score"] = f"{agent.evaluation.score} over {agent.evaluation.episodes} fresh episodes"
+        for each in (agent.evaluation.constant, agent.evaluation.random):
+            if each is not None:
+                shown[f"score, {each.controller}"] = each.score
         parts = [f"It {agent.description.rstrip('.')}. Trained by:", *agent.commands]
     settings = {each: value for section in config.to_dict().values() for each, value in section.items()} if full else {}
     listing = facts_listing({**shown, **settings})

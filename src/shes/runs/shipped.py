@@ -23,22 +23,34 @@ AGENT_FILE = "agent.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class FreshEvaluation:
-    """An agent's result on fresh episodes: that of `shes evaluate NAME --episodes ... --seed ...`."""
+class FreshScore:
+    """Scores on fresh episodes."""
 
+    controller: str | None
+    """What set the goals, as `Evaluation.controller`; None for an agent without a controller."""
     episodes: int
     score_mean: float
     score_std: float
-    return_mean: float
     success_rate: float
-    episode_steps_mean: float
-    seed: int | None
-    """Seed of the episodes; if None, from a stream of the run that its training does not use."""
 
     @property
     def score(self) -> str:
         """Mean score and its standard error over the episodes, as text."""
         return f"{self.score_mean:.2f} ± {self.score_std / self.episodes**0.5:.2f}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreshEvaluation(FreshScore):
+    """An agent's result on fresh episodes: that of `shes evaluate NAME --episodes ... --seed ...`."""
+
+    return_mean: float
+    episode_steps_mean: float
+    seed: int | None
+    """Seed of the episodes; if None, from a stream of the run that its training does not use."""
+    constant: FreshScore | None
+    """Result of the best constant controller on the same episodes; None for an agent without a controller."""
+    random: FreshScore | None
+    """Result of random directions on the same episodes; None for an agent without a controller."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +75,9 @@ class ShippedAgent:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> ShippedAgent:
         """Return the description that `to_dict` converted; raise KeyError or TypeError for other keys."""
-        evaluation = FreshEvaluation(**values["evaluation"])
+        given = values["evaluation"]
+        others = {name: None if given[name] is None else FreshScore(**given[name]) for name in ("constant", "random")}
+        evaluation = FreshEvaluation(**{**given, **others})
         return cls(**{**values, "commands": tuple(values["commands"]), "evaluation": evaluation})
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import radians
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from shes.algorithms.roll_out import RollOutBeside
 from shes.backends.backend import Backend
 from shes.checked import checked
 from shes.envs.tasks.task_options import FallOptions
+from shes.errors import ConfigError
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.episodes import EpisodeTask, Generation
+from shes.hierarchy.episodes import Decisions, EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.listing import Listing, facts_listing
 from shes.runs.device import check_asked_device
@@ -27,6 +29,19 @@ from shes.training.limits import Workload, check_limits
 from shes.types import F64Array
 
 StateT = TypeVar("StateT", bound=AnyState)
+
+ControllerName: TypeAlias = Literal["trained", "constant", "random"]
+"""The controller of an evaluation: the trained one, the best of nine constant ones, or random directions."""
+_DEGREES = (0, 45, 90, 135, 180, -135, -90, -45)
+_DECISIONS: dict[ControllerName, dict[str, Decisions | None]] = {
+    "trained": {"trained": None},
+    "constant": {
+        "constant: weights at zero": "zero",
+        **{f"constant: {degrees} degrees": radians(degrees) for degrees in _DEGREES},
+    },
+    "random": {"random": "random"},
+}
+"""The controllers of an evaluation, of which the best counts, with their decisions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,10 +65,17 @@ class Evaluation:
     run: str = ""
     """The run, if it was evaluated by `evaluate`."""
     checkpoint: str = ""
+    controller: str | None = None
+    """`trained`, `random`, or the best of the constant controllers; None for a run without a controller.
+
+    `constant: 45 degrees` is a goal in that direction at full distance, counter-clockwise from the heading or, if the
+    outputs are in the world frame, from the x axis.
+    """
 
     def listing(self) -> Listing:
-        """Return the listing of the run, the checkpoint and the summary."""
-        return facts_listing({"run": self.run, "checkpoint": self.checkpoint, **self.summary()})
+        """Return the listing of the run, the checkpoint, the controller if there is one, and the summary."""
+        controller = {} if self.controller is None else {"controller": self.controller}
+        return facts_listing({"run": self.run, "checkpoint": self.checkpoint, **controller, **self.summary()})
 
     def summary(self) -> dict[str, Any]:
         """Return means and standard deviations by column name, as tables show them."""
@@ -89,9 +111,22 @@ def fresh_seeds(state: AnyState, episodes: int, seed: int | None = None) -> list
     return evaluation_seeds(first, generation, episodes, Purpose.FRESH_EPISODES)
 
 
-def evaluate_state(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int], backend: Backend) -> Evaluation:
-    """Run an episode of the agent of `state` for every seed; return the results. See `EvaluationBeside`."""
-    return EvaluationBeside(algorithm, state, seeds, backend).result()
+def evaluate_state(
+    algorithm: Algorithm[StateT],
+    state: StateT,
+    seeds: Sequence[int],
+    backend: Backend,
+    controller: ControllerName = "trained",
+) -> Evaluation:
+    """Run an episode of the agent of `state` for every seed; return the results. See `EvaluationBeside`.
+
+    Of the constant controllers, return that with the highest mean score, then mean return; of equal ones, the first.
+    """
+    found = [
+        replace(EvaluationBeside(algorithm, state, seeds, backend, decisions).result(), controller=name)
+        for name, decisions in _DECISIONS[controller].items()
+    ]
+    return max(found, key=lambda each: (each.scores.mean(), each.returns.mean()))
 
 
 class EvaluationBeside:
@@ -101,10 +136,17 @@ class EvaluationBeside:
     number of rows of a policy's matmul in training, so that results do not depend on the distribution of the blocks.
     """
 
-    def __init__(self, algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int], backend: Backend) -> None:
-        """Begin an episode of the agent of `state` for every seed."""
+    def __init__(
+        self,
+        algorithm: Algorithm[StateT],
+        state: StateT,
+        seeds: Sequence[int],
+        backend: Backend,
+        decisions: Decisions | None = None,
+    ) -> None:
+        """Begin an episode of the agent of `state` for every seed, with `decisions` instead of its controller's."""
         self._count, self._primitive = len(seeds), algorithm.design.intrinsic_level
-        tasks, generation = _work(algorithm, state, seeds)
+        tasks, generation = _work(algorithm, state, seeds, decisions)
         self._roll_out = RollOutBeside.start(tasks, generation, backend)
 
     @property
@@ -117,9 +159,16 @@ class EvaluationBeside:
         return _evaluation(self._roll_out.results(), self._count, self._primitive)
 
 
-def _work(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int]) -> tuple[list[EpisodeTask], Generation]:
+def _work(
+    algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int], decisions: Decisions | None
+) -> tuple[list[EpisodeTask], Generation]:
     """Return the tasks of an evaluation, and what they share."""
     parameters, rows = algorithm.parameters(state), algorithm.episodes_in_lockstep
+    if decisions is not None:  # a network with parameters of 0 returns 0
+        parameters = tuple(
+            replace(level, theta=np.zeros_like(level.theta)) if name == "controller" else level
+            for name, level in zip(algorithm.design.level_names, parameters, strict=True)
+        )
     zeros = (0,) * len(parameters)
     blocks = [seeds[first : first + rows] for first in range(0, len(seeds), rows)]
     tasks = [
@@ -133,7 +182,10 @@ def _work(algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int]) -> 
         )
         for number, block in enumerate(blocks)
     ]
-    return tasks, Generation(levels=parameters, sigma=0.0, episodes_per_policy=rows, is_evaluation=True)
+    generation = Generation(
+        levels=parameters, sigma=0.0, episodes_per_policy=rows, is_evaluation=True, decisions=decisions
+    )
+    return tasks, generation
 
 
 def _evaluation(results: PopulationResults, count: int, primitive: int | None) -> Evaluation:
@@ -166,6 +218,7 @@ def evaluate(
     njmax: int | None = None,
     seed: Annotated[int, Ge(0)] | None = None,
     targets: Literal["evaluation", "training"] = "evaluation",
+    controller: ControllerName = "trained",
 ) -> Evaluation:
     """Evaluate a checkpoint of a run on episodes that its training did not use, not even to choose the checkpoint.
 
@@ -182,13 +235,16 @@ def evaluate(
         njmax: Constraint buffer of a device, in rows per simulation; that of the run if none.
         seed: Seed of the episodes; derived from that of the run if none.
         targets: Targets and reset noise: those of evaluation, or of training, such as random targets in the maze.
+        controller: The trained controller; `random`, which sets a goal in a random direction at every decision; or
+            `constant`, the one with the best score of nine that always set the same goal. A score that these reach as
+            well was not learned.
 
     Raises:
         RunFolderError: `run` is neither a run folder nor a shipped agent.
         CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: `episodes` is not positive, `seed` is negative, the machine has no such device, or there are more
-            episodes or workers than it can have.
-        UnknownNameError: `targets` or `device` is unknown.
+        ConfigError: `episodes` is not positive, `seed` is negative, the machine has no such device, there are more
+            episodes or workers than it can have, or the run has no controller to replace.
+        UnknownNameError: `targets`, `controller` or `device` is unknown.
         MissingExtraError: The device needs a package that is not installed.
     """
     buffers = {name: size for name, size in (("nconmax", nconmax), ("njmax", njmax)) if size is not None}
@@ -196,6 +252,12 @@ def evaluate(
     if device == "cpu" and RunFolder.open(run).read_config().workers.backend != "serial":
         execution["backend"] = "processes"  # the cluster that trained the run need not be there
     opened = open_run(run, checkpoint, **execution, evaluation_episodes=episodes)
+    levels = opened.algorithm.design.level_names
+    if controller != "trained" and "controller" not in levels:
+        raise ConfigError(
+            f"controller is {controller!r}, but {run} has no controller (levels: {', '.join(levels)}), so that only "
+            "'trained' is allowed. Omit --controller, or choose a run of two levels."
+        )
     check_asked_device(opened.config, execution)
     workload = Workload.of(opened.config, is_evaluation=True)
     check_limits(workload, opened.algorithm.design, {"evaluation_episodes": "episodes"})
@@ -205,5 +267,7 @@ def evaluate(
         plan = replace(plan, evaluation=replace(plan.training, **own))
     with build_backend(opened.config, plan, workload.most_episodes) as backend:
         backend.on_event = logger.warning  # of silent or lost workers; on standard error, unless logging is set up
-        found = evaluate_state(opened.algorithm, opened.state, fresh_seeds(opened.state, episodes, seed), backend)
-    return replace(found, run=str(run), checkpoint=checkpoint)
+        seeds = fresh_seeds(opened.state, episodes, seed)
+        found = evaluate_state(opened.algorithm, opened.state, seeds, backend, controller)
+    shown = found.controller if "controller" in levels else None
+    return replace(found, run=str(run), checkpoint=checkpoint, controller=shown)

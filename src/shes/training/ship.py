@@ -13,6 +13,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -25,7 +26,7 @@ from shes.runs import shipped
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
-from shes.runs.shipped import AGENT_FILE, FreshEvaluation, ShippedAgent
+from shes.runs.shipped import AGENT_FILE, FreshEvaluation, FreshScore, ShippedAgent
 from shes.runs.tables import csv_text, read_csv
 from shes.storage import storage_errors, write_atomically
 from shes.training.build import open_run
@@ -86,14 +87,29 @@ def ship(
     with temporary:
         folder = RunFolder.create(Path(temporary.name) / name)
         _copy(source, checkpoint, chosen, folder, commands[-1])
-        found = evaluate(folder.path, episodes=episodes, seed=seed, num_workers=num_workers)
+        found = fresh_evaluation(folder, episodes=episodes, seed=seed, num_workers=num_workers)
         runs = [source, *(RunFolder.open(each) for each in earlier)]
-        agent = _describe(runs, chosen, found, seed, description, commands)
+        agent = _describe(runs, chosen, found, description, commands)
         text = json.dumps(agent.to_dict(), indent=2, ensure_ascii=False) + "\n"
         write_atomically(folder.path / AGENT_FILE, lambda file: file.write(text.encode()))
         with storage_errors(place / name):
             folder.path.rename(place / name)
     return agent
+
+
+def fresh_evaluation(run: RunFolder, *, episodes: int, seed: int | None, num_workers: int) -> FreshEvaluation:
+    """Return the result of the agent in `run` and, if it has a controller, of other ones on the same episodes."""
+    result = partial(evaluate, run.path, episodes=episodes, seed=seed, num_workers=num_workers)
+    trained = result()
+    others = [result(controller="constant"), result(controller="random")] if trained.controller else [None, None]
+    constant, random = (each and FreshScore(**_shared(each, FreshScore)) for each in others)
+    return FreshEvaluation(seed=seed, constant=constant, random=random, **_shared(trained, FreshEvaluation))
+
+
+def _shared(found: Evaluation, kind: type[FreshScore]) -> dict[str, Any]:
+    """Return the fields of `kind` that `found` or its summary has."""
+    values = {**found.summary(), "controller": found.controller}
+    return {field.name: values[field.name] for field in fields(kind) if field.name in values}
 
 
 def _check_words(name: str, description: str, commands: Sequence[str]) -> None:
@@ -113,8 +129,7 @@ def _check_words(name: str, description: str, commands: Sequence[str]) -> None:
 def _describe(
     runs: Sequence[RunFolder],
     checkpoint: Checkpoint,
-    found: Evaluation,
-    seed: int | None,
+    found: FreshEvaluation,
     description: str,
     commands: Sequence[str],
 ) -> ShippedAgent:
@@ -122,8 +137,7 @@ def _describe(
 
     Its time and steps are those of all runs.
     """
-    config, summary, tables = runs[0].read_config(), found.summary(), [read_csv(run.progress) for run in runs]
-    names = [field.name for field in fields(FreshEvaluation) if field.name != "seed"]
+    config, tables = runs[0].read_config(), [read_csv(run.progress) for run in runs]
     return ShippedAgent(
         description=description,
         env=config.run.env,
@@ -132,7 +146,7 @@ def _describe(
         hours=round(sum(table["wall_time_s"][-1] for table in tables) / 3600, 3),
         env_steps=sum(int(table["env_steps"][-1]) for table in tables),
         generation=checkpoint.generation,
-        evaluation=FreshEvaluation(seed=seed, **{key: summary[key] for key in names}),
+        evaluation=found,
     )
 
 

@@ -14,6 +14,7 @@ import pytest
 import shes
 from shes.algorithms.hiro import algorithm as hiro
 from shes.algorithms.hiro import designs
+from shes.algorithms.hiro.agent import HiroAgent
 from shes.algorithms.hiro.collector import Actor
 from shes.cli import main
 from shes.envs.markers import GOAL
@@ -97,6 +98,31 @@ def test_an_agent_acts_and_is_exported_without_jax(untrained, tmp_path, monkeypa
     assert len(np.unique(actions, axis=0)) > 30
     assert shes.evaluate(path, episodes=2, num_workers=1).summary()["episodes"] == 2
     assert main(["info", str(path)]) == 0
+
+
+@pytest.mark.parametrize("kind", ["hiro", "ant"])
+def test_a_controller_that_has_learned_nothing_changes_x_and_y_alone(untrained, monkeypatch, kind):
+    def decide(agent, due, observation, noise):
+        goals.append(original(agent, due, observation, noise))
+        return goals[-1]
+
+    name, env, settings = KINDS[kind]
+    path, original, goals = untrained(name, env, **settings), HiroAgent._decide, []
+    monkeypatch.setattr(HiroAgent, "_decide", decide)
+    assert shes.evaluate(path, episodes=2, controller="constant").controller.startswith("constant: ")
+    distance = open_run(str(path), "best").algorithm.design.goals.half_range[0]
+    zero, *constant = np.split(np.array(goals), 9)
+    for number, found in enumerate(constant):
+        angle = number * np.pi / 4
+        expected = distance * np.array([np.cos(angle), np.sin(angle)])
+        assert found[..., :2] == pytest.approx(np.broadcast_to(expected, found[..., :2].shape), abs=1e-6)
+    assert not zero.any()
+    assert not np.array(goals)[..., 2:].any()
+    goals.clear()
+    shes.evaluate(path, episodes=2, controller="random")
+    found = np.reshape([each[0, :2] for each in goals], (-1, 2))
+    assert np.hypot(*found.T) == pytest.approx(np.full(len(found), distance))
+    assert len(np.unique(found, axis=0)) == len(goals) > 1
 
 
 @pytest.mark.extras

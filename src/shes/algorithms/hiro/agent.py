@@ -22,10 +22,7 @@ from shes.types import CONTROLLER, F32Array, F64Array, IntArray
 
 @dataclass(frozen=True, kw_only=True)
 class HiroDesign(AgentDesign):
-    """Design of HIRO's agent. The primitive observes the goal, seen from the current state, and then its view.
-
-    `decision_size` is 0, because a rollout gives no exploration noise to this agent: it explores where it learns.
-    """
+    """Design of HIRO's agent. The primitive observes the goal, seen from the current state, and then its view."""
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     controller: MLP
@@ -42,6 +39,17 @@ class HiroDesign(AgentDesign):
     def intrinsic_level(self) -> None:
         """None: a rollout does not compute the intrinsic reward, which depends on all coordinates of a goal."""
         return
+
+    @property
+    def decision_size(self) -> int:
+        """Number of coordinates of a goal. Exploration noise is not added in a rollout, but where the agent learns."""
+        return self.goals.size
+
+    def direction_outputs(self, angles: F64Array) -> F64Array:
+        """Return the outputs [K, G] for goals in directions `angles` [K] in the world; only x and y are to change."""
+        outputs = np.zeros((len(angles), self.goals.size))
+        outputs[:, 0], outputs[:, 1] = np.cos(angles), np.sin(angles)
+        return outputs
 
     def exported(self) -> dict[str, Any]:
         """Return how often a goal is set, and the coordinates that it concerns."""
@@ -97,14 +105,16 @@ class HiroAgent(AgentBatch[HiroDesign]):
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)
             rows = self._rows(due)
-            self._target[rows] = coordinates[rows] + self._decide(due, observation[rows])
+            self._target[rows] = coordinates[rows] + self._decide(due, observation[rows], decision_noise)
         self.clock += 1
         self._inputs[:, :size] = self._target - coordinates
         self._view.write(observation, heading, self._inputs[:, size:])
         return self._control(self._inputs, control_noise)
 
-    def _decide(self, due: slice | IntArray, observation: F64Array) -> F64Array:
+    def _decide(self, due: slice | IntArray, observation: F64Array, noise: F32Array | None) -> F64Array:
         """Return the goals [rows, G] that the controllers of lanes `due` set for their `observation` [rows, O]."""
         scaled = normalise(observation, *self._normalisation[CONTROLLER], self.design.input_clip)
         output = self._forward(CONTROLLER, self._by_lane(scaled), due)
+        if noise is not None:
+            output += noise[due]
         return output.reshape(len(scaled), -1) * self._limit
