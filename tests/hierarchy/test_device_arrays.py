@@ -51,6 +51,7 @@ CHOICES = {
             "primitive_estimate": "episode",
             "primitive_view": "egocentric",
             "symmetry": "dihedral",
+            "controller_network": "mlp",
             "controller_view": "egocentric",
             "controller_output": "heading_vector",
             "primitive_reward": "metres",
@@ -128,7 +129,7 @@ def test_a_device_gives_the_numbers_of_the_cpu_with_two_waits_a_step(name):
     assert set(waits) == {2}
 
 
-@pytest.mark.parametrize("name", ["gather", "one-hot", "nearest"])
+@pytest.mark.parametrize("name", ["gather", "one-hot", "equivariant"])
 def test_decisions_that_are_not_learned_are_those_of_the_cpu(name):
     ends = set()
     for decisions in ("zero", "random", 0.5):
