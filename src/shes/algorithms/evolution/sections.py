@@ -153,7 +153,7 @@ class HierarchySettings(PrimitiveSettings):
     """Whether goals nearer than 1 m are moved outward."""
     controller_output: Annotated[str, _registered(CONTROLLER_OUTPUTS, "controller_output")] = "vector"
     """Meaning of the controller's outputs."""
-    controller_network: Annotated[Literal["mlp", "equivariant"], Needs("controller_view", ("sectors",))] = "mlp"
+    controller_network: Literal["mlp", "equivariant"] = "mlp"
     """Network of the controller: mlp, or equivariant (turned and mirrored sectors give turned and mirrored goals, and
     hidden counts the units per sector)."""
     controller_view: Annotated[str, Choices(CONTROLLER_VIEWS, is_described=True)] = "observation"
