@@ -371,13 +371,13 @@ def test_render_hands_on_its_flags_and_says_where_the_video_is(shes, monkeypatch
     monkeypatch.setattr(render, "render", fake)
     assert shes("render", "a run") == "Video: walk.mp4\n"
     rest = ["--camera", "top", "--episode", 3, "--seed", 7, "--size", 240, "--steps", 50, "--out", "b.mp4"]
-    rest += ["--labels", "A", "B", "--sensors"]
+    rest += ["--labels", "A", "B", "--speed", 2, "--sensors"]
     assert shes("render", "--checkpoint", "0", "last", "--out=x.mp4", "a run", "b", *rest) == "Video: b.mp4\n"
     plain = {"checkpoints": ("best",), "labels": (), "camera": "both", "episode": 0, "seed": None, "size": 480}
     asked = {"checkpoints": ("0", "last"), "labels": ("A", "B"), "camera": "top", "episode": 3, "seed": 7, "size": 240}
     assert given == [
-        (("a run",), "walk.mp4", {**plain, "steps": None, "sensors": False}),
-        (("a run", "b"), "b.mp4", {**asked, "steps": 50, "sensors": True}),
+        (("a run",), "walk.mp4", {**plain, "steps": None, "speed": 1.0, "sensors": False}),
+        (("a run", "b"), "b.mp4", {**asked, "steps": 50, "speed": 2.0, "sensors": True}),
     ]
 
 

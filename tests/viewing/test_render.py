@@ -60,6 +60,15 @@ def test_an_episode_shorter_than_a_frame_is_shown(tiny_run, tmp_path, monkeypatc
     assert len(read(render([tiny_run, tiny_run], tmp_path / "walk.mp4", steps=1, size=64))) == 1
 
 
+@pytest.mark.parametrize(("speed", "frames"), [(0.5, 4 * 6), (2, 6), (5, 3), (100, 1)])
+def test_a_faster_video_has_fewer_frames_and_ends_with_the_last_step(tiny_run, tmp_path, monkeypatch, speed, frames):
+    captions = []
+    monkeypatch.setattr("shes.viewing.render.captioned", lambda view, parts: captions.append(parts[0]) or view)
+    out = render(tiny_run, tmp_path / "walk.mp4", steps=5, size=64, speed=speed)
+    assert len(read(out)) == frames + HELD_FRAMES == len(captions) + HELD_FRAMES
+    assert captions[-1][-1] == "time is up"
+
+
 def test_several_checkpoints_are_side_by_side_in_the_same_episode(tiny_run, tmp_path):
     frames = read(render(tiny_run, tmp_path / "walk.mp4", checkpoints=["0", "best", "last"], steps=2, size=96))
     assert frames.shape[1:] == (192, 288, 3)

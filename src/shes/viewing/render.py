@@ -36,6 +36,7 @@ def render(
     seed: Annotated[int, Ge(0)] | None = None,
     size: Annotated[int, Ge(64), Le(1080)] = 480,
     steps: Annotated[int, Ge(1), Lt(_MOST)] | None = None,
+    speed: Annotated[float, Ge(0.1), Le(100)] = 1.0,
     sensors: bool = False,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Path:
@@ -61,6 +62,7 @@ def render(
         seed: Seed of the episodes, as for `evaluate`.
         size: Height and width of a view in pixels; even.
         steps: Maximum number of control steps; those of an evaluation if None.
+        speed: Seconds of the episode in a second of the video; a faster video has fewer frames and is drawn sooner.
         sensors: Whether to show what the controller sees, in words, and what the agent's sensors read, if it has any
             (Gather).
         on_step: Called with the number of control steps drawn and their maximum.
@@ -93,7 +95,7 @@ def render(
         if on_step is not None:
             episodes[0] = _counted(episodes[0], playbacks[0].steps, on_step)
         columns = [
-            _frames(moments, drawer, names, FRAMES_PER_SECOND * playback.task.step_s)
+            _frames(moments, drawer, names, FRAMES_PER_SECOND * playback.task.step_s / speed)
             for moments, drawer, names, playback in zip(episodes, drawers, cameras, playbacks, strict=True)
         ]
         if len(columns) == 1:
@@ -165,10 +167,10 @@ def _frames(
 ) -> Iterator[list[Picture]]:
     """Yield the views of an episode, frame by frame; the first view has the caption.
 
-    If `frames_per_step` is not a whole number, steps differ in their number of frames.
+    If `frames_per_step` is not a whole number, steps differ in their number of frames. The last step has at least one.
     """
     before: Moment | None = None
-    has_frames = False
+    is_shown = False
     for step, moment in enumerate(moments):
         start = moment if before is None else before
         frames = round((step + 1) * frames_per_step) - round(step * frames_per_step)
@@ -176,8 +178,8 @@ def _frames(
             pose = drawer.between(start.pose, moment.pose, frame / frames)
             views = [drawer.draw(pose, moment.markers, camera) for camera in cameras]
             yield [captioned(views[0], [moment.facts, moment.seen]), *views[1:]]
-        before, has_frames = moment, has_frames or frames > 0
-    if before is not None and not has_frames:  # an episode shorter than a frame
+        before, is_shown = moment, frames > 0
+    if before is not None and not is_shown:
         views = [drawer.draw(before.pose, before.markers, camera) for camera in cameras]
         yield [captioned(views[0], [before.facts, before.seen]), *views[1:]]
 
