@@ -25,10 +25,8 @@ from shes.settings import flag
 
 
 def flat_design(problem: Problem) -> FlatDesign:
-    """Return the design of an agent with a single policy; novelty search requires the robot's position."""
+    """Return the design of an agent with a single policy."""
     task, settings = problem.sample(), problem.settings
-    if settings.novelty.novelty != "none":
-        task.check_position()
     inputs = _clock_size(settings) + task.observation_size
     return FlatDesign(policy=MLP(inputs, settings.networks.hidden, task.action_size), **_acting(settings, task))
 

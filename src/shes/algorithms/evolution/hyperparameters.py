@@ -7,9 +7,8 @@ from typing import Any
 
 from shes.algorithms.evolution.learned_levels import is_branched, learns
 from shes.algorithms.evolution.populations import Hyperparameters
-from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings, NoveltySettings
+from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
 from shes.es.level import LevelState, TrainState, UpdateRule
-from shes.es.novelty import NOVELTY_RULES, WeightRule
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import Schedule
@@ -40,16 +39,9 @@ def make_hyperparameters(settings: Any) -> Hyperparameters:
         perturbation=make(PERTURBATIONS, values.get("perturbation", HierarchySettings.perturbation), values),
         common_random_numbers=evolution.common_random_numbers,
         statistics_fraction=evolution.statistics_fraction,
-        novelty=_novelty_rule(values),
-        novelty_neighbours=values.get("novelty_neighbours", NoveltySettings.novelty_neighbours),
         intervals=_interval_estimate(settings, schedule("sigma"), schedule("learning_rate")),
         horizon=settings.episodes.horizon,
     )
-
-
-def _novelty_rule(values: dict[str, Any]) -> WeightRule | None:
-    name = values.get("novelty", NoveltySettings.novelty)
-    return None if name == "none" else make(NOVELTY_RULES, name, values)
 
 
 def _interval_estimate(settings: Any, sigma: Schedule, learning_rate: Schedule) -> IntervalEstimate | None:
@@ -103,6 +95,4 @@ def make_state(settings: Any, design: AgentDesign, seed: int) -> TrainState:
         rng = stream(seed, Purpose.INITIAL_PARAMETERS, number)
         theta = policy.initial(rng, networks.biases, networks.output_weights)
         levels.append(LevelState.start(name, theta, rule.optimizer, policy.sizes[0]))
-    weights = _novelty_rule(settings.values)
-    novelty = None if weights is None else weights.start()
-    return TrainState(seed=seed, generation=0, env_steps=0, levels=tuple(levels), novelty=novelty)
+    return TrainState(seed=seed, generation=0, env_steps=0, levels=tuple(levels))

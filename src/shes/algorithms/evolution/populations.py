@@ -21,13 +21,12 @@ from shes.es.level import (
     update_level,
 )
 from shes.es.noise import NoiseTable
-from shes.es.novelty import NoveltyState, WeightRule
 from shes.es.perturbation import ManyToMany, Perturbation, Signs
 from shes.es.schedules import Schedule
 from shes.hierarchy.episodes import Generation
 from shes.hierarchy.fitness import shaped_fitness
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapshot_steps
-from shes.hierarchy.population_tasks import Work, mean_policy_task, members_per_lane, population_tasks
+from shes.hierarchy.population_tasks import Work, members_per_lane, population_tasks
 from shes.hierarchy.results import PopulationResults
 
 
@@ -57,10 +56,6 @@ class Hyperparameters:
 
     Deviation: all of them, except in the preset `paper` (authors' code: 0.01).
     """
-    novelty: WeightRule | None = None
-    """Weight of novelty in the fitness of the first level; None for no novelty search."""
-    novelty_neighbours: int = 10
-    """Number of nearest neighbours in the archive (k)."""
     intervals: IntervalEstimate | None = None
     """How the primitive is evaluated by intervals; None if it is evaluated by whole episodes."""
     horizon: int = 500
@@ -102,11 +97,6 @@ class Population:
         """Number of environment steps of all episodes."""
         return int(self.results.steps.sum())
 
-    @property
-    def members(self) -> PopulationResults:
-        """Results of the members, without those of the mean policies, which novelty search runs as well."""
-        return self.results.members(slice(self.work.signs.shape[0] * self.work.signs.shape[1]))
-
     def merge_statistics(self, levels: Iterable[LevelState]) -> tuple[LevelState, ...]:
         """Return `levels` with the new observations in the statistics of the levels that learn."""
         return self.results.merge_statistics(tuple(levels), self.learns)
@@ -116,12 +106,10 @@ class Population:
         levels: Sequence[LevelState],
         table: NoiseTable,
         pool: ThreadPoolExecutor | None,
-        novelty: NoveltyState | None = None,
-        neighbours: int = 1,
     ) -> tuple[LevelUpdate, ...]:
-        """Return the update of each of `levels` by its own fitness. Novelty, if any, affects the first level."""
+        """Return the update of each of `levels` by its own fitness."""
         signs, noise_index = self.work.signs, self.work.noise_index
-        fitness = shaped_fitness(self.members, signs, self.rules, novelty, neighbours)
+        fitness = shaped_fitness(self.results, signs, self.rules)
         return tuple(
             update_level(level, fitness[i], signs[:, :, i], noise_index[i], table, rule, self.learning_rate, pool)
             for i, (level, rule) in enumerate(zip(levels, self.rules, strict=True))
@@ -154,8 +142,6 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
         noted,
     )
     shared = members_per_lane(signs.shape[1], episodes)
-    if hyperparameters.novelty is not None:
-        tasks.append(mean_policy_task(state, hyperparameters.population_size, episodes, shared))
     generation = Generation(
         levels=LevelParameters.of_all(state.levels),
         sigma=hyperparameters.sigma.value(state.generation),

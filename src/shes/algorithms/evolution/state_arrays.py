@@ -8,13 +8,10 @@ import numpy as np
 
 from shes.errors import CheckpointError
 from shes.es.level import LevelState, RunningEpisodes, TrainState
-from shes.es.novelty import NoveltyState
 from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
 from shes.types import ArrayHeader
 
-_GROWS = frozenset({"novelty/archive"})
-"""Arrays whose first axis has a variable length."""
 _OPTIONAL = {"running/states": (np.float64, 2), "running/steps": (np.int64, 1)}
 """Type and number of axes of the arrays that are missing before the first generation."""
 
@@ -36,13 +33,6 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
             f"{level.name}/observation_total": level.statistics.total,
             f"{level.name}/observation_total_squares": level.statistics.total_squares,
         }
-    if state.novelty is not None:
-        arrays |= {
-            "novelty/archive": state.novelty.archive,
-            "novelty/weight": np.float64(state.novelty.weight),
-            "novelty/best_return": np.float64(state.novelty.best_return),
-            "novelty/stalled": np.int64(state.novelty.stalled),
-        }
     if state.running is not None:
         arrays |= {"running/states": state.running.states, "running/steps": state.running.steps}
     return {name: np.asarray(value) for name, value in arrays.items()}
@@ -61,7 +51,7 @@ def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None
         raise CheckpointError("has states or steps of running episodes, not both. Put back the checkpoint of this run.")
     for name, array in headers.items():
         if name in expected:
-            fits, own = _is_like(array, expected[name], name), expected[name]
+            fits, own = _is_like(array, expected[name]), expected[name]
             here = f"{own.dtype} of shape {own.shape}"
         else:
             dtype, axes = _OPTIONAL[name]
@@ -73,18 +63,17 @@ def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None
             )
 
 
-def _is_like(array: ArrayHeader, own: np.ndarray, name: str) -> bool:
-    """Return whether `array` has the type and shape of `own`; texts may be longer, and some arrays grow."""
-    first = 1 if name in _GROWS else 0
+def _is_like(array: ArrayHeader, own: np.ndarray) -> bool:
+    """Return whether `array` has the type and shape of `own`; texts may be longer."""
     is_type = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"
-    return is_type and len(array.shape) == own.ndim and array.shape[first:] == own.shape[first:]
+    return is_type and array.shape == own.shape
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
     """Raise CheckpointError unless `arrays` can be a later state of the run begun by `start`."""
     check_headers(arrays, start)
     for name, array in arrays.items():
-        if array.dtype.kind == "f" and not np.isfinite(array).all() and name != "novelty/best_return":
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
         if array.dtype.kind == "i" and (array < (-1 if name == "running/steps" else 0)).any():
             raise CheckpointError(f"holds a negative number in {name}. Put back the checkpoint of this run.")
@@ -92,14 +81,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
 
 def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
     """Return the state that `to_arrays` converted."""
-    novelty = running = None
-    if "novelty/archive" in arrays:
-        novelty = NoveltyState(
-            archive=arrays["novelty/archive"],
-            weight=float(arrays["novelty/weight"]),
-            best_return=float(arrays["novelty/best_return"]),
-            stalled=int(arrays["novelty/stalled"]),
-        )
+    running = None
     if "running/states" in arrays:
         running = RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
     return TrainState(
@@ -107,7 +89,6 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
         generation=int(arrays["generation"]),
         env_steps=int(arrays["env_steps"]),
         levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
-        novelty=novelty,
         running=running,
     )
 
