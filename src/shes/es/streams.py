@@ -21,6 +21,7 @@ class Purpose(IntEnum):
     BRANCHES = 8
     EXPLORATION = 9
     REPLAY = 10
+    ARCHIVE = 11
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:

@@ -19,6 +19,7 @@ from shes.algorithms.evolution.populations import (
     roll_out,
     roll_out_branches,
 )
+from shes.algorithms.evolution.way_search import explore
 from shes.backends.backend import Backend
 from shes.es.level import LevelUpdate, TrainState
 from shes.es.noise import NoiseTable
@@ -78,6 +79,8 @@ def evolve(
     """Yield a report after every generation from `state` on, indefinitely. `pool` computes gradients in parallel."""
     while True:  # line 1
         start = perf_counter()
+        # Not in the paper: a search by the mean primitive for a way to the target, which then guides the controllers.
+        state = explore(state, hyperparameters.search, backend)
         # lines 2 and 3: n rollouts of policies perturbed by sigma * epsilon, for controller and primitive at once.
         population = roll_out(state, hyperparameters, table, backend)
         # Not in the paper: a primitive may be evaluated by intervals that branch off the states of these episodes.
@@ -94,6 +97,7 @@ def evolve(
             generation=state.generation + 1,
             env_steps=state.env_steps + population.num_steps + (0 if branches is None else branches.num_steps),
             levels=levels,
+            archive=state.archive,
             running=next_running(results, hyperparameters.intervals) if population.is_branched else None,
         )
         yield GenerationReport(

@@ -48,6 +48,13 @@ def columns(report: GenerationReport) -> dict[str, Any]:
             f"{level.name}_update_ratio": update.update_ratio,
             f"{level.name}_theta_norm": float(np.linalg.norm(level.theta.astype(np.float64))),
         }
+    archive = report.state.archive
+    if archive is not None:
+        row |= {
+            "exploration_steps": archive.env_steps,
+            "cells": len(archive.cells),
+            "way_steps": archive.way_steps or float("nan"),
+        }
     if report.branches is not None:
         branches = report.branches.results
         row |= {

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+from shes.algorithms.evolution.way_search import WaySearch
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
 from shes.es.level import (
@@ -58,6 +59,8 @@ class Hyperparameters:
     """
     intervals: IntervalEstimate | None = None
     """How the primitive is evaluated by intervals; None if it is evaluated by whole episodes."""
+    search: WaySearch | None = None
+    """Search for a way to the target; None for no search."""
     horizon: int = 500
     """Maximum number of control steps in an episode."""
 
@@ -150,6 +153,7 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
         members_per_lane=shared,
         has_frozen_control=not hyperparameters.by_episodes[-1],
         snapshot_goals=snapshot_goals,
+        way=None if state.archive is None else state.archive.waypoints,
     )
     return Work(signs=signs, noise_index=noise_index, tasks=tasks, generation=generation)
 

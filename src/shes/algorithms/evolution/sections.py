@@ -101,6 +101,17 @@ class ScheduleSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ExplorationSettings(Settings):
+    """Exploration."""
+
+    explore: Literal["none", "archive"] = "none"
+    """Search for a way to the target: none, or by an archive of places to which a simulation goes back. The way found
+    replaces the waypoints in training."""
+    explore_horizon: Annotated[int, Ge(1), Needs("explore", ("archive",))] | None = None
+    """Longest way of the search in control steps; none for the horizon."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class NetworkSettings(Settings):
     """Networks."""
 
@@ -206,6 +217,7 @@ class TransferSettings(PrimitiveTransferSettings):
 _EVERY: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "schedules": ScheduleSettings}
 SHES_SECTIONS: Mapping[str, type[Settings]] = {
     **_EVERY,
+    "exploration": ExplorationSettings,
     "networks": NetworkSettings,
     "hierarchy": HierarchySettings,
     "estimate": EstimateSettings,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 
 import numpy as np
 
 from shes.errors import CheckpointError
+from shes.es.archive import Archive
 from shes.es.level import LevelState, RunningEpisodes, TrainState
 from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
@@ -14,6 +16,10 @@ from shes.types import ArrayHeader
 
 _OPTIONAL = {"running/states": (np.float64, 2), "running/steps": (np.int64, 1)}
 """Type and number of axes of the arrays that are missing before the first generation."""
+_ARCHIVE = {f"archive/{field.name}": field.name for field in fields(Archive)}
+"""Arrays of the search for a way, whose first axes grow."""
+_LOWEST = {"running/steps": -1, "archive/cells": -(2**63)}
+"""Lowest value of arrays of integers that may be negative."""
 
 
 def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
@@ -33,6 +39,8 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
             f"{level.name}/observation_total": level.statistics.total,
             f"{level.name}/observation_total_squares": level.statistics.total_squares,
         }
+    if state.archive is not None:
+        arrays |= {name: getattr(state.archive, field) for name, field in _ARCHIVE.items()}
     if state.running is not None:
         arrays |= {"running/states": state.running.states, "running/steps": state.running.steps}
     return {name: np.asarray(value) for name, value in arrays.items()}
@@ -51,7 +59,7 @@ def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None
         raise CheckpointError("has states or steps of running episodes, not both. Put back the checkpoint of this run.")
     for name, array in headers.items():
         if name in expected:
-            fits, own = _is_like(array, expected[name]), expected[name]
+            fits, own = _is_like(array, expected[name], grows=name in _ARCHIVE), expected[name]
             here = f"{own.dtype} of shape {own.shape}"
         else:
             dtype, axes = _OPTIONAL[name]
@@ -63,10 +71,10 @@ def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None
             )
 
 
-def _is_like(array: ArrayHeader, own: np.ndarray) -> bool:
-    """Return whether `array` has the type and shape of `own`; texts may be longer."""
+def _is_like(array: ArrayHeader, own: np.ndarray, *, grows: bool) -> bool:
+    """Return whether `array` has the type and shape of `own`; texts may be longer, and some arrays grow."""
     is_type = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"
-    return is_type and array.shape == own.shape
+    return is_type and len(array.shape) == own.ndim and array.shape[grows:] == own.shape[grows:]
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
@@ -75,13 +83,16 @@ def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
     for name, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
-        if array.dtype.kind == "i" and (array < (-1 if name == "running/steps" else 0)).any():
+        if array.dtype.kind == "i" and (array < _LOWEST.get(name, 0)).any():
             raise CheckpointError(f"holds a negative number in {name}. Put back the checkpoint of this run.")
 
 
 def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
     """Return the state that `to_arrays` converted."""
-    running = None
+    running = archive = None
+    if "archive/cells" in arrays:
+        found = {field: arrays[name] for name, field in _ARCHIVE.items()}
+        archive = Archive(**{field: array if array.ndim else int(array) for field, array in found.items()})
     if "running/states" in arrays:
         running = RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
     return TrainState(
@@ -89,6 +100,7 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
         generation=int(arrays["generation"]),
         env_steps=int(arrays["env_steps"]),
         levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
+        archive=archive,
         running=running,
     )
 

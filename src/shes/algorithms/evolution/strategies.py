@@ -58,11 +58,12 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
             ShapeError: The observation does not have the size of the observation spec.
         """
         super().__init__(problem, type(self).make_design(problem))
-        self.hyperparameters = make_hyperparameters(problem.settings)
+        self.hyperparameters = make_hyperparameters(problem)
 
     def start(self, seed: int) -> TrainState:
         """Return the state before the first generation, without transferred parameters."""
-        return make_state(self.problem.settings, self.design, seed)
+        state, search = make_state(self.problem.settings, self.design, seed), self.hyperparameters.search
+        return state if search is None else replace(state, archive=search.start)
 
     def run(self, state: TrainState, backend: Backend) -> Generator[Report[TrainState], None, None]:
         """Yield a report after every generation from `state` on, indefinitely."""
