@@ -125,6 +125,7 @@ WITH = {
     "fitness_shaping=pair_rank": {"mirrored": "pair"},
     "primitive_estimate": BRANCHES,
     "primitive_fitness_shaping": BRANCHES,
+    "explore": {**EGOCENTRIC, "target": (0.0, 16.0)},
 }
 """What a setting, or one of its choices, asks of others."""
 OF_THE_ANT = {"symmetry"}

@@ -46,6 +46,7 @@ PAPER = {
     "sigma_schedule": "constant",
     "max_tilt": None,
     "waypoints": None,
+    "explore": "none",
     "freeze_primitive": True,
     "reset_noise": 0.0,
     "evaluation_reset_noise": 0.1,

@@ -273,6 +273,15 @@ ROWS: dict[str, Row] = {
         8, sigmas(), [0.07, 0.06, 0.05], [0.07] * 3,
         with_it={"sigma_schedule": "linear", "sigma_end": 0.03}, **START_MIDDLE_END,
     ),
+    # exploration
+    "explore": Row(
+        "archive", lambda r: (len(r.of("exploration")), bool(r.state.archive)), (1, True), (0, False),
+        env="point-push", beside={"primitive_view": "egocentric", "controller_interval": 5},
+    ),
+    "explore_horizon": Row(
+        5, lambda r: len(r.of("exploration")), 1, 2,
+        env="point-push", beside={"primitive_view": "egocentric", "controller_interval": 5, "explore": "archive"},
+    ),
     # networks
     "hidden": Row((5, 6), sizes, [[(5, 6)] * 2], [[(16,)] * 2]),
     "biases": Row("glorot_normal", theta(lambda values, _: bool(np.all(values))), [True] * 2, [False] * 2),

@@ -83,6 +83,10 @@ class Archive:
         """Whether the search is over, and the states are gone."""
         return not len(self.states)
 
+    def over(self) -> Archive:
+        """Return the archive of a search that is over."""
+        return replace(self, states=self.states[:0])
+
     @property
     def has_begun(self) -> bool:
         """Whether any place beside the reset is known."""
@@ -148,14 +152,14 @@ class Archive:
             ends = self.parents[ends]
         number = np.cumsum(is_used) - 1
         stalled = self.stalled + 1 if self.way_steps else 0
-        return replace(
+        after = replace(
             self,
             nodes=number[self.nodes],
             parents=number[self.parents[is_used]],
             positions=self.positions[is_used],
             stalled=stalled,
-            states=self.states[: 0 if stalled >= PATIENCE else None],
         )
+        return after.over() if stalled >= PATIENCE else after
 
     @property
     def waypoints(self) -> F64Array | None:
