@@ -208,3 +208,7 @@ def test_the_shapes_of_an_archive_are_checked(quick):
     for name, change in itertools.product(("archive/cells", "archive/states"), (lambda a: a[:, :1], lambda a: a[0])):
         with pytest.raises(CheckpointError, match=rf"holds {name} as .* of shape .*, where this run has"):
             algorithm.from_arrays({**arrays, name: change(arrays[name])})
+    for name in ("steps", "chosen", "nodes", "states", "positions"):
+        twice = np.concatenate([arrays[f"archive/{name}"]] * 2)
+        with pytest.raises(CheckpointError, match=rf"holds archive/{name} of length 2, where archive/\w+ has 1\. Put"):
+            algorithm.from_arrays({**arrays, f"archive/{name}": twice})

@@ -275,11 +275,11 @@ ROWS: dict[str, Row] = {
     ),
     # exploration
     "explore": Row(
-        "archive", lambda r: (len(r.of("exploration")), bool(r.state.archive)), (1, True), (0, False),
+        "archive", lambda r: (bool(r.of("exploration")), bool(r.state.archive)), (True, True), (False, False),
         env="point-push", beside={"primitive_view": "egocentric", "controller_interval": 5},
     ),
     "explore_horizon": Row(
-        5, lambda r: len(r.of("exploration")), 1, 2,
+        5, lambda r: max(task.start.steps for each in r.of("exploration") for task in each.tasks), 0, 5,
         env="point-push", beside={"primitive_view": "egocentric", "controller_interval": 5, "explore": "archive"},
     ),
     # networks

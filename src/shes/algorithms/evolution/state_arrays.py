@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,8 @@ _OPTIONAL = {"running/states": (np.float64, 2), "running/steps": (np.int64, 1)}
 """Type and number of axes of the arrays that are missing before the first generation."""
 _ARCHIVE = {f"archive/{field.name}": field.name for field in fields(Archive)}
 """Arrays of the search for a way, whose first axes grow."""
+_AS_LONG = {"steps": "cells", "chosen": "cells", "nodes": "cells", "states": "cells", "positions": "parents"}
+"""Arrays of the search that are as long as another one; states may also be gone."""
 _LOWEST = {"running/steps": -1, "archive/cells": -(2**63)}
 """Lowest value of arrays of integers that may be negative."""
 
@@ -69,6 +72,18 @@ def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None
                 f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {here}. "
                 "Put back the checkpoint of this run."
             )
+    _check_archive(headers)
+
+
+def _check_archive(headers: Mapping[str, ArrayHeader]) -> None:
+    """Raise CheckpointError unless the arrays of a search for a way are as long as one another."""
+    for name, other in _AS_LONG.items() if "archive/cells" in headers else ():
+        length, expected = (headers[f"archive/{each}"].shape[0] for each in (name, other))
+        if length != expected and (name, length) != ("states", 0):
+            raise CheckpointError(
+                f"holds archive/{name} of length {length}, where archive/{other} has {expected}. "
+                "Put back the checkpoint of this run."
+            )
 
 
 def _is_like(array: ArrayHeader, own: np.ndarray, *, grows: bool) -> bool:
@@ -91,8 +106,8 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
     """Return the state that `to_arrays` converted."""
     running = archive = None
     if "archive/cells" in arrays:
-        found = {field: arrays[name] for name, field in _ARCHIVE.items()}
-        archive = Archive(**{field: array if array.ndim else int(array) for field, array in found.items()})
+        found: dict[str, Any] = {field: arrays[name] for name, field in _ARCHIVE.items()}
+        archive = Archive(**{field: array if array.ndim else array.item() for field, array in found.items()})
     if "running/states" in arrays:
         running = RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
     return TrainState(
