@@ -17,6 +17,7 @@ from shes.training.build import build_algorithm
 from shes.training.make_config import make_config
 from tests.e2e import runs
 from tests.hierarchy.made_up import outcomes
+from tests.training.recorder import recording
 
 SEARCH = {
     "explore": "archive", "primitive_view": "egocentric", "controller_interval": 4, "evaluation_target": (5.5, 0.0),
@@ -148,6 +149,17 @@ def test_a_way_guides_training_alone(quick):
 
 def trained(path, generations=3, **settings):
     return runs.train_tiny(path, "point-push", **{**SEARCH, "generations": generations, **settings})
+
+
+def test_the_reward_of_training_leads_through_the_way_and_that_of_evaluation_does_not(quick, tmp_path):
+    with recording() as record:
+        trained(tmp_path / "run")
+    ways = [each.generation.way for each in record.of("training")]
+    last = record.of("training")[-1].rollout.batch
+    assert ways[0] is None
+    assert last._way[:-1].tolist() == ways[-1].tolist() != []
+    assert {each.generation.way is None for each in record.of("evaluation")} == {True}
+    assert record.of("evaluation")[-1].rollout.batch._num_waypoints == 0
 
 
 @pytest.mark.parametrize("primitive", ["interval", "episode"])

@@ -279,7 +279,7 @@ ROWS: dict[str, Row] = {
         env="point-push", beside={"primitive_view": "egocentric", "controller_interval": 5},
     ),
     "explore_horizon": Row(
-        5, lambda r: max(task.start.steps for each in r.of("exploration") for task in each.tasks), 0, 5,
+        5, lambda r: max(task.start.steps for each in r.of("exploration") for task in each.tasks), 0, 45,
         env="point-push", beside={"primitive_view": "egocentric", "controller_interval": 5, "explore": "archive"},
     ),
     # networks

@@ -16,7 +16,7 @@ from shes.types import BoolArray, F64Array, IntArray
 
 PATIENCE = 5
 """The search is over if this many slices have not shortened the way."""
-THINNED_M = 1.5
+THINNED_M = 1.0
 """A thinned way passes all points of the way within this distance. A waypoint is passed within 3 m."""
 
 
