@@ -108,7 +108,7 @@ def test_every_decision_asks_for_a_goal_at_the_goal_distance_and_directions_turn
     assert len(np.unique(goals[0].round(6), axis=0)) == 64
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.2])
+@pytest.mark.parametrize("speed", [0.0, 0.1])
 def test_a_primitive_that_does_not_walk_is_asked_again_in_every_generation(speed):
     found, _ = searched(speed, 3)
     walk = 64 * 5 * 10

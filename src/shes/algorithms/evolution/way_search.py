@@ -24,8 +24,11 @@ from shes.types import BoolArray, F64Array, IntArray
 WALKERS = 64
 SLICE_STEPS = 32_000
 """Environment steps of the search in a generation, at least."""
-MIN_SPEED_M_S = 0.25
-"""Speed towards its goals from which a primitive is sent out. Shipped walkers have 0.6 to 1.3, an untrained one 0."""
+MIN_SPEED_M_S = 0.15
+"""Mean speed of the first walkers towards their goals with which a search begins.
+
+The shipped walkers have 0.71 in Maze, 0.57 in Push and, between the walls of Fall, 0.25; an untrained ant has 0.005.
+"""
 _DECISIONS = 5
 _NEW_DIRECTION = 0.3  # probability of a new direction at a decision
 _TURN_RAD = 0.3  # standard deviation of the turn otherwise
@@ -88,7 +91,10 @@ def _walk(
     """Return the archive after a few decisions of walkers that begin in its cells, and their speed to the goals."""
     cells = archive.choose(rng, WALKERS, search.horizon - search.decisions * search.interval)
     archive = replace(archive, chosen=archive.chosen + np.bincount(cells, minlength=len(archive.cells)))
-    at = [Snapshot(state=archive.states[i] if archive.steps[i] else None, steps=int(archive.steps[i])) for i in cells]
+    starts = [
+        Snapshot(state=archive.states[cell] if archive.steps[cell] else None, steps=int(archive.steps[cell]))
+        for cell in cells
+    ]
     walkers, nodes = np.arange(WALKERS), archive.nodes[cells]
     angle, progress_m, found = rng.uniform(-np.pi, np.pi, WALKERS), 0.0, list[Reached]()
     for _ in range(search.decisions):
@@ -97,17 +103,8 @@ def _walk(
         direction, seeds = np.stack([np.cos(angle), np.sin(angle)], axis=1), rng.integers(0, 2**63, WALKERS).tolist()
         goals = search.goal_distance * direction
         tasks = [
-            EpisodeTask(
-                member=walker,
-                noise_index=(0,),
-                signs=((0,),),
-                slots=(0,),
-                seeds=(seeds[walker],),
-                records_statistics=False,
-                start=replace(start, goals=goals[walker : walker + 1]),
-                kept_slot=0,
-            )
-            for walker, start in zip(walkers.tolist(), at, strict=True)
+            _task(walker, seeds[walker], replace(start, goals=goals[walker : walker + 1]))
+            for walker, start in zip(walkers.tolist(), starts, strict=True)
         ]
         results = roll_out_tasks(tasks, generation, backend)
         archive = replace(archive, env_steps=archive.env_steps + int(results.steps.sum()))
@@ -115,8 +112,8 @@ def _walk(
         walkers, nodes = walkers[lives], nodes[lives]
         if not len(walkers):
             break
-        at = [results.snapshots[walker, 0] for walker in walkers.tolist()]
-        states = np.stack([each.state for each in at if each.state is not None])
+        starts = [results.snapshots[walker, 0] for walker in walkers.tolist()]
+        states = np.stack([each.state for each in starts if each.state is not None])
         places, positions, is_upright, is_success = search.decode(states)
         progress_m += float(((positions - archive.positions[nodes])[:, :2] * direction[walkers]).sum())
         archive, nodes = archive.grown(nodes, positions), len(archive.parents) + np.arange(len(walkers))
@@ -124,7 +121,7 @@ def _walk(
             Reached(
                 cells=places[is_upright],
                 states=states[is_upright],
-                steps=np.array([each.steps for each in at])[is_upright],
+                steps=np.array([each.steps for each in starts])[is_upright],
                 nodes=nodes[is_upright],
                 is_success=is_success[is_upright],
             )
@@ -132,3 +129,17 @@ def _walk(
     for reached in found:
         archive = archive.entered(reached)
     return archive, progress_m / (WALKERS * search.decisions * search.interval_s)
+
+
+def _task(walker: int, seed: int, start: Snapshot) -> EpisodeTask:
+    """Return the task of a walker's next decision."""
+    return EpisodeTask(
+        member=walker,
+        noise_index=(0,),
+        signs=((0,),),
+        slots=(0,),
+        seeds=(seed,),
+        records_statistics=False,
+        start=start,
+        kept_slot=0,
+    )
