@@ -1,7 +1,6 @@
 import pytest
 
 from shes.errors import ConfigError, UnknownNameError
-from shes.es.novelty import NOVELTY_RULES
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.shaping import FITNESS_SHAPINGS
@@ -14,7 +13,6 @@ REGISTRIES = [
     CONTROLLER_OUTPUTS,
     FITNESS_SHAPINGS,
     GOAL_ENCODINGS,
-    NOVELTY_RULES,
     OPTIMIZERS,
     PERTURBATIONS,
     PRIMITIVE_REWARDS,

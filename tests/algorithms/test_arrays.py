@@ -10,7 +10,6 @@ import shes
 from shes.algorithms.evolution.state_arrays import from_arrays, to_arrays
 from shes.errors import CheckpointError
 from shes.es.level import LevelState, RunningEpisodes, TrainState
-from shes.es.novelty import NOVELTY_RULES, NoveltyState
 from shes.es.optimizers import OPTIMIZERS, OptimizerState
 from shes.es.statistics import ObservationStatistics
 from shes.runs.checkpoint import Best, Checkpoint, load_checkpoint, restore, save_checkpoint
@@ -29,10 +28,10 @@ def level(rng, name, dim, size, optimizer="adam"):
     )
 
 
-def make(names=("controller", "primitive"), optimizer="adam", novelty=None, running=None):
+def make(names=("controller", "primitive"), optimizer="adam", running=None):
     rng = np.random.default_rng(7)
     levels = tuple(level(rng, name, 11 + 2 * i, 3 + i, optimizer) for i, name in enumerate(names))
-    return TrainState(seed=2**62, generation=7, env_steps=10**13, levels=levels, novelty=novelty, running=running)
+    return TrainState(seed=2**62, generation=7, env_steps=10**13, levels=levels, running=running)
 
 
 @pytest.fixture
@@ -64,12 +63,6 @@ def assert_same(one, other):
             (mine.statistics.total_squares, theirs.statistics.total_squares),
         ):
             assert_same_bits(first, second)
-    searches = (one.novelty, other.novelty)
-    assert (searches[0] is None) == (searches[1] is None)
-    if None not in searches:
-        assert_same_bits(searches[0].archive, searches[1].archive)
-        for name in ("weight", "best_return", "stalled"):
-            assert repr(getattr(searches[0], name)) == repr(getattr(searches[1], name))
     running = (one.running, other.running)
     assert (running[0] is None) == (running[1] is None)
     if None not in running:
@@ -93,20 +86,6 @@ def test_levels_and_optimizers_of_every_kind_read_back_to_the_bit(kept, names, o
     assert {name.split("/")[0] for name in arrays if "/" in name} == set(names)
 
 
-@pytest.mark.parametrize("places", [0, 1, 37])
-def test_the_search_for_novelty_reads_back_to_the_bit(kept, places):
-    archive = np.random.default_rng(1).normal(size=(places, 2))
-    whole = make(novelty=NoveltyState(archive=archive, weight=0.1 + 0.2, best_return=-1 / 3, stalled=4))
-    assert_same(kept(whole)[0], whole)
-
-
-@pytest.mark.parametrize("rule", NOVELTY_RULES)
-def test_the_start_of_a_search_for_novelty_reads_back(kept, rule):
-    """Its archive is empty, and its best return is minus infinity."""
-    whole = make(novelty=NOVELTY_RULES.find(rule)().start())
-    assert_same(kept(whole)[0], whole)
-
-
 @pytest.mark.parametrize("groups", [1, 6])
 def test_episodes_that_go_on_read_back_to_the_bit(kept, groups):
     rng = np.random.default_rng(2)
@@ -117,7 +96,7 @@ def test_episodes_that_go_on_read_back_to_the_bit(kept, groups):
     assert {name for name in arrays if name.startswith("running/")} == {"running/states", "running/steps"}
 
 
-@pytest.mark.parametrize("name", ["novelty", "running"])
+@pytest.mark.parametrize("name", ["running"])
 def test_nothing_is_written_of_what_a_state_has_not(kept, name):
     read, arrays = kept(make())
     assert not [array for array in arrays if name in array]
@@ -125,16 +104,16 @@ def test_nothing_is_written_of_what_a_state_has_not(kept, name):
 
 
 def test_no_array_needs_pickle():
-    arrays = to_arrays(make(novelty=NOVELTY_RULES.find("nsra")().start()))
+    arrays = to_arrays(make())
     assert {name for name, array in arrays.items() if array.dtype == object} == set()
     assert {"seed", "generation", "env_steps", "levels", "controller/theta", "primitive/observation_total"} <= set(
         arrays
     )
 
 
-@pytest.mark.parametrize("name", ["levels", "primitive/theta", "controller/optimizer_steps", "novelty/weight"])
+@pytest.mark.parametrize("name", ["levels", "primitive/theta", "controller/optimizer_steps"])
 def test_a_state_of_which_something_is_missing_is_refused(tmp_path, name):
-    arrays = to_arrays(make(novelty=NOVELTY_RULES.find("nsra")().start()))
+    arrays = to_arrays(make())
     del arrays[name]
     with pytest.raises(CheckpointError, match=rf"a\.npz is not a whole SHES checkpoint .KeyError: .*{name[-5:]}"):
         restore(Checkpoint(arrays=arrays, best=Best(), numbers={}), from_arrays, tmp_path / "a.npz")
@@ -142,17 +121,16 @@ def test_a_state_of_which_something_is_missing_is_refused(tmp_path, name):
 
 @pytest.fixture(scope="module")
 def learner():
-    """A learner that searches for novelty."""
-    return build_algorithm(make_config("point-gather", "smoke", {"hidden": (4,), "novelty": "nsra"}))
+    """A learner of two levels."""
+    return build_algorithm(make_config("point-gather", "smoke", {"hidden": (4,)}))
 
 
 @pytest.fixture(scope="module")
 def arrays(learner):
-    """The arrays of a state after a while, with an archive and with episodes that go on."""
+    """The arrays of a state after a while, with episodes that go on."""
     state = learner.start(3)
-    novelty = NoveltyState(archive=np.ones((5, 2)), weight=0.5, best_return=-3.0, stalled=1)
     running = RunningEpisodes(states=np.ones((4, 52)), steps=np.array([-1, 0, 5, 7]))
-    return learner.to_arrays(replace(state, generation=9, env_steps=77, novelty=novelty, running=running))
+    return learner.to_arrays(replace(state, generation=9, env_steps=77, running=running))
 
 
 def refused(learner, arrays, message):
@@ -162,15 +140,15 @@ def refused(learner, arrays, message):
 
 def test_a_state_of_this_run_is_taken(learner, arrays):
     read = learner.from_arrays(arrays)
-    assert (read.generation, read.env_steps, len(read.novelty.archive), len(read.running.steps)) == (9, 77, 5, 4)
-    learner.from_arrays(learner.to_arrays(learner.start(3)))  # with an archive of none, and minus infinity as best
+    assert (read.generation, read.env_steps, len(read.running.steps)) == (9, 77, 4)
+    learner.from_arrays(learner.to_arrays(learner.start(3)))
 
 
 def test_arrays_that_are_not_of_this_run_are_refused_by_name(learner, arrays):
-    without = {name: array for name, array in arrays.items() if name != "novelty/weight"}
-    refused(learner, without, r"is not of this run: it lacks novelty/weight\. Put back the checkpoint of this run")
+    without = {name: array for name, array in arrays.items() if name != "env_steps"}
+    refused(learner, without, r"is not of this run: it lacks env_steps\. Put back the checkpoint of this run")
     refused(learner, {**arrays, "z": np.zeros(1)}, r"is not of this run: it has z\. Put back")
-    refused(learner, {**without, "z": np.zeros(1)}, r"is not of this run: it lacks novelty/weight and has z\. Put back")
+    refused(learner, {**without, "z": np.zeros(1)}, r"is not of this run: it lacks env_steps and has z\. Put back")
     for name in ("running/states", "running/steps"):
         half = {each: array for each, array in arrays.items() if each != name}
         refused(learner, half, "has states or steps of running episodes, not both")
@@ -184,7 +162,6 @@ def test_arrays_that_are_not_of_this_run_are_refused_by_name(learner, arrays):
         ("primitive/theta", lambda array: array.astype(np.int64)),
         ("primitive/optimizer_first", lambda array: np.concatenate([array, array])),
         ("controller/observation_total", lambda array: array.astype("U")),
-        ("novelty/archive", lambda array: np.hstack([array, array])),
         ("generation", lambda array: array[None]),
         ("generation", np.float64),
     ],
@@ -194,9 +171,7 @@ def test_an_array_of_another_shape_or_kind_is_refused(learner, arrays, name, cha
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
-@pytest.mark.parametrize(
-    "name", ["controller/theta", "primitive/observation_total", "novelty/weight", "running/states"]
-)
+@pytest.mark.parametrize("name", ["controller/theta", "primitive/observation_total", "running/states"])
 def test_a_number_that_is_none_is_refused(learner, arrays, name, wrong):
     array = arrays[name].copy()
     array.reshape(-1)[-1] = wrong

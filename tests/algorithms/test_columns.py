@@ -15,7 +15,6 @@ from shes.algorithms.evolution.populations import Population, generation_work
 from shes.algorithms.worker import RolloutWorker
 from shes.backends.serial import SerialBackend
 from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule
-from shes.es.novelty import NoveltyState
 from shes.es.optimizers import Adam
 from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.episodes import Generation
@@ -27,7 +26,7 @@ from shes.training.build import build_algorithm
 from tests.e2e import runs
 
 
-def report(noise_index, novelty=None, signs=None):
+def report(noise_index, signs=None):
     """A generation of two members with two episodes each; the last episode diverged."""
     results = PopulationResults.empty(2, 2, 2)
     results.returns[:] = [[[1, 3], [5, 7]], [[-1, -3], [0, 0]]]
@@ -51,7 +50,7 @@ def report(noise_index, novelty=None, signs=None):
         generation=generation,
     )
     return GenerationReport(
-        state=TrainState(seed=0, generation=9, env_steps=1000, levels=levels, novelty=novelty),
+        state=TrainState(seed=0, generation=9, env_steps=1000, levels=levels),
         population=Population(
             work=work, results=results, rules=(UpdateRule(),) * 2, learns=(True, True), learning_rate=0.03125
         ),
@@ -104,17 +103,6 @@ def test_a_row_holds_what_the_generation_saw():
         "physics_s": 3.0,
         "policy_s": 2.0,
         "task_s": 1.5,
-    }
-
-
-def test_a_row_tells_how_the_search_for_novelty_stands():
-    search = NoveltyState(archive=np.zeros((7, 2)), weight=0.75, best_return=-2.5, stalled=3)
-    noise = [[2, 2], [0, 4]]
-    plain, row = (columns(report(noise, novelty)) for novelty in (None, search))
-    assert {name: row[name] for name in row.keys() - plain.keys()} == {
-        "novelty_weight": 0.75,
-        "novelty_archive": 7,
-        "novelty_best_return": -2.5,
     }
 
 

@@ -23,7 +23,7 @@ TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon
         ("point-flagrun", {}),
         ("point-flagrun", {"primitive_estimate": "interval"}),
         ("point-gather", {"algorithm": "es"}),
-        ("point-gather", {"novelty": "nsr", "perturbation": "one_to_many", "clock_frequency": 1.0}),
+        ("point-gather", {"perturbation": "one_to_many", "clock_frequency": 1.0}),
     ],
 )
 def test_the_rollout_bench_compares_whole_generations_with_bare_physics(env, settings, monkeypatch):
@@ -60,7 +60,7 @@ def test_the_rollout_bench_goes_on_for_as_long_as_it_is_asked_to(monkeypatch):
     [
         ("point-gather", {}, (2, 0)),
         ("point-gather", {"algorithm": "es"}, (4, 0)),
-        ("point-gather", {"novelty": "nsr", "perturbation": "one_to_many"}, (2, 0)),
+        ("point-gather", {"perturbation": "one_to_many"}, (2, 0)),
         ("point-gather", {**BRANCHES, "primitive_population_size": 12}, (4, 6)),
         ("point-flagrun", {"primitive_estimate": "interval"}, (0, 4)),
     ],

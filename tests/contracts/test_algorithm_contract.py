@@ -33,7 +33,8 @@ LEARNERS = {
         for name, cls in ALGORITHMS.items()
         if cls.without_controller not in (None, *ALGORITHMS.values())
     },
-    "shes, branched, with novelty": ("shes", "point-gather", {**BRANCHED, "novelty": "ns"}),
+    "shes, branched": ("shes", "point-gather", BRANCHED),
+    "shes, branched, searching": ("shes", "point-push", {**BRANCHED, "explore": "archive"}),
     "shes, without controller, branched": ("shes", "point-flagrun", {**BRANCHED, "primitive_view": "egocentric"}),
     "hiro": ("hiro", "point-gather", {**SMALL_REPLAY, "controller_update_interval": 5}),
     "td3": ("td3", "point-flagrun", {**SMALL_REPLAY, "num_envs": 3}),

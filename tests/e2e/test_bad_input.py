@@ -168,14 +168,6 @@ WORDS = {
         [*TRAIN, "--clock-frequency", "0"],
         r"clock_frequency must be a positive number, got 0\.0\. Set --clock-frequency",
     ),
-    "no_neighbours": (
-        [*TRAIN, "--novelty", "ns", "--novelty-neighbours", "0"],
-        r"novelty_neighbours must be a whole number of at least 1, got 0\. Set --novelty-neighbours",
-    ),
-    "novelty_of_a_primitive": (
-        ["train", "point-flagrun", *TRAIN[2:], "--novelty", "ns"],
-        r"novelty is not a setting of a run of point-flagrun with algorithm 'shes', got 'ns'\. Omit --novelty",
-    ),
     "halves_that_are_none": (
         [*TRAIN, "--perturbation", "one_to_many_halves", "--population-size", "10"],
         r"population_size must be a positive multiple of 4, a group of 2 .*got 10\. .*size 8 or 12",
@@ -237,7 +229,7 @@ def test_a_wrong_command_line_is_refused_with_its_fix(case, refused, tmp_path):
 
 def test_every_setting_with_choices_refuses_another_name():
     chosen = {name: setting for name, setting in known_settings().items() if setting.choices}
-    assert {"primitive_reward", "novelty", "optimizer", "fitness_shaping", "controller_output"} <= chosen.keys()
+    assert {"primitive_reward", "optimizer", "fitness_shaping", "controller_output"} <= chosen.keys()
     for setting in chosen.values():
         message = rf"unknown [a-z ]+ 'no_such_name'\. Known: .*{setting.choices[-1]}.*Set {setting.flag}\."
         with pytest.raises(UnknownNameError, match=message):

@@ -10,9 +10,7 @@ from gymnasium.spaces import Box
 import shes
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.errors import DivergenceError
-from shes.es.novelty import NSRA
-from shes.hierarchy.fitness import advance_novelty
-from shes.hierarchy.results import PopulationResults, lower_diverged
+from shes.hierarchy.results import lower_diverged
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.training.divergence import Divergence
@@ -199,17 +197,6 @@ def test_an_evaluation_in_which_everything_broke_is_never_the_best(tmp_path, alg
     assert RunFolder.open(run).load("best").generation == 0
     whole = runs.train_tiny(tmp_path / "steel", "steel", **TINY, algorithm=algorithm)
     assert RunFolder.open(whole).load("last").best.generation >= 1
-
-
-def test_breaking_resets_no_patience_of_the_search_for_novelty():
-    results = PopulationResults.empty(1, 3, 2)
-    results.environment_returns[:] = [[-20, -21], [-22, -23], [-1, -25]]
-    results.has_diverged[2, 0] = True  # of the mean policy, which is the last member
-    rule = NSRA()
-    state = advance_novelty(rule.start(), rule, results, 2)
-    assert state is not None
-    assert state.best_return == -25  # the mean of -25 and of the worst of the others, -25
-    assert len(state.archive) == 1  # where blown-up physics ends says nothing
 
 
 def test_lowering_takes_the_least_of_those_that_did_not_diverge():

@@ -193,7 +193,6 @@ def test_the_view_of_the_primitive_may_be_registered(tmp_path):
             {},
             r"the position of the robot of gymnasium:tests/Car-v0 is unknown.*--algorithm es",
         ),
-        ("gymnasium:tests/Car-v0", {"algorithm": "es", "novelty": "ns"}, r"the position of the robot of"),
         ("car", {"hide_position": True}, r"observes no absolute position.*Omit --hide-position"),
     ],
 )

@@ -125,6 +125,7 @@ WITH = {
     "fitness_shaping=pair_rank": {"mirrored": "pair"},
     "primitive_estimate": BRANCHES,
     "primitive_fitness_shaping": BRANCHES,
+    "explore": {**EGOCENTRIC, "target": (0.0, 16.0)},
 }
 """What a setting, or one of its choices, asks of others."""
 OF_THE_ANT = {"symmetry"}
@@ -166,15 +167,11 @@ BY_HAND = {
     "some statistics": {"statistics_fraction": 0.4},
     "momentum": {"optimizer": "sgd", "momentum": 0.5},
     "most of them": {"fitness_shaping": "top_fraction", "top_fraction": 0.7},
-    "few neighbours": {"novelty": "nsr", "novelty_neighbours": 2, "episodes_per_policy": 2},
     "fewer episodes": {"episodes_per_policy": 3, "episodes_schedule": "cosine", "episodes_end": 1},
-    "novelty in turns": {"novelty": "nsr", "perturbation": "one_to_many"},
     "flat with clock": {"algorithm": "es", "clock_frequency": 1.5},
-    "flat with novelty": {"algorithm": "es", "novelty": "nsra_reset"},
     "flat, all schedules": {"algorithm": "es", **SCHEDULES_OF_ALL},
     "frozen": {"primitive": SOURCE},
     "frozen, not mirrored": {"primitive": SOURCE, "mirrored": "none"},
-    "frozen with novelty": {"primitive": SOURCE, "novelty": "nsr"},
     "unfrozen": {"primitive": SOURCE, "freeze_primitive": False},
     "unfrozen by halves": {
         "primitive": SOURCE, "freeze_primitive": False, "perturbation": "one_to_many_halves", "optimizer": "clipup",
@@ -182,7 +179,7 @@ BY_HAND = {
     "branches": {**BRANCHES, "fall_price": 1.5, "hold_tied": False},
     "branches, own rates": {
         **BRANCHES, "primitive_population_size": 6, "primitive_sigma": 0.2, "primitive_learning_rate": 0.05,
-        "intervals": 3, "novelty": "nsr", "episodes_per_policy": 3,
+        "intervals": 3, "episodes_per_policy": 3,
     },
     "branches of one that is frozen": {"primitive": SOURCE, "primitive_estimate": "interval"},
     "branches of one that learns on": {
@@ -190,7 +187,7 @@ BY_HAND = {
     },
     "everything": {
         "perturbation": "one_to_many", "mirrored": "pair", "fitness_shaping": "top_fraction", "optimizer": "clipup",
-        "novelty": "nsra_reset", "common_random_numbers": "population", "controller_output": "one_hot",
+        "common_random_numbers": "population", "controller_output": "one_hot",
         "goal_encoding": "unit_vector", "primitive_reward": "cosine", "primitive_view": "proprioception",
         "clock_frequency": 1.5, "hide_position": True, "primitive_hidden": (3,), "controller_weight_decay": 0.1,
         **SCHEDULES_OF_ALL,
@@ -238,7 +235,7 @@ BY_ENVIRONMENT = {
     },
     # Many members are paid the same here, so that it matters how ties rank.
     "point-gather": {
-        "ties by index": {"rank_ties": "index", "controller_view": "sectors"}, "novelty": {"novelty": "ns"},
+        "ties by index": {"rank_ties": "index", "controller_view": "sectors"},
     },
 }  # fmt: skip
 METHODS = [

@@ -88,6 +88,9 @@ class FakeTask:
         seen[self.observes_nan] = np.nan
         return seen
 
+    def set_way(self, way):
+        assert way is None
+
     def reset(self, ids, seeds, states=()):
         assert len(ids) == len(seeds)
         self.age[ids] = 0

@@ -45,8 +45,7 @@ def start_state(thetas, sizes, *, seed=3, settings=SETTINGS, names=("controller"
         )
         for name, theta, size, rule in zip(names, thetas, sizes, settings.updates, strict=True)
     )  # fmt: skip
-    novelty = None if settings.novelty is None else settings.novelty.start()
-    return TrainState(seed=seed, generation=0, env_steps=0, levels=levels, novelty=novelty)
+    return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
 
 
 _DRIFT_M = ((0.0, 0.0), (0.1, 0.3), (0.5, -0.2), (0.3, 0.6))  # lopsided, or mirrored members would tie
@@ -166,10 +165,6 @@ def state_bits(state):
         for a in (level.theta, *level.optimizer.slots.values(), level.statistics.total, level.statistics.total_squares)
     ]
     counts = [(level.name, level.optimizer.steps, level.statistics.count) for level in state.levels]
-    search = state.novelty
-    if search is not None:
-        counts.append((len(search.archive), search.weight, search.best_return, search.stalled))
-        arrays.append(search.archive)
     if state.running is not None:
         arrays += [state.running.states, state.running.steps]
     return [a.tobytes() for a in arrays], counts, state.generation, state.env_steps, state.seed
@@ -188,7 +183,7 @@ def run_bits(reports):
 
 
 def population_bits(population):
-    results, work = population.members, population.work
+    results, work = population.results, population.work
     arrays = (
         results.returns, results.score, results.success, results.steps, results.has_terminated, results.has_fallen,
         results.has_diverged, results.goals_reached, results.final_position, results.environment_returns,

@@ -411,7 +411,7 @@ def test_an_equivariant_controller_answers_a_changed_world_with_a_changed_goal(c
 def test_a_controller_recalls_its_last_goal_and_forgets_it_when_an_episode_starts(monkeypatch):
     config = make_config("point-gather", "smoke", {"controller_view": "sectors", "controller_interval": 2})
     design, rng, seen = build_algorithm(config).design, np.random.default_rng(6), []
-    monkeypatch.setattr(SectorsView, "recall", lambda self, goal, heading, out: seen.append(goal.tolist()))
+    monkeypatch.setattr(SectorsView, "recall", lambda _, goal, *__: seen.append(goal.tolist()))
     agent = design.make(2, 1)
     for level, policy in zip(agent.theta, design.policies, strict=True):
         level[:] = policy.initial(rng)

@@ -11,7 +11,6 @@ from shes.algorithms.evolution.populations import generation_work, roll_out, rol
 from shes.algorithms.worker import RolloutWorker
 from shes.backends.serial import SerialBackend
 from shes.es.level import RunningEpisodes, UpdateRule, draw_noise_index
-from shes.es.novelty import NSR
 from shes.es.shaping import PairRanks
 from shes.hierarchy.episodes import Snapshot
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapshot_steps, next_running
@@ -350,18 +349,6 @@ def test_a_snapshot_is_the_state_at_its_decision_with_the_goals_that_the_control
             seen.append("both" if goals[1] is not goals[0] else "fell" if run.fell[slot] else "over")
             assert left.goals.tobytes() == np.array(goals).tobytes()
     assert set(seen) == {"none", "both", "fell", "over"}  # every way to live
-
-
-def test_the_mean_policies_that_novelty_runs_beside_the_members_leave_no_snapshots(beside, whole):
-    rule = NSR()
-    settings = replace(beside.settings, novelty=rule)
-    report = next(evolve(replace(beside.state, novelty=rule.start()), settings, beside.table, beside.backend))
-    results = report.population.results
-    assert len(results.steps) == 17  # the last one is the mean policies'
-    assert results.steps[16, 0] > 0
-    assert results.snapshots.keys() == whole.results.snapshots.keys()
-    for place, left in results.snapshots.items():
-        assert _start_bits(left) == _start_bits(whole.results.snapshots[place])
 
 
 def test_a_snapshot_at_the_first_decision_is_the_start_itself(whole):

@@ -10,7 +10,7 @@ from shes.es.optimizers import Adam
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.population_tasks import COMMON_RANDOM_NUMBERS, mean_policy_task, members_per_lane, population_tasks
+from shes.hierarchy.population_tasks import COMMON_RANDOM_NUMBERS, members_per_lane, population_tasks
 
 DIMS = (3, 5)
 TABLE_SIZE = 50_000
@@ -145,19 +145,3 @@ def test_a_share_of_the_groups_is_recorded_as_a_whole(fraction):
         assert all(len(set(flags[g : g + 4])) == 1 for g in range(0, 80, 4))
         groups += flags[::4]
     assert np.mean(groups) == pytest.approx(fraction, abs=0.1 if 0 < fraction < 1 else 0)
-
-
-def test_the_mean_policys_task_perturbs_nothing_and_records_nothing():
-    task = mean_policy_task(_state(), 8, 3, 1)
-    assert (task.member, task.signs, task.noise_index, task.slots) == (8, ((0, 0),), (0, 0), (0, 1, 2))
-    beside = mean_policy_task(_state(), 8, 3, 4)
-    assert (beside.signs, beside.slots, beside.seeds) == (((0, 0),) * 4, task.slots, task.seeds)
-    assert not task.records_statistics
-    assert len(set(task.seeds)) == 3
-
-
-def test_the_mean_policy_has_episodes_of_its_own_in_every_generation():
-    mean = [mean_policy_task(_state(seed, generation), 8, 3, 1).seeds for seed, generation in ((3, 2), (3, 3), (4, 2))]
-    assert len({seed for seeds in mean for seed in seeds}) == 9
-    assert not set(mean[0]) & {seed for task in _tasks(episodes=3) for seed in task.seeds}
-    assert mean_policy_task(_state(), 8, 3, 1).seeds == mean[0]

@@ -93,16 +93,6 @@ def test_lowering_makes_no_copy_where_nothing_diverged_and_changes_no_argument()
     assert values.tolist() == [[1, 5], [3, 2]]
 
 
-def test_some_of_the_members_keep_their_place_and_the_sums_over_all():
-    results = _fill(population(6, 3))
-    some = results.members(slice(4))
-    assert np.array_equal(some.returns, results.returns[:, :4])
-    for name in BY_EPISODE:
-        assert np.array_equal(getattr(some, name), getattr(results, name)[:4]), name
-    assert some.moments is results.moments
-    assert some.seconds.tolist() == results.seconds.tolist()
-
-
 def test_seconds_are_added_up_over_all_results():
     assert len(PARTS) == 3
     for tasks in (population(6, 3), _singles(population(6, 3))):

@@ -14,7 +14,6 @@ from shes.backends.serial import SerialBackend
 from shes.envs.registry import find_environment, make_task
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
-from shes.es.novelty import NOVELTY_RULES, NS, NSR, NSRA, AuthorsNSRA
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, OneToMany
 from shes.es.shaping import FITNESS_SHAPINGS, PairRanks, TopFraction
@@ -59,13 +58,6 @@ RULES = {
     "best five by index": UpdateRule(shaping=TopFraction(top_fraction=0.6, rank_ties="index")),
     **{name: UpdateRule(optimizer=OPTIMIZERS.find(name)(), weight_decay=0.01) for name in OPTIMIZERS},
 }
-NOVELTY = {
-    "ns": NS(),
-    "nsr": NSR(),
-    "nsra": NSRA(patience=1, delta=0.2),
-    "nsra_reset": AuthorsNSRA(patience=0, extra=0, delta=0.3),
-}
-assert NOVELTY.keys() == NOVELTY_RULES.keys()
 OPTIONS = {
     **{name: {"updates": (rule, rule)} for name, rule in RULES.items()},
     "pair_rank": {"updates": (RULES["pair_rank"],) * 2, "mirrored": "pair"},
@@ -73,7 +65,6 @@ OPTIONS = {
     **{name: {"perturbation": PERTURBATIONS.find(name)()} for name in PERTURBATIONS if name != "many_to_many"},
     **{f"{name} mirroring": {"mirrored": name} for name in ("pair", "none")},
     **{f"{name} common numbers": {"common_random_numbers": name} for name in COMMON_RANDOM_NUMBERS if name != "group"},
-    **{f"novelty {name}": {"novelty": rule, "novelty_neighbours": 3} for name, rule in NOVELTY.items()},
     "schedules": {
         "sigma": changing(0.1, 0.02, 3),
         "learning_rate": changing(0.05, 0.01, 2, "cosine"),
@@ -88,7 +79,6 @@ OPTIONS = {
         "episodes_per_policy": changing(1, 3, 2),
         "updates": (RULES["z_score"], RULES["clipup"]),
         "perturbation": OneToMany(),
-        "novelty": NSRA(patience=1),
         "common_random_numbers": "population",
         "statistics_fraction": 0.5,
     },
@@ -96,7 +86,7 @@ OPTIONS = {
 ONE_LEVEL = {
     "plain": {},
     "no mirroring, own episodes": {"mirrored": "none", "common_random_numbers": "off"},
-    "novelty, schedule": {"novelty": NSR(), "episodes_per_policy": changing(1, 3, 2)},
+    "schedule": {"episodes_per_policy": changing(1, 3, 2)},
 }
 CASES = {
     **{name: ("both", replace(FAKE, **options)) for name, options in OPTIONS.items()},
@@ -266,7 +256,7 @@ def lockstep(table):
         yield backend
 
 
-# Of 8 members, 2 workers get whole policies, 3 workers also single episodes; of 9, with the mean policy, the reverse.
+# Of 8 members, 2 workers get whole policies, 3 workers also single episodes.
 @pytest.fixture(
     scope="module", params=[pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.extras), 3]
 )
@@ -281,8 +271,8 @@ QUICK = (
     "point, branches",
     "point, running",
     "everything",
-    "primitive, novelty, schedule",
-    "flat, novelty, schedule",
+    "primitive, schedule",
+    "flat, schedule",
 )
 
 

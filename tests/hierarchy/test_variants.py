@@ -1,4 +1,4 @@
-"""Generations with schedules, with levels that rest, and with a search for novelty, on made-up fitness."""
+"""Generations with schedules, and with levels that rest, on made-up fitness."""
 
 import itertools
 import math
@@ -9,20 +9,16 @@ import pytest
 
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
-from shes.es.novelty import NOVELTY_RULES, NS, NSR, NSRA
 from shes.es.optimizers import OPTIMIZERS, SGD
 from shes.es.perturbation import PERTURBATIONS, OneToMany, OneToManyHalves
 from shes.es.shaping import ZScore
 from shes.types import CONTROLLER, PRIMITIVE
-from tests.es.textbook import TextbookES, centred_ranks
 from tests.hierarchy.formula import (
     DIMS,
     EPISODES,
     SETTINGS,
     changing,
     check_against_textbook,
-    end_of,
-    formula,
     formula_run,
     formula_state,
     noise_of,
@@ -162,85 +158,3 @@ def test_every_level_has_its_own_rule(table):
         )
     )
     assert report.updates[1].gradient_norm == pytest.approx(np.linalg.norm(gradient) / 8, rel=1e-4)
-
-
-# Novelty --------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("rule", "weight"), [(NS(), 0.0), (NSR(), 0.5), (NSRA(), 1.0)])
-@pytest.mark.parametrize("perturbation", ["many_to_many", "one_to_many_halves"])
-def test_the_controllers_fitness_is_a_blend_of_return_and_novelty(table, perturbation, rule, weight):
-    settings = replace(SETTINGS, novelty=rule, novelty_neighbours=2, perturbation=PERTURBATIONS.find(perturbation)())
-    backend, reports = formula_run(table, 4, settings)
-    book = TextbookES(
-        [level.theta for level in backend.generations[0].levels], mirrored="quad", sigma=0.1, rate=0.02,
-        weight_decay=0.005, perturbation=perturbation,
-    )  # fmt: skip
-    archive, slots = [], range(EPISODES)
-    for generation, report in zip(backend.generations, reports, strict=True):
-        noise = noise_of(report, table)
-        archive += end_of(generation.levels[CONTROLLER].theta, slots).tolist()  # this generation's are in it already
-        novel = []
-        for controller, _ in book.candidates(noise):
-            nearest = [sorted(math.dist(end, place) for place in archive)[:2] for end in end_of(controller, slots)]
-            novel.append(sum(sum(pair) / 2 for pair in nearest) / 3)
-        perturbs = [[member[level][0] != 0 for member in book.members(noise)] for level in (0, 1)]
-        returns, ranked_novelty = (
-            [centred_ranks(list(itertools.compress(values, mask)), "average") for values, mask in zip(
-                rows, perturbs, strict=True)]
-            for rows in (report.results.fitness.tolist(), [novel, novel])
-        )  # fmt: skip
-        first = [weight * r + (1 - weight) * n for r, n in zip(returns[0], ranked_novelty[0], strict=True)]
-        book.step([first, returns[1]], noise)
-        for level, theta in zip(report.state.levels, book.thetas, strict=True):
-            assert level.theta == pytest.approx(theta, abs=1e-5)
-
-
-@pytest.mark.parametrize("name", sorted(NOVELTY_RULES))
-def test_the_archive_grows_by_the_mean_policys_ends(table, name):
-    settings = replace(SETTINGS, novelty=NOVELTY_RULES.find(name)())
-    backend, reports = formula_run(table, 3, settings)
-    for number, (generation, report) in enumerate(zip(backend.generations, reports, strict=True), start=1):
-        archive = report.state.novelty.archive
-        assert archive.shape == (number * EPISODES, 2)
-        ends = end_of(generation.levels[CONTROLLER].theta, range(EPISODES))
-        assert archive[-EPISODES:] == pytest.approx(ends, abs=1e-6)
-        if number > 1:
-            assert np.array_equal(archive[:-EPISODES], reports[number - 2].state.novelty.archive)
-
-
-def test_the_archive_grows_with_the_schedule_of_episodes(table):
-    _, reports = formula_run(table, 4, replace(SCHEDULED, novelty=NSR()))
-    assert [len(report.state.novelty.archive) for report in reports] == [1, 3, 6, 10]
-
-
-def test_the_mean_policys_episodes_are_steps_but_no_members(table):
-    settings = replace(SETTINGS, novelty=NSR())
-    (_, plain), (backend, searching) = (formula_run(table, 2, each) for each in (SETTINGS, settings))
-    steps = sum(100 + slot for slot in range(EPISODES))
-    assert [report.state.env_steps for report in searching] == [9 * steps, 18 * steps]
-    for tasks in backend.tasks:
-        assert {task.member for task in tasks} == set(range(9))
-        assert {task.signs for task in tasks if task.member == 8} == {((0, 0),)}
-        assert sum(len(task.seeds) for task in tasks if task.member == 8) == EPISODES
-    for one, other in zip(plain, searching, strict=True):
-        assert other.results.returns.shape == (2, 8, EPISODES)
-        assert other.results.steps.sum() == 8 * steps
-        for before, after in zip(one.state.levels, other.state.levels, strict=True):
-            assert after.statistics.count == before.statistics.count
-    # What the population does, and what the primitive is worth, is as without a search while policies are the same.
-    assert searching[0].results.returns.tobytes() == plain[0].results.returns.tobytes()
-    assert same_level(searching[0].state.levels[PRIMITIVE], plain[0].state.levels[PRIMITIVE])
-    assert not same_level(searching[0].state.levels[CONTROLLER], plain[0].state.levels[CONTROLLER])
-
-
-def test_the_rule_of_novelty_hears_returns_of_the_environment(table):
-    _, reports = formula_run(table, 2, replace(SETTINGS, novelty=NSRA(patience=1)))
-    state = formula_state(replace(SETTINGS, novelty=NSRA()))
-    best = -math.inf
-    for report in reports:
-        controller, primitive = (level.theta for level in state.levels)
-        mean_return = formula(controller, primitive)[0] + 5
-        best = max(best, mean_return)
-        assert report.state.novelty.best_return == pytest.approx(best, rel=1e-5)
-        state = report.state

@@ -50,15 +50,15 @@ def test_a_setting_is_in_a_section_and_is_told_by_its_own_name():
 @pytest.mark.parametrize(
     ("env", "algorithm", "sections"),
     [
-        ("point-gather", "shes", "run workers evolution schedules novelty networks hierarchy estimate transfer"),
+        ("point-gather", "shes", "run workers evolution schedules exploration networks hierarchy estimate transfer"),
         ("point-flagrun", "shes", "run workers evolution schedules networks hierarchy estimate transfer"),
-        ("point-gather", "es", "run workers evolution schedules novelty networks"),
+        ("point-gather", "es", "run workers evolution schedules networks"),
     ],
 )
 def test_sections_are_those_of_the_algorithm(env, algorithm, sections):
     config = TrainConfig.of(env=env, algorithm=algorithm)
     assert list(config.sections) == [*sections.split(), "environment", "episodes", "evaluation"]
-    for section in ("novelty", "hierarchy"):
+    for section in ("exploration", "hierarchy"):
         if section not in config:
             with pytest.raises(AttributeError, match=f"no section of settings '{section}' here; it has run, "):
                 getattr(config, section)
@@ -174,7 +174,7 @@ def test_an_unknown_key_or_section_is_an_error(changes, message):
         TrainConfig.from_dict(record(**changes))
 
 
-@pytest.mark.parametrize("changes", [{"novelty": ...}, {"workers": {"chunk_size": ..., "device": ...}}])
+@pytest.mark.parametrize("changes", [{"exploration": ...}, {"workers": {"chunk_size": ..., "device": ...}}])
 def test_a_setting_or_section_that_is_newer_than_the_record_has_its_default(changes):
     assert TrainConfig.from_dict(record(**changes)) == TrainConfig.from_dict(record())
 
@@ -409,7 +409,7 @@ OF_PRIMITIVES = {
     "symmetry": "dihedral",
 }
 UNHEEDED = [
-    *(("point-flagrun", "shes", name) for name in (*OF_CONTROLLERS, "novelty")),
+    *(("point-flagrun", "shes", name) for name in (*OF_CONTROLLERS, "explore")),
     *(("point-gather", "es", name) for name in OF_PRIMITIVES),
     *(pytest.param("robotics-ant-maze", "es", name, marks=pytest.mark.extras) for name in OF_PRIMITIVES),
     *(("point-flagrun", "es", name) for name in OF_PRIMITIVES if name not in ("controller_interval", "goal_distance")),

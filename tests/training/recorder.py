@@ -1,4 +1,4 @@
-"""A recorder of what a run does: the rollouts of its worker, its updates, its novelty search, its simulators.
+"""A recorder of what a run does: the rollouts of its worker, its updates, its simulators.
 
 Tests compare these with the settings of the run. The serial backend is recorded; worker processes are not.
 """
@@ -14,11 +14,9 @@ import psutil
 import pytest
 
 from shes.algorithms import worker
-from shes.algorithms.evolution import populations
+from shes.algorithms.evolution import populations, way_search
 from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule, update_level
 from shes.es.noise import NoiseTable
-from shes.es.novelty import novelty
-from shes.hierarchy import fitness
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.hierarchy.exploration import Exploration
 from shes.hierarchy.rollout import Rollout
@@ -68,8 +66,6 @@ class Record:
 
     rolled_out: list[RolledOut] = field(default_factory=list)
     updates: list[Update] = field(default_factory=list)
-    neighbours: list[int] = field(default_factory=list)
-    """Number of neighbours in every measurement of novelty."""
     noises: set[str] = field(default_factory=set)
     """Names of the exploration noises."""
     device_simulators: list[dict[str, Any]] = field(default_factory=list)
@@ -134,10 +130,6 @@ def recording() -> Iterator[Record]:
         record.updates.append(own)
         return result
 
-    def record_novelty(behaviours, archive, neighbours):
-        record.neighbours.append(neighbours)
-        return novelty(behaviours, archive, neighbours)
-
     def record_noise(exploration):
         noises = of_step(exploration)
         record.noises.update(noises)
@@ -150,8 +142,8 @@ def recording() -> Iterator[Record]:
         patch.setattr(worker, "WarpSimulator", DeviceSimulator)
         patch.setattr(worker, "WarpDevice", Device)
         patch.setattr("shes.algorithms.problem.WarpDevice", Device)
+        patch.setattr(way_search, "SLICE_STEPS", min(4000, way_search.SLICE_STEPS))
         patch.setattr(populations, "update_level", record_update)
-        patch.setattr(fitness, "novelty", record_novelty)
         patch.setattr(Exploration, "of_step", record_noise)
         yield record
 

@@ -32,7 +32,6 @@ PAPER = {
     "perturbation": "many_to_many",
     "fitness_shaping": "centred_rank",
     "optimizer": "adam",
-    "novelty": "none",
     "primitive_reward": "progress",
     # What makes the ant learn in the other presets is not the paper's (docs/learning.md).
     "primitive_view": "observation",
@@ -47,6 +46,7 @@ PAPER = {
     "sigma_schedule": "constant",
     "max_tilt": None,
     "waypoints": None,
+    "explore": "none",
     "freeze_primitive": True,
     "reset_noise": 0.0,
     "evaluation_reset_noise": 0.1,
@@ -165,7 +165,6 @@ def test_wrong_names_are_refused():
             {"rank_ties": "index", "fitness_shaping": "z_score"},
             "rank_ties has no effect with fitness_shaping 'z_score'",
         ),
-        ({"novelty_neighbours": 3}, "novelty_neighbours has no effect with novelty 'none'.*omit --novelty-neighbours"),
         (
             {"schedule_generations": 50},
             "schedule_generations has no effect with learning_rate_end None, .*, got 50.*omit --sched",
@@ -181,7 +180,6 @@ def test_a_setting_that_would_do_nothing_beside_another_is_refused(settings, fix
         make_config("point-gather", "laptop", settings)
     helped = {
         "momentum": {"optimizer": "sgd"},
-        "novelty_neighbours": {"novelty": "ns"},
         "schedule_generations": {"sigma_schedule": "linear", "sigma_end": 0.01},
         "perturbation": {"algorithm": "shes"},
     }.get(next(iter(settings)))

@@ -273,9 +273,15 @@ ROWS: dict[str, Row] = {
         8, sigmas(), [0.07, 0.06, 0.05], [0.07] * 3,
         with_it={"sigma_schedule": "linear", "sigma_end": 0.03}, **START_MIDDLE_END,
     ),
-    # novelty
-    "novelty": Row("ns", lambda r: r.state.novelty and r.state.novelty.weight, 0.0, None),
-    "novelty_neighbours": Row(3, lambda r: r.neighbours, [3], [10], beside={"novelty": "ns"}),
+    # exploration
+    "explore": Row(
+        "archive", lambda r: (bool(r.of("exploration")), bool(r.state.archive)), (True, True), (False, False),
+        env="point-push", beside={"primitive_view": "egocentric", "controller_interval": 5},
+    ),
+    "explore_horizon": Row(
+        5, lambda r: max(task.start.steps for each in r.of("exploration") for task in each.tasks), 0, 45,
+        env="point-push", beside={"primitive_view": "egocentric", "controller_interval": 5, "explore": "archive"},
+    ),
     # networks
     "hidden": Row((5, 6), sizes, [[(5, 6)] * 2], [[(16,)] * 2]),
     "biases": Row("glorot_normal", theta(lambda values, _: bool(np.all(values))), [True] * 2, [False] * 2),

@@ -23,7 +23,7 @@ from shes.es.level import LevelParameters
 from shes.es.noise import NoiseTable
 from shes.hierarchy.agent import AgentDesign
 from shes.settings import Settings
-from shes.types import ArrayHeader
+from shes.types import ArrayHeader, F64Array
 
 
 class AnyState(Protocol):
@@ -43,6 +43,18 @@ class AnyState(Protocol):
     def env_steps(self) -> int:
         """Number of environment steps of training so far."""
         ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explored:
+    """What a search for a way to the target has found, for a map."""
+
+    places: F64Array
+    """Places that were reached [places, 2], in whole metres."""
+    way: F64Array
+    """The way from the start to the target [W, 2] in metres; empty if none is known."""
+    waypoints: F64Array
+    """Its points that guide training [points, 2]."""
 
 
 StateT = TypeVar("StateT", bound=AnyState)
@@ -192,6 +204,10 @@ class Algorithm(ABC, Generic[StateT]):
         An algorithm with a large state leaves out what a resumed run can do without.
         """
         return state
+
+    def explored(self, state: StateT) -> Explored | None:
+        """Return what a search for a way has found by `state`; None without such a search."""
+        return None
 
     def warnings(self) -> Sequence[str]:
         """Return warnings about the settings, which are logged at the start of a run."""

@@ -50,7 +50,7 @@ def learning_levels(state: TrainState, report: GenerationReport, table_size: int
             LearningLevel(
                 level=level,
                 rule=population.rules[place],
-                fitness=population.members.fitness[place],
+                fitness=population.results.fitness[place],
                 signs=signs,
                 noise_index=draw_noise_index(
                     state.seed + 1, state.generation, len(signs), dims, table_size, first_level=number

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
@@ -60,6 +60,19 @@ class Reader(ABC):
     @abstractmethod
     def to_action(self, control: F64Array) -> FloatArray:
         """Return actions of the environment's action space for `control` [N, A], clipped to the limits."""
+
+
+class Places(NamedTuple):
+    """Where robots are, for a search that goes back."""
+
+    cells: IntArray
+    """Cells [N, K], in whole steps of coordinates that matter in the task."""
+    positions: F64Array
+    """Positions [N, 2 or 3] in metres, with as many coordinates as the task's target."""
+    is_upright: BoolArray
+    """Whether the robot has not fallen [N]."""
+    is_success: BoolArray
+    """Whether the task is solved there [N]."""
 
 
 class EpisodeBatch(ABC):
@@ -230,6 +243,23 @@ class EpisodeBatch(ABC):
             "episodes of an environment that Gymnasium makes cannot be branched: its physics state is its own. "
             "Set --primitive-estimate episode."
         )
+
+    def places(self, states: F64Array) -> Places:
+        """Return where robots in physics states [N, S] are.
+
+        Raises:
+            ConfigError: The task has no places to search.
+        """
+        raise ConfigError("there is no way to search for in this environment. Set --explore none.")
+
+    def set_way(self, way: F64Array | None) -> None:
+        """Let the reward lead through `way` [points, 2 or 3] from the next reset on; None is as by the options.
+
+        Raises:
+            ConfigError: The task has no target.
+        """
+        if way is not None:
+            raise ConfigError("there is no way to a target in this environment. Set --explore none.")
 
     @abstractmethod
     def step(self, ids: IntArray, action: FloatArray) -> None:

@@ -56,6 +56,11 @@ class Environment(NamedTuple):
         """Whether the task sets the goals, so that a primitive can be trained without a controller."""
         return self.task.sets_goals
 
+    @property
+    def has_places(self) -> bool:
+        """Whether a way to the task's target can be searched for by going back to places."""
+        return self.task.has_places
+
     def with_body_options(self, options: Settings) -> Environment:
         """Return this environment with a body made from `options`."""
         return self._replace(body=partial(self.body, options))  # type: ignore[arg-type] - called like the class

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.checked import checked
+from shes.es.archive import Archive
 from shes.es.gradient import group_weights, weighted_noise_sum
 from shes.es.noise import NoiseTable
-from shes.es.novelty import NoveltyState
 from shes.es.optimizers import Adam, Optimizer, OptimizerState
 from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
@@ -65,8 +65,8 @@ class TrainState:
     """Number of environment steps of training so far."""
     levels: tuple[LevelState, ...]
     """The levels, controller first."""
-    novelty: NoveltyState | None = None
-    """State of the novelty search, if enabled."""
+    archive: Archive | None = None
+    """State of the search for a way, if enabled."""
     running: RunningEpisodes | None = None
     """Episodes that continue in the next generation, if any."""
 

@@ -16,11 +16,12 @@ class Purpose(IntEnum):
     EVALUATION_EPISODES = 3
     STATISTICS_SAMPLE = 4
     FRESH_EPISODES = 5
-    NOVELTY_EPISODES = 6
+    # 6 belonged to novelty search, which is gone.
     SNAPSHOTS = 7
     BRANCHES = 8
     EXPLORATION = 9
     REPLAY = 10
+    ARCHIVE = 11
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:

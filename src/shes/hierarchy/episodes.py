@@ -100,11 +100,17 @@ class Generation:
     """Number of goals in the snapshots of whole episodes; 0 for no snapshots."""
     decisions: Decisions | None = None
     """Added to the outputs of the deciding level, whose parameters in `levels` are then 0; None for its own outputs."""
+    is_exploration: bool = False
+    """Whether the branches are walks of a search."""
+    way: F64Array | None = None
+    """Waypoints [points, 2 or 3] to the target in metres; None for those of the task's options."""
 
     @property
     def kind(self) -> str:
-        """Kind of the episodes: `evaluation`, `branch` or `training`."""
-        return "evaluation" if self.is_evaluation else "branch" if self.branch_steps else "training"
+        """Kind of the episodes: `evaluation`, `exploration`, `branch` or `training`."""
+        if self.is_evaluation:
+            return "evaluation"
+        return "exploration" if self.is_exploration else "branch" if self.branch_steps else "training"
 
     @property
     def rows_per_lane(self) -> int:

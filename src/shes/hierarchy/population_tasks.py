@@ -1,6 +1,6 @@
 """The tasks of a population: noise, signs and episode seeds of every member.
 
-Source: SHES paper, Algorithm 1 lines 2 and 3, II-E, II-F; Conti et al. 2018 for the episodes of the mean policies.
+Source: SHES paper, Algorithm 1 lines 2 and 3, II-E, II-F.
 """
 
 from __future__ import annotations
@@ -92,20 +92,3 @@ def population_tasks(
 def members_per_lane(members: int, episodes: int) -> int:
     """Return how many of the `members` of a group share a matmul, M': all of them if E (`episodes`) is small."""
     return members if episodes < _ENOUGH_ROWS else 1
-
-
-def mean_policy_task(state: TrainState, member: int, episodes: int, shared: int) -> EpisodeTask:
-    """Return the task of the mean policies as an additional `member`, for novelty search.
-
-    Its matmul has rows for `shared` members, as that of every other task. The surplus rows are idle.
-    """
-    zeros = (0,) * len(state.levels)
-    seeds = stream(state.seed, Purpose.NOVELTY_EPISODES, state.generation).integers(0, 2**63, episodes)
-    return EpisodeTask(
-        member=member,
-        noise_index=zeros,
-        signs=(zeros,) * shared,
-        slots=tuple(range(episodes)),
-        seeds=tuple(seeds.tolist()),
-        records_statistics=False,
-    )

@@ -54,10 +54,6 @@ class PopulationResults(ByEpisode):
         members = 1 + max(task.member + max(task.slots) // generation.episodes_per_policy for task in tasks)
         return cls.empty(len(generation.levels), members, generation.episodes_per_policy)
 
-    def members(self, which: slice) -> PopulationResults:
-        """Return the outcomes of some of the members. Sums over all members are unchanged."""
-        return replace(self, outcomes=self.outcomes[which])
-
     @property
     def fitness(self) -> F64Array:
         """Fitness of every member at each level [L, n]: its mean return.

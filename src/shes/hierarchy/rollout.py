@@ -91,6 +91,7 @@ class Rollout:
         None in `work` means that no more tasks are to be started until an episode has ended. A PolicyError is raised
         for a policy that returned NaN or infinity.
         """
+        self.batch.set_way(generation.way)
         self._exploration.begin(generation)
         num_goals = generation.snapshot_goals
         self._recorder = SnapshotRecorder(self.batch, self.agent, num_goals) if num_goals else None

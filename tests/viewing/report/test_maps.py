@@ -6,10 +6,11 @@ import gymnasium
 import numpy as np
 import pytest
 
+from shes.algorithms.contract import Explored
 from shes.errors import ConfigError
 from shes.training.evaluate import evaluate
 from shes.viewing.playback import Playback
-from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes
+from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes, search_figure
 from tests.e2e import runs
 
 
@@ -64,6 +65,22 @@ def test_the_marks_of_a_task_are_shown_with_a_single_episode(tiny_run):
     assert len(alone) == 2 * 16  # food and poison
     assert {trace["meta"]["episode"] for trace in traces} == {0, 1}
     assert episode_names(journeys)[1] == f"episode 1, score {journeys.episodes[1].score:g}"
+
+
+def test_the_map_of_a_search_shows_places_and_the_way(tmp_path):
+    settings = {"explore": "archive", "primitive_view": "egocentric", "controller_interval": 25}
+    journeys = play_episodes(runs.train_tiny(tmp_path / "run", "point-push", generations=1, **settings), 2)
+    assert [0, 0] in journeys.explored.places.tolist()
+    way = np.array([[0.0, 0], [3, 1], [6, 0]])
+    found = Explored(places=np.array([[0.0, 0], [3, 1]]), way=way, waypoints=way[2:])
+    figure = search_figure(found, journeys)
+    squares, line, points = figure["data"]
+    assert squares["x"] == [-0.45, 0.45, 0.45, -0.45, None, 2.55, 3.45, 3.45, 2.55, None]
+    assert squares["y"][5:9] == [0.55, 0.55, 1.45, 1.45]
+    assert (line["x"], line["y"], points["x"]) == ([0, 3, 6], [0, 1, 0], [6])
+    assert figure["layout"]["shapes"] == map_figure(journeys)["layout"]["shapes"]
+    json.dumps(figure, allow_nan=False)
+    assert play_episodes(runs.train_tiny(tmp_path / "other", "point-push", generations=1), 1).explored is None
 
 
 class Pole(gymnasium.Env):

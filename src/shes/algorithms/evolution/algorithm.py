@@ -19,10 +19,10 @@ from shes.algorithms.evolution.populations import (
     roll_out,
     roll_out_branches,
 )
+from shes.algorithms.evolution.way_search import explore
 from shes.backends.backend import Backend
 from shes.es.level import LevelUpdate, TrainState
 from shes.es.noise import NoiseTable
-from shes.hierarchy.fitness import advance_novelty
 from shes.hierarchy.intervals import next_running
 from shes.hierarchy.results import PopulationResults
 
@@ -50,12 +50,12 @@ class GenerationReport:
     @property
     def results(self) -> PopulationResults:
         """Returns, steps and flags of every episode of `population`."""
-        return self.population.members
+        return self.population.results
 
     @property
     def num_steps(self) -> int:
         """Number of environment steps of the generation's members."""
-        return sum(int(each.members.steps.sum()) for each in self.populations)
+        return sum(int(each.results.steps.sum()) for each in self.populations)
 
     @property
     def log(self) -> list[str]:
@@ -79,14 +79,15 @@ def evolve(
     """Yield a report after every generation from `state` on, indefinitely. `pool` computes gradients in parallel."""
     while True:  # line 1
         start = perf_counter()
+        # Not in the paper: a search by the mean primitive for a way to the target, which then guides the controllers.
+        state = explore(state, hyperparameters.search, backend)
         # lines 2 and 3: n rollouts of policies perturbed by sigma * epsilon, for controller and primitive at once.
         population = roll_out(state, hyperparameters, table, backend)
         # Not in the paper: a primitive may be evaluated by intervals that branch off the states of these episodes.
         branches = roll_out_branches(state, hyperparameters, table, backend, population)
         rolled_out, results = perf_counter(), population.results
-        novelty = advance_novelty(state.novelty, hyperparameters.novelty, results, hyperparameters.population_size)
         # lines 4 and 5: theta += alpha / n * sum(f * epsilon), each level by its own fitness.
-        updates = population.update(state.levels, table, pool, novelty, hyperparameters.novelty_neighbours)
+        updates = population.update(state.levels, table, pool)
         levels = population.merge_statistics(update.level for update in updates)
         if branches is not None:
             updates = (*updates[:-1], *branches.update(levels[-1:], table, pool))
@@ -96,7 +97,7 @@ def evolve(
             generation=state.generation + 1,
             env_steps=state.env_steps + population.num_steps + (0 if branches is None else branches.num_steps),
             levels=levels,
-            novelty=novelty,
+            archive=state.archive,
             running=next_running(results, hyperparameters.intervals) if population.is_branched else None,
         )
         yield GenerationReport(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from shes.algorithms.evolution.learned_levels import by_episodes, is_alone, is_branched, learns
+from shes.algorithms.evolution.learned_levels import by_episodes, explores, is_alone, is_branched, learns
 from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
@@ -34,6 +34,8 @@ def check_together(settings: Any) -> None:
         _check_equivariant(settings.hierarchy)
     if is_branched(settings):
         _check_branches(settings)
+    if explores(settings):
+        _check_exploration(settings)
 
 
 def _check_schedules(values: Mapping[str, Any]) -> None:
@@ -111,6 +113,31 @@ def _check_branches(settings: Any) -> None:
     name, pairs = ("primitive_population_size", own) if own else ("population_size", settings.evolution.population_size)
     if pairs % 2:
         raise out_of_range(name, pairs, "an even number: branches are mirrored pairs")
+
+
+def _check_exploration(settings: Any) -> None:
+    """Check that a way to the target can be searched for, and found again by the reward."""
+    if not find_environment(settings.run.env).has_places:
+        raise ConfigError(
+            f"explore is 'archive', but {settings.run.env} has no target with a way to search for: only Maze, Push and "
+            "Fall of this package have. Set --explore none."
+        )
+    options = settings.environment
+    if options.waypoints is not None:
+        raise ConfigError(
+            f"explore is 'archive', but waypoints {options.waypoints} are a way already. Set --waypoints none, or "
+            "--explore none."
+        )
+    if options.has_random_target:
+        raise ConfigError(
+            "explore is 'archive', but the training target is random. Set --target, e.g. --target 0 16, or "
+            "--explore none."
+        )
+    if PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
+        raise ConfigError(
+            "explore is 'archive', but the primitive sees the task's observation, which a walker does not have. "
+            "Set --primitive-view egocentric or proprioception, or --explore none."
+        )
 
 
 def check_effects(settings: Any, asked: Mapping[str, Any]) -> None:

@@ -20,7 +20,7 @@ def columns(report: GenerationReport) -> dict[str, Any]:
     results, levels = report.results, report.state.levels
     row: dict[str, Any] = {}
     for level, (population, i) in zip(levels, report.sources, strict=True):
-        fitness = population.members.fitness[i]
+        fitness = population.results.fitness[i]
         row[f"{level.name}_return_mean"] = float(fitness.mean())
         row[f"{level.name}_return_max"] = float(fitness.max())
     row |= {
@@ -42,20 +42,21 @@ def columns(report: GenerationReport) -> dict[str, Any]:
         row |= {
             f"{level.name}_noise_distinct": len(np.unique(indices)),
             f"{level.name}_noise_overlapping": _overlapping(indices, len(level.theta)),
-            f"{level.name}_rank_ties": _tied(select_fitness(population.members.fitness[i], signs)),
+            f"{level.name}_rank_ties": _tied(select_fitness(population.results.fitness[i], signs)),
             f"{level.name}_gradient_norm": update.gradient_norm,
             f"{level.name}_halves_cosine": update.halves_cosine,
             f"{level.name}_update_ratio": update.update_ratio,
             f"{level.name}_theta_norm": float(np.linalg.norm(level.theta.astype(np.float64))),
         }
-    if report.state.novelty is not None:
+    archive = report.state.archive
+    if archive is not None:
         row |= {
-            "novelty_weight": report.state.novelty.weight,
-            "novelty_archive": len(report.state.novelty.archive),
-            "novelty_best_return": report.state.novelty.best_return,
+            "exploration_steps": archive.env_steps,
+            "cells": len(archive.cells),
+            "way_steps": archive.way_steps or float("nan"),
         }
     if report.branches is not None:
-        branches = report.branches.members
+        branches = report.branches.results
         row |= {
             "branch_steps_mean": float(branches.steps.mean()),
             "branch_terminated_rate": float(branches.has_terminated.mean()),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
-from shes.algorithms.evolution.learned_levels import is_alone, is_branched
+from shes.algorithms.evolution.learned_levels import explores, is_alone, is_branched
 from shes.algorithms.problem import Problem
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
@@ -26,10 +26,8 @@ from shes.settings import flag
 
 
 def flat_design(problem: Problem) -> FlatDesign:
-    """Return the design of an agent with a single policy; novelty search requires the robot's position."""
+    """Return the design of an agent with a single policy."""
     task, settings = problem.sample(), problem.settings
-    if settings.novelty.novelty != "none":
-        task.check_position()
     inputs = _clock_size(settings) + task.observation_size
     return FlatDesign(policy=MLP(inputs, settings.networks.hidden, task.action_size), **_acting(settings, task))
 
@@ -76,10 +74,10 @@ def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
 
 def branch_design(settings: Any, design: AgentDesign) -> BranchDesign | None:
     """Return the design of the agents in branches under a controller, or None if there are no such branches."""
-    if not is_branched(settings) or not isinstance(design, HierarchicalDesign):
+    if not (is_branched(settings) or explores(settings)) or not isinstance(design, HierarchicalDesign):
         return None
     shared = {field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)}
-    return BranchDesign(num_goals=settings.estimate.intervals, **shared)
+    return BranchDesign(num_goals=settings.estimate.intervals if is_branched(settings) else 1, **shared)
 
 
 def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:

@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from shes.algorithms.evolution.learned_levels import is_branched, learns
+import numpy as np
+
+from shes.algorithms.evolution.learned_levels import explores, is_branched, learns
 from shes.algorithms.evolution.populations import Hyperparameters
-from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings, NoveltySettings
+from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
+from shes.algorithms.evolution.way_search import WaySearch
+from shes.algorithms.problem import Problem
+from shes.es.archive import Archive
 from shes.es.level import LevelState, TrainState, UpdateRule
-from shes.es.novelty import NOVELTY_RULES, WeightRule
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import Schedule
@@ -20,8 +24,9 @@ from shes.hierarchy.intervals import IntervalEstimate
 from shes.options import make
 
 
-def make_hyperparameters(settings: Any) -> Hyperparameters:
+def make_hyperparameters(problem: Problem) -> Hyperparameters:
     """Return the hyperparameters of Algorithm 1."""
+    settings = problem.settings
     evolution, schedules, values = settings.evolution, settings.schedules, settings.values
 
     def schedule(name: str) -> Schedule:
@@ -40,16 +45,27 @@ def make_hyperparameters(settings: Any) -> Hyperparameters:
         perturbation=make(PERTURBATIONS, values.get("perturbation", HierarchySettings.perturbation), values),
         common_random_numbers=evolution.common_random_numbers,
         statistics_fraction=evolution.statistics_fraction,
-        novelty=_novelty_rule(values),
-        novelty_neighbours=values.get("novelty_neighbours", NoveltySettings.novelty_neighbours),
         intervals=_interval_estimate(settings, schedule("sigma"), schedule("learning_rate")),
+        search=_way_search(problem) if explores(settings) else None,
         horizon=settings.episodes.horizon,
     )
 
 
-def _novelty_rule(values: dict[str, Any]) -> WeightRule | None:
-    name = values.get("novelty", NoveltySettings.novelty)
-    return None if name == "none" else make(NOVELTY_RULES, name, values)
+def _way_search(problem: Problem) -> WaySearch:
+    """Return the search for a way to the target of evaluation."""
+    settings, task = problem.settings, problem.make_task(is_evaluation=True)
+    task.reset(np.array([0]), [0])
+    state = task.states(np.array([0]))
+    places = task.places(state)
+    interval = settings.hierarchy.controller_interval
+    return WaySearch(
+        decode=task.places,
+        start=Archive.start(places.cells, places.positions.copy(), state.shape[1]),
+        interval=interval,
+        interval_s=interval * task.step_s,
+        horizon=settings.exploration.explore_horizon or settings.episodes.horizon,
+        goal_distance=settings.hierarchy.goal_distance,
+    )
 
 
 def _interval_estimate(settings: Any, sigma: Schedule, learning_rate: Schedule) -> IntervalEstimate | None:
@@ -103,6 +119,4 @@ def make_state(settings: Any, design: AgentDesign, seed: int) -> TrainState:
         rng = stream(seed, Purpose.INITIAL_PARAMETERS, number)
         theta = policy.initial(rng, networks.biases, networks.output_weights)
         levels.append(LevelState.start(name, theta, rule.optimizer, policy.sizes[0]))
-    weights = _novelty_rule(settings.values)
-    novelty = None if weights is None else weights.start()
-    return TrainState(seed=seed, generation=0, env_steps=0, levels=tuple(levels), novelty=novelty)
+    return TrainState(seed=seed, generation=0, env_steps=0, levels=tuple(levels))

@@ -23,6 +23,11 @@ def is_branched(settings: Any) -> bool:
     return "estimate" in settings and settings.estimate.primitive_estimate == "interval"
 
 
+def explores(settings: Any) -> bool:
+    """Return whether the run searches for a way to the target."""
+    return "exploration" in settings and settings.exploration.explore == "archive"
+
+
 def by_episodes(settings: Any) -> tuple[bool, ...]:
     """Return whether each level's mirrored groups are whole episodes: also those of a primitive that learns alone."""
     if is_branched(settings) and not is_alone(settings):

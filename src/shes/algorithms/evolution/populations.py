@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+from shes.algorithms.evolution.way_search import WaySearch
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
 from shes.es.level import (
@@ -21,13 +22,12 @@ from shes.es.level import (
     update_level,
 )
 from shes.es.noise import NoiseTable
-from shes.es.novelty import NoveltyState, WeightRule
 from shes.es.perturbation import ManyToMany, Perturbation, Signs
 from shes.es.schedules import Schedule
 from shes.hierarchy.episodes import Generation
 from shes.hierarchy.fitness import shaped_fitness
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapshot_steps
-from shes.hierarchy.population_tasks import Work, mean_policy_task, members_per_lane, population_tasks
+from shes.hierarchy.population_tasks import Work, members_per_lane, population_tasks
 from shes.hierarchy.results import PopulationResults
 
 
@@ -57,12 +57,10 @@ class Hyperparameters:
 
     Deviation: all of them, except in the preset `paper` (authors' code: 0.01).
     """
-    novelty: WeightRule | None = None
-    """Weight of novelty in the fitness of the first level; None for no novelty search."""
-    novelty_neighbours: int = 10
-    """Number of nearest neighbours in the archive (k)."""
     intervals: IntervalEstimate | None = None
     """How the primitive is evaluated by intervals; None if it is evaluated by whole episodes."""
+    search: WaySearch | None = None
+    """Search for a way to the target; None for no search."""
     horizon: int = 500
     """Maximum number of control steps in an episode."""
 
@@ -102,11 +100,6 @@ class Population:
         """Number of environment steps of all episodes."""
         return int(self.results.steps.sum())
 
-    @property
-    def members(self) -> PopulationResults:
-        """Results of the members, without those of the mean policies, which novelty search runs as well."""
-        return self.results.members(slice(self.work.signs.shape[0] * self.work.signs.shape[1]))
-
     def merge_statistics(self, levels: Iterable[LevelState]) -> tuple[LevelState, ...]:
         """Return `levels` with the new observations in the statistics of the levels that learn."""
         return self.results.merge_statistics(tuple(levels), self.learns)
@@ -116,12 +109,10 @@ class Population:
         levels: Sequence[LevelState],
         table: NoiseTable,
         pool: ThreadPoolExecutor | None,
-        novelty: NoveltyState | None = None,
-        neighbours: int = 1,
     ) -> tuple[LevelUpdate, ...]:
-        """Return the update of each of `levels` by its own fitness. Novelty, if any, affects the first level."""
+        """Return the update of each of `levels` by its own fitness."""
         signs, noise_index = self.work.signs, self.work.noise_index
-        fitness = shaped_fitness(self.members, signs, self.rules, novelty, neighbours)
+        fitness = shaped_fitness(self.results, signs, self.rules)
         return tuple(
             update_level(level, fitness[i], signs[:, :, i], noise_index[i], table, rule, self.learning_rate, pool)
             for i, (level, rule) in enumerate(zip(levels, self.rules, strict=True))
@@ -154,8 +145,6 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
         noted,
     )
     shared = members_per_lane(signs.shape[1], episodes)
-    if hyperparameters.novelty is not None:
-        tasks.append(mean_policy_task(state, hyperparameters.population_size, episodes, shared))
     generation = Generation(
         levels=LevelParameters.of_all(state.levels),
         sigma=hyperparameters.sigma.value(state.generation),
@@ -164,6 +153,7 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
         members_per_lane=shared,
         has_frozen_control=not hyperparameters.by_episodes[-1],
         snapshot_goals=snapshot_goals,
+        way=None if state.archive is None else state.archive.waypoints,
     )
     return Work(signs=signs, noise_index=noise_index, tasks=tasks, generation=generation)
 

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 from shes.envs.bodies.symmetry import SYMMETRIES
 from shes.es.mirror import MIRRORINGS
 from shes.es.noise import DEFAULT_TABLE_SIZE
-from shes.es.novelty import NOVELTY_RULES
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import SCHEDULES
@@ -102,13 +101,14 @@ class ScheduleSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoveltySettings(Settings):
-    """Novelty."""
+class ExplorationSettings(Settings):
+    """Exploration."""
 
-    novelty: Annotated[str, Choices(("none", *NOVELTY_RULES))] = "none"
-    """Weight of novelty in the fitness: none, or a rule of Conti et al. 2018 or (nsra_reset) of the authors' code."""
-    novelty_neighbours: Annotated[int, Ge(1), Needs("novelty", tuple(NOVELTY_RULES))] = 10
-    """Number of nearest final positions in the archive from which novelty is measured (k)."""
+    explore: Literal["none", "archive"] = "none"
+    """Search for a way to the target: none, or by an archive of places to which a simulation goes back. The way found
+    replaces the waypoints in training."""
+    explore_horizon: Annotated[int, Ge(1), Needs("explore", ("archive",))] | None = None
+    """Longest way of the search in control steps; none for the horizon."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,7 +220,7 @@ class TransferSettings(PrimitiveTransferSettings):
 _EVERY: Mapping[str, type[Settings]] = {"evolution": EvolutionSettings, "schedules": ScheduleSettings}
 SHES_SECTIONS: Mapping[str, type[Settings]] = {
     **_EVERY,
-    "novelty": NoveltySettings,
+    "exploration": ExplorationSettings,
     "networks": NetworkSettings,
     "hierarchy": HierarchySettings,
     "estimate": EstimateSettings,
@@ -235,5 +235,5 @@ PRIMITIVE_SECTIONS: Mapping[str, type[Settings]] = {
     "transfer": PrimitiveTransferSettings,
 }
 """Settings of a primitive alone."""
-SES_SECTIONS: Mapping[str, type[Settings]] = {**_EVERY, "novelty": NoveltySettings, "networks": NetworkSettings}
+SES_SECTIONS: Mapping[str, type[Settings]] = {**_EVERY, "networks": NetworkSettings}
 """Settings of one policy without goals."""

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
 from shes.errors import CheckpointError
+from shes.es.archive import Archive
 from shes.es.level import LevelState, RunningEpisodes, TrainState
-from shes.es.novelty import NoveltyState
 from shes.es.optimizers import OptimizerState
 from shes.es.statistics import ObservationStatistics
 from shes.types import ArrayHeader
 
-_GROWS = frozenset({"novelty/archive"})
-"""Arrays whose first axis has a variable length."""
 _OPTIONAL = {"running/states": (np.float64, 2), "running/steps": (np.int64, 1)}
 """Type and number of axes of the arrays that are missing before the first generation."""
+_ARCHIVE = {f"archive/{field.name}": field.name for field in fields(Archive)}
+"""Arrays of the search for a way, whose first axes grow."""
+_AS_LONG = {"steps": "cells", "chosen": "cells", "nodes": "cells", "states": "cells", "positions": "parents"}
+"""Arrays of the search that are as long as another one; states may also be gone."""
+_LOWEST = {"running/steps": -1, "archive/cells": -(2**63)}
+"""Lowest value of arrays of integers that may be negative."""
 
 
 def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
@@ -36,13 +42,8 @@ def to_arrays(state: TrainState) -> dict[str, np.ndarray]:
             f"{level.name}/observation_total": level.statistics.total,
             f"{level.name}/observation_total_squares": level.statistics.total_squares,
         }
-    if state.novelty is not None:
-        arrays |= {
-            "novelty/archive": state.novelty.archive,
-            "novelty/weight": np.float64(state.novelty.weight),
-            "novelty/best_return": np.float64(state.novelty.best_return),
-            "novelty/stalled": np.int64(state.novelty.stalled),
-        }
+    if state.archive is not None:
+        arrays |= {name: getattr(state.archive, field) for name, field in _ARCHIVE.items()}
     if state.running is not None:
         arrays |= {"running/states": state.running.states, "running/steps": state.running.steps}
     return {name: np.asarray(value) for name, value in arrays.items()}
@@ -61,7 +62,7 @@ def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None
         raise CheckpointError("has states or steps of running episodes, not both. Put back the checkpoint of this run.")
     for name, array in headers.items():
         if name in expected:
-            fits, own = _is_like(array, expected[name], name), expected[name]
+            fits, own = _is_like(array, expected[name], grows=name in _ARCHIVE), expected[name]
             here = f"{own.dtype} of shape {own.shape}"
         else:
             dtype, axes = _OPTIONAL[name]
@@ -71,35 +72,42 @@ def check_headers(headers: Mapping[str, ArrayHeader], start: TrainState) -> None
                 f"holds {name} as {array.dtype} of shape {array.shape}, where this run has {here}. "
                 "Put back the checkpoint of this run."
             )
+    _check_archive(headers)
 
 
-def _is_like(array: ArrayHeader, own: np.ndarray, name: str) -> bool:
+def _check_archive(headers: Mapping[str, ArrayHeader]) -> None:
+    """Raise CheckpointError unless the arrays of a search for a way are as long as one another."""
+    for name, other in _AS_LONG.items() if "archive/cells" in headers else ():
+        length, expected = (headers[f"archive/{each}"].shape[0] for each in (name, other))
+        if length != expected and (name, length) != ("states", 0):
+            raise CheckpointError(
+                f"holds archive/{name} of length {length}, where archive/{other} has {expected}. "
+                "Put back the checkpoint of this run."
+            )
+
+
+def _is_like(array: ArrayHeader, own: np.ndarray, *, grows: bool) -> bool:
     """Return whether `array` has the type and shape of `own`; texts may be longer, and some arrays grow."""
-    first = 1 if name in _GROWS else 0
     is_type = array.dtype == own.dtype or array.dtype.kind == own.dtype.kind == "U"
-    return is_type and len(array.shape) == own.ndim and array.shape[first:] == own.shape[first:]
+    return is_type and len(array.shape) == own.ndim and array.shape[grows:] == own.shape[grows:]
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], start: TrainState) -> None:
     """Raise CheckpointError unless `arrays` can be a later state of the run begun by `start`."""
     check_headers(arrays, start)
     for name, array in arrays.items():
-        if array.dtype.kind == "f" and not np.isfinite(array).all() and name != "novelty/best_return":
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise CheckpointError(f"holds NaN or infinity in {name}. Take an earlier checkpoint.")
-        if array.dtype.kind == "i" and (array < (-1 if name == "running/steps" else 0)).any():
+        if array.dtype.kind == "i" and (array < _LOWEST.get(name, 0)).any():
             raise CheckpointError(f"holds a negative number in {name}. Put back the checkpoint of this run.")
 
 
 def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
     """Return the state that `to_arrays` converted."""
-    novelty = running = None
-    if "novelty/archive" in arrays:
-        novelty = NoveltyState(
-            archive=arrays["novelty/archive"],
-            weight=float(arrays["novelty/weight"]),
-            best_return=float(arrays["novelty/best_return"]),
-            stalled=int(arrays["novelty/stalled"]),
-        )
+    running = archive = None
+    if "archive/cells" in arrays:
+        found: dict[str, Any] = {field: arrays[name] for name, field in _ARCHIVE.items()}
+        archive = Archive(**{field: array if array.ndim else array.item() for field, array in found.items()})
     if "running/states" in arrays:
         running = RunningEpisodes(states=arrays["running/states"], steps=arrays["running/steps"])
     return TrainState(
@@ -107,7 +115,7 @@ def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrainState:
         generation=int(arrays["generation"]),
         env_steps=int(arrays["env_steps"]),
         levels=tuple(_level(arrays, str(name)) for name in arrays["levels"]),
-        novelty=novelty,
+        archive=archive,
         running=running,
     )
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from shes.algorithms.contract import Algorithm, Report
+from shes.algorithms.contract import Algorithm, Explored, Report
 from shes.algorithms.evolution.algorithm import evolve
 from shes.algorithms.evolution.checks import check_effects, check_together, warnings
 from shes.algorithms.evolution.columns import columns
@@ -58,11 +58,12 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
             ShapeError: The observation does not have the size of the observation spec.
         """
         super().__init__(problem, type(self).make_design(problem))
-        self.hyperparameters = make_hyperparameters(problem.settings)
+        self.hyperparameters = make_hyperparameters(problem)
 
     def start(self, seed: int) -> TrainState:
         """Return the state before the first generation, without transferred parameters."""
-        return make_state(self.problem.settings, self.design, seed)
+        state, search = make_state(self.problem.settings, self.design, seed), self.hyperparameters.search
+        return state if search is None else replace(state, archive=search.start)
 
     def run(self, state: TrainState, backend: Backend) -> Generator[Report[TrainState], None, None]:
         """Yield a report after every generation from `state` on, indefinitely."""
@@ -117,13 +118,25 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         """Return the parameters and the normalisation of the mean policies."""
         return LevelParameters.of_all(state.levels)
 
+    def explored(self, state: TrainState) -> Explored | None:
+        """Return the places that the search for a way has reached, and the way; None without a search."""
+        archive = state.archive
+        if archive is None:
+            return None
+        return Explored(
+            places=np.unique(archive.positions[archive.nodes, :2].round(), axis=0),
+            way=archive.way[:, :2],
+            waypoints=(archive.way if archive.waypoints is None else archive.waypoints)[:, :2],
+        )
+
     def without_training(self, state: TrainState) -> TrainState:
-        """Return `state` without running episodes and with reset optimizers."""
+        """Return `state` without running episodes and states of the search, and with reset optimizers."""
         levels = tuple(
             replace(level, optimizer=rule.optimizer.start(len(level.theta)))
             for level, rule in zip(state.levels, self.hyperparameters.updates, strict=True)
         )
-        return replace(state, levels=levels, running=None)
+        archive = None if state.archive is None else state.archive.over()
+        return replace(state, levels=levels, running=None, archive=archive)
 
     def warnings(self) -> list[str]:
         """Return warnings about branches longer than episodes, and schedules that do not end."""

@@ -36,6 +36,7 @@ class ExternalEnvironment:
 
     sets_goals: ClassVar[bool] = False
     has_own_physics: ClassVar[bool] = True
+    has_places: ClassVar[bool] = False
     options: ClassVar[type[TaskOptions]] = TaskOptions
 
     name: str

@@ -24,6 +24,11 @@ class MazeOptions(TargetOptions):
     """Distribution of training's targets: uniform in the square [-4, 20] x [-4, 20] m, walls included, or uniform in
     its free_cells."""
 
+    @property
+    def has_random_target(self) -> bool:
+        """Whether training's target is drawn for each episode."""
+        return self.target is None
+
     def check(self) -> None:
         """Check that `target_sampling` has an effect, and that `waypoints` lead to a fixed target."""
         if self.target is not None and self.target_sampling != "square":
@@ -31,7 +36,7 @@ class MazeOptions(TargetOptions):
                 f"target {self.target} fixes training's target, so target_sampling {self.target_sampling!r} has no "
                 "effect. Omit --target-sampling, or set --target none and --waypoints none."
             )
-        if self.waypoints is not None and self.target is None and not self.evaluation:
+        if self.waypoints is not None and self.has_random_target and not self.evaluation:
             raise ConfigError(
                 f"waypoints {self.waypoints} need a fixed target, but the training target is random. "
                 f"Set --target, e.g. --target {' '.join(f'{x:g}' for x in Maze.own_target)}, or --waypoints none."

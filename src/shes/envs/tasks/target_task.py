@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from shes.envs.bodies.body import Body
+from shes.envs.episode_batch import Places
 from shes.envs.markers import TARGET, Marker, ball, disc
 from shes.envs.observation_spec import ObservationElement, elements
 from shes.envs.tasks.task import TIME_SCALE, Task, TaskDescription
@@ -23,6 +24,9 @@ SUCCESS_DISTANCE_M = 5.0
 """An episode succeeds nearer to the target than this."""
 PASSED_DISTANCE_M = 3.0
 """A waypoint is passed nearer than this."""
+CELL_M, BLOCK_CELL_M = 1.0, 2.0
+"""Steps of a place in the robot's x and y, and in its height and the block's coordinates."""
+_MIN_COS_TILT = 0.5  # of a robot that stands: a tilt of 60 degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +40,11 @@ class TargetOptions(FallOptions):
     waypoints: Coordinates | None = None
     """Points on the way to the target, one after another, each passed within 3 m; help for training only. The reward is
     minus the length of the way that is left through them. Evaluation does not use them."""
+
+    @property
+    def has_random_target(self) -> bool:
+        """Whether training's target is drawn for each episode."""
+        return False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +61,7 @@ class TargetTask(Task):
     Options: ClassVar[Any] = TargetOptions
     options: Any
     specs: ClassVar[tuple[str, ...]] = ("shes", "hiro")
+    has_places: ClassVar[bool] = True
     grid: ClassVar[Grid]
     """The grid of the world; see `shes.envs.worlds`."""
     block_axes: ClassVar[str] = ""
@@ -72,14 +82,38 @@ class TargetTask(Task):
         own_target = self.xp.asarray(self.own_target, dtype=np.float64)
         self.target: F64Array = self.xp.tile(own_target, (self.num_episodes, 1))
         """Targets [N, 2] or [N, 3] in metres."""
-        way = [] if self.options.evaluation else list(self.options.waypoints or ())
-        ends = np.reshape([*way, *(self.options.target or self.own_target)], (-1, len(self.own_target)))
+        self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # waypoints passed
+        self._observation: F64Array = self.xp.zeros((self.num_episodes, self.observation_size))
+        self.set_way(None)
+
+    def set_way(self, way: F64Array | None) -> None:
+        """Set the waypoints of the reward; see `EpisodeBatch.set_way`."""
+        own = () if self.options.evaluation else self.options.waypoints or ()
+        points = own if way is None else way.ravel().tolist()
+        ends = np.reshape([*points, *(self.options.target or self.own_target)], (-1, len(self.own_target)))
         legs = np.sqrt(((ends[1:] - ends[:-1]) ** 2).sum(axis=1))
         self._num_waypoints = len(legs)
         self._way: F64Array = self.xp.asarray(ends)  # the waypoints and, last, the target
         self._way_beyond: F64Array = self.xp.asarray(np.append(np.cumsum(legs[::-1])[::-1], 0.0))
-        self._next = self.xp.zeros(self.num_episodes, dtype=np.int64)  # waypoints passed
-        self._observation: F64Array = self.xp.zeros((self.num_episodes, self.observation_size))
+
+    def places(self, states: F64Array) -> Places:
+        """Return where robots in physics states [N, S] are; see `EpisodeBatch.places`.
+
+        Success is measured to the target of evaluation.
+        """
+        nq, size = self.body.num_qpos, len(self.own_target)
+        position, block = states[:, :size], states[:, nq : nq + len(self.block_axes)]
+        steps = (position[:, :2] / CELL_M, position[:, 2:] / BLOCK_CELL_M, block / BLOCK_CELL_M)
+        offset = position - np.array(self.options.evaluation_target or self.own_target)
+        is_upright = ~self.body.fallen(states[:, :nq], self.ground_m)
+        if self.body.quaternion is not None:
+            is_upright &= self.body.cos_tilt(states[:, :nq]) > _MIN_COS_TILT
+        return Places(
+            cells=np.round(np.concatenate(steps, axis=1)).astype(np.int64),
+            positions=position,
+            is_upright=is_upright,
+            is_success=np.sqrt((offset**2).sum(axis=1)) < SUCCESS_DISTANCE_M,
+        )
 
     @classmethod
     def check_options(cls, options: Any) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from shes.algorithms.contract import Explored
 from shes.drawing.plan import Outline, Plan, plan_of
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import Marker
@@ -48,6 +49,8 @@ class Journeys:
     step_s: float
     plan: Plan | None
     """The world; None for an environment that draws itself."""
+    explored: Explored | None = None
+    """What the run's search for a way had found at its end; None without a search."""
 
 
 def play_episodes(run: Path, episodes: int, seed: int | None = None) -> Journeys:
@@ -68,7 +71,10 @@ def play_episodes(run: Path, episodes: int, seed: int | None = None) -> Journeys
         played = _play(task, agent, opened.config.evaluation_steps)
     finally:
         task.close()
-    return Journeys(episodes=played, step_s=task.step_s, plan=plan)
+    explored = opened.algorithm.explored(opened.state)
+    if explored is not None and opened.folder.checkpoint_path("last").exists():
+        explored = opened.algorithm.explored(open_run(run, "last", device="cpu").state)
+    return Journeys(episodes=played, step_s=task.step_s, plan=plan, explored=explored)
 
 
 def _play(task: EpisodeBatch, agent: Agent, most_steps: int) -> list[PlayedEpisode]:
@@ -107,16 +113,47 @@ def _episode(path: F64Array, held: F64Array, score: float, markers: list[Marker]
 def map_figure(journeys: Journeys) -> Figure:
     """Return the map: the world, and of each episode its path, its goals, and what the task marks."""
     data = [trace for number, each in enumerate(journeys.episodes) for trace in _episode_traces(number, each, journeys)]
+    return {"data": data, "layout": _layout(journeys)}
+
+
+def search_figure(explored: Explored, journeys: Journeys) -> Figure:
+    """Return the map of a search for a way: the places reached, the way found, and its waypoints."""
+    layout = _layout(journeys)
+    half = np.array([[-0.45, -0.45], [0.45, -0.45], [0.45, 0.45], [-0.45, 0.45], [np.nan, np.nan]])
+    squares = (explored.places[:, None] + half).reshape(-1, 2)
+    way, points = explored.way, explored.waypoints
+    line = {"type": "scatter", "mode": "lines", "hoverinfo": "skip"}
+    return {
+        "data": [
+            {**line, **_xy(squares), "fill": "toself", "fillcolor": "--goal/0.35", "line": {"width": 0}},
+            {**line, **_xy(way), "line": {"color": "--path", "width": 1.5}},
+            {
+                "type": "scatter",
+                "mode": "markers",
+                **_xy(points),
+                "marker": {"color": "--path", "size": 9},
+                "hovertemplate": "waypoint (%{x:.1f}, %{y:.1f}) m<extra></extra>",
+            },
+        ],
+        "layout": layout,
+    }
+
+
+def _xy(points: F64Array) -> dict[str, Any]:
+    return {"x": numbers(points[:, 0]), "y": numbers(points[:, 1])}
+
+
+def _layout(journeys: Journeys) -> dict[str, Any]:
+    """Return the layout of a map, with the world in it."""
     left, bottom, right, top = _extent(journeys)
     shapes = [] if journeys.plan is None else _world_shapes(journeys.plan)
-    layout = {
+    return {
         "xaxis": {"range": [left, right], "title": {"text": "x in metres"}, "constrain": "domain"},
         "yaxis": {"range": [bottom, top], "title": {"text": "y in metres"}, "scaleanchor": "x", "constrain": "domain"},
         "shapes": shapes,
         "hovermode": "closest",
         "plot_bgcolor": "--chasm" if any(shape["fillcolor"] == _FILLS["platform"] for shape in shapes) else "--ground",
     }
-    return {"data": data, "layout": layout}
 
 
 def _extent(journeys: Journeys) -> tuple[float, float, float, float]:

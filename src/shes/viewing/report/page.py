@@ -110,12 +110,12 @@ def toolbar(content: str, axes: Iterable[str] = X_AXES, *, has_legend: bool = Tr
     return f'<div>\n<form class="bar"><fieldset>{choices}</fieldset>{legend}</form>\n{content}\n</div>'
 
 
-def map_card(name: str, title: str, subtitle: str, episodes: Sequence[str]) -> str:
-    """Return the place of map `name`, with a choice of one of its `episodes`."""
+def map_card(name: str, title: str, subtitle: str, episodes: Sequence[str] = ()) -> str:
+    """Return the place of map `name`, with a choice of one of its `episodes`, if it has any."""
     options = "".join(f'<option value="{number}">{escape(each)}</option>' for number, each in enumerate(episodes))
     choice = f'<select data-map="{name}" autocomplete="off"><option value="">all episodes</option>{options}</select>'
     return (
-        f'<div class="card">{heading(title, subtitle)}<label>Show {choice}</label>'
+        f'<div class="card">{heading(title, subtitle)}{f"<label>Show {choice}</label>" if episodes else ""}'
         f'<div class="plot map" data-figure="{name}"></div></div>'
     )
 

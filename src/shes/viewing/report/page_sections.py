@@ -17,7 +17,7 @@ from shes.viewing.report.configuration import changed_settings, differing_settin
 from shes.viewing.report.curve_charts import SECTIONS, X_AXES, Figure, constants, curve_figure, panels_of
 from shes.viewing.report.experiment_page import experiment_section
 from shes.viewing.report.fresh_episodes import HEADINGS, evaluate_runs, result_rows
-from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes
+from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes, search_figure
 from shes.viewing.report.page import cards, details, map_card, paragraph, plots, section, table, toolbar, video_card
 from shes.viewing.report.reading import ReportedGroup, ReportedRun, ReportedRuns
 from shes.viewing.report.timing import time_figures
@@ -106,6 +106,10 @@ class Sections:
                 name = f"map {number}"
                 self.figures[name] = map_figure(journeys)
                 maps.append(map_card(name, run.name, subtitle, episode_names(journeys)))
+                if journeys.explored is not None:
+                    name = f"search {number}"
+                    self.figures[name] = search_figure(journeys.explored, journeys)
+                    maps.append(map_card(name, run.name, "Places that the search for a way reached, and its waypoints"))
             if has_videos:
                 self._on_part()
                 uri = _attempt(run, "video", lambda run=run: video_uri(run, seed))

@@ -1,0 +1,76 @@
+"""Places of a search in Maze, Push and Fall, decoded from physics states; and the way that the reward then follows."""
+
+import numpy as np
+import pytest
+
+from shes.envs.registry import ENVIRONMENTS, make_task
+from shes.errors import ConfigError
+
+STANDING, LYING = (1, 0, 0, 0), (0, 1, 0, 0)
+
+
+def state(task, place, block=()):
+    """Return the physics state of a robot at `place`, and of a block moved by `block`."""
+    found = task.states(np.array([0]))[0]
+    found[: len(place)] = place
+    found[task.body.num_qpos : task.body.num_qpos + len(block)] = block
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "block", "cell"),
+    [
+        ("point-maze", (2.4, -1.6), (), (2, -2)),
+        ("ant-maze", (2.6, -1.4), (), (3, -1)),
+        ("point-push", (-0.4, 3.6), (-2.9, 5.1), (0, 4, -1, 3)),
+        ("ant-push", (-0.4, 3.6), (-2.9, 5.1), (0, 4, -1, 3)),
+        ("ant-fall", (8.2, 11.7, 4.9), (6.9, -3.9), (8, 12, 2, 3, -2)),
+        ("ant-fall", (8.2, 11.7, 0.75), (0, 0), (8, 12, 0, 0, 0)),
+    ],
+)
+def test_a_cell_is_the_robots_place_its_height_and_the_blocks_place(name, place, block, cell):
+    task = make_task(name, 1)
+    places = task.places(state(task, place, block)[None])
+    assert places.cells.tolist() == [list(cell)]
+    assert places.positions.tolist() == [list(place)]
+
+
+@pytest.mark.parametrize(
+    ("place", "quaternion", "is_upright"),
+    [((0, 0, 0.75), STANDING, True), ((0, 0, 0.1), STANDING, False), ((0, 0, 0.75), LYING, False)],
+)
+def test_a_robot_is_upright_by_the_rule_of_its_body_and_its_tilt(place, quaternion, is_upright):
+    task = make_task("ant-maze", 1)
+    assert task.places(state(task, (*place, *quaternion))[None]).is_upright.tolist() == [is_upright]
+
+
+@pytest.mark.parametrize(("y", "is_success"), [(10.9, False), (11.1, True), (16.0, True), (21.1, False)])
+@pytest.mark.parametrize("name", ["point-maze", "ant-maze"])
+def test_success_is_measured_to_the_target_of_evaluation(name, y, is_success):
+    task = make_task(name, 1, ENVIRONMENTS[name].options(target=(0.0, 5.0)))
+    assert task.places(state(task, (0, y))[None]).is_success.tolist() == [is_success]
+    elsewhere = make_task(name, 1, ENVIRONMENTS[name].options(evaluation_target=(9.0, y)))
+    assert elsewhere.places(state(task, (9, y))[None]).is_success.tolist() == [True]
+
+
+def test_the_target_of_fall_has_a_height():
+    task = make_task("ant-fall", 1)
+    assert task.places(np.stack([state(task, (0, 24, z)) for z in (4.75, 0.4)])).is_success.tolist() == [True, False]
+
+
+def test_a_way_replaces_the_waypoints_until_it_is_taken_back():
+    task = make_task("point-maze", 1, ENVIRONMENTS["point-maze"].options(target=(6.0, 8.0), reset_noise=0.0))
+    rewards = []
+    for way in (None, np.array([[6.0, 0.0], [6.0, 4.0]]), np.array([[0.0, 8.0]]), None):
+        task.set_way(way)
+        task.reset(np.array([0]), [1])
+        rewards.append(task.update_features().tolist()[0])
+    assert rewards == [-10, -14, -14, -10]
+
+
+def test_an_environment_without_a_target_has_neither_places_nor_a_way():
+    task = make_task("point-gather", 1)
+    for refused in (lambda: task.places(np.zeros((1, 9))), lambda: task.set_way(np.zeros((1, 2)))):
+        with pytest.raises(ConfigError, match=r"no way to .* in this environment\. Set --explore none\."):
+            refused()
+    task.set_way(None)

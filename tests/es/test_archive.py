@@ -1,0 +1,107 @@
+"""The archive of a search for a way: what enters it, where walkers begin, and the way that comes out."""
+
+import numpy as np
+import pytest
+
+from shes.es.archive import PATIENCE, Archive, Reached, thinned
+
+
+def start():
+    return Archive.start(np.array([[0, 0]]), np.array([[0.1, 0.2]]), state_size=3)
+
+
+def reached(cells, steps, nodes, solved=()):
+    """Return places whose states are their numbers of steps."""
+    return Reached(
+        cells=np.array(cells), states=np.full((len(cells), 3), np.array(steps, float)[:, None]), steps=np.array(steps),
+        nodes=np.array(nodes), is_success=np.isin(np.arange(len(cells)), solved),
+    )  # fmt: skip
+
+
+def by_cell(archive):
+    """Return steps, first number of the state, node and times chosen of every cell."""
+    rows = zip(archive.steps, archive.states[:, 0], archive.nodes, archive.chosen, strict=True)
+    return {tuple(cell): tuple(map(int, row)) for cell, row in zip(archive.cells.tolist(), rows, strict=True)}
+
+
+def line(*places):
+    """Return an archive with a chain of nodes at `places` after the reset."""
+    return start().grown(np.arange(len(places)), np.array(places, float))
+
+
+def test_a_cell_is_kept_if_it_is_new_and_replaced_only_if_reached_in_fewer_steps():
+    archive = line((1, 0), (2, 0), (3, 0)).entered(reached([[1, 0], [-7, 2], [1, 0]], [20, 30, 20], [1, 2, 3]))
+    assert by_cell(archive) == {(0, 0): (0, 0, 0, 0), (1, 0): (20, 20, 1, 0), (-7, 2): (30, 30, 2, 0)}
+    chosen = archive.chosen.copy()
+    chosen[archive.cells.tolist().index([1, 0])] = 9
+    archive = Archive(**{**vars(archive), "chosen": chosen})
+    again = archive.entered(reached([[1, 0], [-7, 2], [1, 0], [0, 0]], [10, 40, 5, 5], [2, 1, 3, 1]))
+    assert by_cell(again) == {(0, 0): (0, 0, 0, 0), (1, 0): (5, 5, 3, 9), (-7, 2): (30, 30, 2, 0)}
+    assert by_cell(archive)[1, 0] == (20, 20, 1, 9)  # the archive before is as it was
+
+
+def test_a_cell_is_chosen_by_how_often_it_was_and_only_if_steps_are_left():
+    archive = line((1, 0), (2, 0)).entered(reached([[1, 0], [2, 0], [3, 0]], [10, 20, 31], [1, 2, 2]))
+    archive = Archive(**{**vars(archive), "chosen": np.array([3, 0, 8, 0])})
+    drawn = np.bincount(archive.choose(np.random.default_rng(0), 20_000, 30), minlength=4) / 20_000
+    weights = np.array([1 / 2, 1, 1 / 3, 0])
+    assert drawn == pytest.approx(weights / weights.sum(), abs=0.01)
+    assert set(archive.choose(np.random.default_rng(0), 50, -5)) == {0}  # there is always the reset
+
+
+def test_the_way_is_the_chain_of_nodes_to_the_first_success_and_a_shorter_one_replaces_it():
+    archive = line((1, 0), (2, 0), (2, 5))
+    archive = archive.entered(reached([[2, 0], [2, 5], [9, 9]], [20, 30, 35], [2, 3, 3], solved=[1, 2]))
+    assert archive.way.tolist() == [[0.1, 0.2], [1, 0], [2, 0], [2, 5]]
+    assert archive.way_steps == 30
+    longer = archive.entered(reached([[4, 4]], [30], [1], solved=[0]))
+    assert longer.way is archive.way
+    shorter = archive.entered(reached([[4, 4]], [29], [1], solved=[0]))
+    assert (shorter.way.tolist(), shorter.way_steps) == ([[0.1, 0.2], [1, 0]], 29)
+
+
+def test_a_slice_forgets_nodes_that_lead_nowhere_and_no_way_changes():
+    archive = line((1, 0), (2, 0), (2, 5)).grown(np.array([1, 4]), np.array([[7.0, 7], [8, 8]]))  # nodes 4 and 5
+    archive = archive.entered(reached([[8, 8]], [30], [5])).after_slice()
+    assert archive.positions.tolist() == [[0.1, 0.2], [1, 0], [7, 7], [8, 8]]
+    assert archive.parents.tolist() == [0, 0, 1, 2]
+    assert archive.positions[archive.nodes].tolist() == [[0.1, 0.2], [8, 8]]
+
+
+def test_a_search_is_over_some_slices_after_the_way_became_shorter():
+    archive = line((1, 0))
+    for _ in range(2 * PATIENCE):
+        archive = archive.after_slice()
+    assert (archive.stalled, archive.is_over) == (0, False)  # no way is known
+    for steps in (30, 20):
+        archive = archive.entered(reached([[1, 0]], [steps], [0], solved=[0])).after_slice()
+        for number in range(1, PATIENCE):
+            archive = archive.after_slice()
+            assert (archive.stalled, archive.is_over) == (number, False)
+    archive = archive.after_slice()
+    assert (archive.is_over, archive.states.shape, len(archive.cells)) == (True, (0, 3), 2)
+
+
+@pytest.mark.parametrize(
+    ("way", "tolerance_m", "expected"),
+    [
+        ([(0, 0), (1, 0.9), (2, 0)], 1.0, [(0, 0), (2, 0)]),
+        ([(0, 0), (1, 1.1), (2, 0)], 1.0, [(0, 0), (1, 1.1), (2, 0)]),
+        ([(0, 0), (5, 0.5), (10, 0), (10.5, 5), (10, 10)], 1.0, [(0, 0), (10, 0), (10, 10)]),
+        ([(0, 0), (8, 0), (0, 0.1)], 1.0, [(0, 0), (8, 0), (0, 0.1)]),  # there and back
+        ([(0, 0, 4), (1, 0, 2), (2, 0, 4)], 1.0, [(0, 0, 4), (1, 0, 2), (2, 0, 4)]),
+        ([(3, 3)], 1.0, [(3, 3), (3, 3)]),
+    ],
+)
+def test_a_thinned_way_keeps_its_ends_and_its_corners(way, tolerance_m, expected):
+    assert thinned(np.array(way, float), tolerance_m).tolist() == [list(point) for point in expected]
+
+
+def test_a_thinned_way_passes_every_point_within_the_tolerance():
+    way = np.random.default_rng(4).normal(size=(80, 2)).cumsum(axis=0)
+    points = thinned(way, 1.5)
+    begin, leg = points[:-1], np.diff(points, axis=0)
+    share = ((way[:, None] - begin) * leg).sum(axis=2) / (leg**2).sum(axis=1)
+    distance = np.linalg.norm(way[:, None] - begin - share.clip(0, 1)[..., None] * leg, axis=2).min(axis=1)
+    assert distance.max() <= 1.5
+    assert 2 < len(points) < 40
