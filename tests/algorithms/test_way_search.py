@@ -142,9 +142,9 @@ def test_a_way_guides_training_alone(quick):
     assert generation_work(state, rules, table.size).generation.way is None
     way = np.array([[0.0, 0], [3, 0.1], [6, 0], [6, 4]])
     state = way_search.replace(state, archive=way_search.replace(state.archive, way=way, way_steps=12))
-    assert generation_work(state, rules, table.size).generation.way.tolist() == [[6, 0], [6, 4]]
+    assert generation_work(state, rules, table.size).generation.way.tolist() == way[1:].tolist()
     found = algorithm.explored(state)
-    assert (found.way.tolist(), found.waypoints.tolist()) == (way.tolist(), [[6, 0], [6, 4]])
+    assert found.way.tolist() == way.tolist()
 
 
 def trained(path, generations=3, **settings):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shes.es.archive import PATIENCE, Archive, Reached, thinned
+from shes.es.archive import PATIENCE, Archive, Reached
 
 
 def start():
@@ -54,6 +54,8 @@ def test_the_way_is_the_chain_of_nodes_to_the_first_success_and_a_shorter_one_re
     archive = archive.entered(reached([[2, 0], [2, 5], [9, 9]], [20, 30, 35], [2, 3, 3], solved=[1, 2]))
     assert archive.way.tolist() == [[0.1, 0.2], [1, 0], [2, 0], [2, 5]]
     assert archive.way_steps == 30
+    assert archive.waypoints.tolist() == [[1, 0], [2, 0], [2, 5]]
+    assert start().waypoints is None
     longer = archive.entered(reached([[4, 4]], [30], [1], solved=[0]))
     assert longer.way is archive.way
     shorter = archive.entered(reached([[4, 4]], [29], [1], solved=[0]))
@@ -80,28 +82,3 @@ def test_a_search_is_over_some_slices_after_the_way_became_shorter():
             assert (archive.stalled, archive.is_over) == (number, False)
     archive = archive.after_slice()
     assert (archive.is_over, archive.states.shape, len(archive.cells)) == (True, (0, 3), 2)
-
-
-@pytest.mark.parametrize(
-    ("way", "tolerance_m", "expected"),
-    [
-        ([(0, 0), (1, 0.9), (2, 0)], 1.0, [(0, 0), (2, 0)]),
-        ([(0, 0), (1, 1.1), (2, 0)], 1.0, [(0, 0), (1, 1.1), (2, 0)]),
-        ([(0, 0), (5, 0.5), (10, 0), (10.5, 5), (10, 10)], 1.0, [(0, 0), (10, 0), (10, 10)]),
-        ([(0, 0), (8, 0), (0, 0.1)], 1.0, [(0, 0), (8, 0), (0, 0.1)]),  # there and back
-        ([(0, 0, 4), (1, 0, 2), (2, 0, 4)], 1.0, [(0, 0, 4), (1, 0, 2), (2, 0, 4)]),
-        ([(3, 3)], 1.0, [(3, 3), (3, 3)]),
-    ],
-)
-def test_a_thinned_way_keeps_its_ends_and_its_corners(way, tolerance_m, expected):
-    assert thinned(np.array(way, float), tolerance_m).tolist() == [list(point) for point in expected]
-
-
-def test_a_thinned_way_passes_every_point_within_the_tolerance():
-    way = np.random.default_rng(4).normal(size=(80, 2)).cumsum(axis=0)
-    points = thinned(way, 1.5)
-    begin, leg = points[:-1], np.diff(points, axis=0)
-    share = ((way[:, None] - begin) * leg).sum(axis=2) / (leg**2).sum(axis=1)
-    distance = np.linalg.norm(way[:, None] - begin - share.clip(0, 1)[..., None] * leg, axis=2).min(axis=1)
-    assert distance.max() <= 1.5
-    assert 2 < len(points) < 40

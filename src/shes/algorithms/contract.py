@@ -52,9 +52,7 @@ class Explored:
     places: F64Array
     """Places that were reached [places, 2], in whole metres."""
     way: F64Array
-    """The way from the start to the target [W, 2] in metres; empty if none is known."""
-    waypoints: F64Array
-    """Its points that guide training [points, 2]."""
+    """Points of the way from the start to the target [W, 2] in metres; empty if none is known."""
 
 
 StateT = TypeVar("StateT", bound=AnyState)

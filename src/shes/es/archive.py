@@ -16,8 +16,6 @@ from shes.types import BoolArray, F64Array, IntArray
 
 PATIENCE = 5
 """The search is over if this many slices have not shortened the way."""
-THINNED_M = 1.0
-"""A thinned way passes all points of the way within this distance. A waypoint is passed within 3 m."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,19 +161,8 @@ class Archive:
 
     @property
     def waypoints(self) -> F64Array | None:
-        """The thinned way [points, X] without its start, in metres; None until a way is known."""
-        return thinned(self.way, THINNED_M)[1:] if len(self.way) else None
+        """The way [points, X] without its start, in metres; None until one is known.
 
-
-def thinned(way: F64Array, tolerance_m: float) -> F64Array:
-    """Return points of `way` [W, X], its ends included, whose line passes all points within the tolerance.
-
-    Source: Douglas and Peucker 1973.
-    """
-    line, offset = way[-1] - way[0], way - way[0]
-    share = ((offset * line).sum(axis=1) / max(float((line * line).sum()), 1e-12)).clip(0, 1)
-    distance = np.sqrt(((offset - share[:, None] * line) ** 2).sum(axis=1))
-    furthest = int(distance.argmax())
-    if distance[furthest] <= tolerance_m:
-        return way[[0, -1]]
-    return np.concatenate([thinned(way[: furthest + 1], tolerance_m)[:-1], thinned(way[furthest:], tolerance_m)])
+        Every decision is a point: a line between distant points may lead through a wall.
+        """
+        return self.way[1:] if len(self.way) else None

@@ -72,7 +72,7 @@ def test_the_map_of_a_search_shows_places_and_the_way(tmp_path):
     journeys = play_episodes(runs.train_tiny(tmp_path / "run", "point-push", generations=1, **settings), 2)
     assert [0, 0] in journeys.explored.places.tolist()
     way = np.array([[0.0, 0], [3, 1], [6, 0]])
-    found = Explored(places=np.array([[0.0, 0], [3, 1]]), way=way, waypoints=way[2:])
+    found = Explored(places=np.array([[0.0, 0], [3, 1]]), way=way)
     figure = search_figure(found, journeys)
     squares, line, points = figure["data"]
     assert squares["x"] == [-0.45, 0.45, 0.45, -0.45, None, 2.55, 3.45, 3.45, 2.55, None]

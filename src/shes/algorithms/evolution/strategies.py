@@ -126,7 +126,6 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         return Explored(
             places=np.unique(archive.positions[archive.nodes, :2].round(), axis=0),
             way=archive.way[:, :2],
-            waypoints=(archive.way if archive.waypoints is None else archive.waypoints)[:, :2],
         )
 
     def without_training(self, state: TrainState) -> TrainState:

@@ -117,11 +117,11 @@ def map_figure(journeys: Journeys) -> Figure:
 
 
 def search_figure(explored: Explored, journeys: Journeys) -> Figure:
-    """Return the map of a search for a way: the places reached, the way found, and its waypoints."""
+    """Return the map of a search for a way: the places reached, and the way found with its points."""
     layout = _layout(journeys)
     half = np.array([[-0.45, -0.45], [0.45, -0.45], [0.45, 0.45], [-0.45, 0.45], [np.nan, np.nan]])
     squares = (explored.places[:, None] + half).reshape(-1, 2)
-    way, points = explored.way, explored.waypoints
+    way = explored.way
     line = {"type": "scatter", "mode": "lines", "hoverinfo": "skip"}
     return {
         "data": [
@@ -130,8 +130,8 @@ def search_figure(explored: Explored, journeys: Journeys) -> Figure:
             {
                 "type": "scatter",
                 "mode": "markers",
-                **_xy(points),
-                "marker": {"color": "--path", "size": 9},
+                **_xy(way),
+                "marker": {"color": "--path", "size": 6},
                 "hovertemplate": "waypoint (%{x:.1f}, %{y:.1f}) m<extra></extra>",
             },
         ],
