@@ -77,7 +77,7 @@ def test_the_map_of_a_search_shows_places_and_the_way(tmp_path):
     squares, line, points = figure["data"]
     assert squares["x"] == [-0.45, 0.45, 0.45, -0.45, None, 2.55, 3.45, 3.45, 2.55, None]
     assert squares["y"][5:9] == [0.55, 0.55, 1.45, 1.45]
-    assert (line["x"], line["y"], points["x"]) == ([0, 3, 6], [0, 1, 0], [6])
+    assert (line["x"], line["y"], points["x"]) == ([0, 3, 6], [0, 1, 0], [0, 3, 6])
     assert figure["layout"]["shapes"] == map_figure(journeys)["layout"]["shapes"]
     json.dumps(figure, allow_nan=False)
     assert play_episodes(runs.train_tiny(tmp_path / "other", "point-push", generations=1), 1).explored is None
