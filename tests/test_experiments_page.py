@@ -20,6 +20,7 @@ from shes.studies.paper_scales import STEPS, WITH_OTHER_GOALS
 from shes.studies.significance import holm, permutation_test
 from shes.studies.study import cell_steps
 from shes.studies.summaries import read_summaries
+from tests.studies.stored import RENAMED, stored_summaries
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "paper"
@@ -68,11 +69,14 @@ def test_the_tables_of_the_page_are_up_to_date(tables):
 @pytest.mark.parametrize("experiment", COMPARISONS)
 def test_the_comparisons_are_those_of_the_runs(experiment):
     study, path = STUDIES[experiment]("laptop", None), ROOT / "results" / f"{COMPARISONS[experiment]}.csv"
-    made = [comparison.row() for comparison in compare(study, read_summaries(study, path.parent))]
+    read = stored_summaries if path.parent == RESULTS else read_summaries
+    made = [comparison.row() for comparison in compare(study, read(study, path.parent))]
     there = rows_of(path)
     assert len(made) == len(there) > 0
     for mine, row in zip(made, there, strict=True):
-        numbers, words = split({name: "" if value is None else str(value) for name, value in mine.items()})
+        numbers, words = split(
+            {name: "" if value is None else RENAMED.get(str(value), str(value)) for name, value in mine.items()}
+        )
         expected, words_there = split(row)
         assert words == words_there
         assert numbers == pytest.approx(expected, rel=1e-9)
@@ -347,7 +351,7 @@ def if_hiro_were_as_fast(env, slower=1.4):
     """
     study = STUDIES["fig3"]("laptop", None)
     study = replace(study, cells=tuple(cell for cell in study.cells if (cell.env, cell.group) == (env, "methods")))
-    found = read_summaries(study, RESULTS)
+    found = stored_summaries(study, RESULTS)
     for cell in study.cells:
         if cell.variant == "hiro" and "EPYC" in found[cell.name].row["hardware"]:
             curve = tuple({**row, "seconds": row["seconds"] / slower} for row in found[cell.name].curve)
@@ -443,7 +447,7 @@ def running_best():
 
 def step_scores(body):
     """Return the mean scores of the steps between the forms, and of the form with the changes."""
-    names = STEPS[body]
+    names = [RENAMED.get(name, name) for name in STEPS[body]]
     means = [np.mean(column("best_score", "gather", "steps", name, body=body)) for name in names]
     return [*means, np.mean(column("best_score", "gather", body=body))]
 
@@ -468,10 +472,11 @@ def steps_of_the_point():
 
 def steps_of_the_ant():
     def returns_of(name):
-        return np.mean(column("last_primitive_return", "gather", "steps" if name in STEPS["ant"] else "methods", name))
+        return np.mean(column("last_primitive_return", "gather", "steps" if name in names else "methods", name))
 
-    names = STEPS["ant"]
-    returns = [returns_of(name) for name in ("published", *names) if name not in WITH_OTHER_GOALS]
+    names = [RENAMED.get(name, name) for name in STEPS["ant"]]
+    with_other_goals = {RENAMED.get(name, name) for name in WITH_OTHER_GOALS}
+    returns = [returns_of(name) for name in ("published", *names) if name not in with_other_goals]
     scores = [np.mean(column("best_score", "gather", variant="published")), *step_scores("ant")]
     rows = {
         name: comparison("ant-gather", ("steps", before), ("steps", name), "fig3")
@@ -532,7 +537,7 @@ def more_workers():
         assert len(found) == 6
         said.append(f"with the {body} {spread(means, '{:.2f}')} ({spread(ends, '{:.2f}')} by seed)")
     gather = equal("point-gather", ("workers", "pieces-1"), ("workers", "pieces-2"), "hours", "fig4")
-    found = read_summaries(study := STUDIES["fig4"]("laptop", None), RESULTS)
+    found = stored_summaries(study := STUDIES["fig4"]("laptop", None), RESULTS)
     one, two = (
         [found[cell.name] for cell in study.cells if (cell.env, cell.variant) == ("point-gather", f"pieces-{workers}")]
         for workers in (1, 2)

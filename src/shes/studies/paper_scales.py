@@ -82,7 +82,7 @@ _ALONE: dict[tuple[str, str], dict[str, Any]] = {
 _PIECES = (
     *("primitive_view", "symmetry", "goal_encoding", "clock_frequency", "primitive_estimate", "intervals"),
     *("fall_price", "output_weights", "weight_decay", "hold_tied", "controller_view", "controller_output"),
-    *("controller_network", "explore"),
+    *("controller_network", "explore", "target"),
     *("controller_interval", "minimum_goal_distance", "primitive_population_size", "primitive_sigma"),
     *("primitive_learning_rate", "max_tilt"),
 )
@@ -123,8 +123,8 @@ class Scale:
     """Environment steps of HIRO; its steps take much longer, because each comes with updates."""
     evaluations: Mapping[str, int] = field(default_factory=dict)
     """Number of evaluations in a run of SHES, about, by body; without, the evaluation interval of `settings`."""
-    shows_way: bool = False
-    """Whether training shows every method the way to the target, as preset `laptop` does for the ant."""
+    has_fixed_target: bool = False
+    """Whether every method trains Maze on its own target, as preset `laptop` does for the ant."""
     branched_population: int | None = None
     """Size of a population of branched pairs beside controllers, if it is not the form's."""
     hiro: Mapping[str, Any] = field(default_factory=dict)
@@ -145,8 +145,8 @@ class Scale:
 
     def training(self, task: str) -> dict[str, Any]:
         """Return the settings of training's task that every method has."""
-        values = make_config(f"ant-{task}", "laptop").values if self.shows_way else {}
-        return {name: values[name] for name in ("target", "waypoints") if values.get(name) is not None}
+        target = make_config(f"ant-{task}", "laptop").values.get("target") if self.has_fixed_target else None
+        return {} if target is None else {"target": target}
 
     def form(self, body: str, task: str, form: str) -> dict[str, Any]:
         """Return the settings of a form over its preset: of two levels, or of a primitive alone for Flagrun."""
@@ -162,6 +162,9 @@ class Scale:
             laptop = self._laptop(body, task)
             names = (*_PIECES, *_OF_BRANCHES_ALONE) if task == "flagrun" else _PIECES
             settings = {name: laptop[name] for name in names if name in laptop}
+            if settings.get("controller_network") == "equivariant":  # its layers are sized by sector
+                networks = make_config(f"{body}-{task}", self.preset).values
+                settings |= {"hidden": laptop["hidden"], "primitive_hidden": networks["hidden"]}
         if self.branched_population is not None and "primitive_population_size" in settings:
             settings["primitive_population_size"] = self.branched_population
         return settings
@@ -196,15 +199,13 @@ SCALES: dict[str, Scale] = {
             **{f"point-{task}": 3_000_000 for task in TASKS},
             "point-flagrun": 500_000,
             "ant-gather": 6_000_000,
-            # With two million no seed has reached the target from scratch (docs/learning.md).
             "ant-maze": 20_000_000,
             "ant-push": 10_000_000,
             "ant-flagrun": 1_000_000,
         },
         transfer_env_steps={"ant-maze": 2_000_000, "ant-push": 2_000_000},
         evaluations={"ant": 20},
-        # Without it no controller has reached the target in so few steps, on a trained walker (docs/learning.md).
-        shows_way=True,
+        has_fixed_target=True,
         hiro={
             "horizon": 500,
             "evaluation_horizon": 500,

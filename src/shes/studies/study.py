@@ -116,8 +116,13 @@ def cell_config(cell: Cell, out: Path, workers: Mapping[str, Any] = ALONE) -> Tr
 
 
 def planned_config(cell: Cell) -> TrainConfig:
-    """Return the settings of a cell's run before its primitive is there: a frozen one plays no branches."""
+    """Return the settings of a cell's run before its primitive is there: a frozen one plays no branches.
+
+    Without the primitive's view, a search for a way would be refused; it is left out.
+    """
     settings = {name: value for name, value in cell.settings.items() if name not in _TRANSFER}
+    if cell.primitive is not None:
+        settings = {name: value for name, value in settings.items() if name != "explore"}
     if cell.primitive is not None and cell.settings.get("freeze_primitive", True):
         settings["primitive_estimate"] = "episode"
     return make_config(cell.env, cell.preset, settings)
