@@ -21,7 +21,9 @@ RENAMED = {"equivariant": "patrol"}
 @cache
 def _digests(out: Path) -> dict[tuple[str, ...], str]:
     with (out / "runs.csv").open(newline="", encoding="utf-8") as file:
-        return {tuple(row[name] for name in ("group", "variant", "env")): row["settings"] for row in csv.DictReader(file)}
+        return {
+            tuple(row[name] for name in ("group", "variant", "env")): row["settings"] for row in csv.DictReader(file)
+        }
 
 
 def stored_summaries(study: Study, out: Path) -> dict[str, CellResults]:

@@ -322,6 +322,10 @@ ROWS: dict[str, Row] = {
     "minimum_goal_distance": Row(False, design(lambda d: d.has_minimum_goal_distance), [False], [True]),
     "controller_output": Row("one_hot", designed("controller_output"), ["OneHotOutput"], ["VectorOutput"]),
     "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"], ["ColumnsView"]),
+    "controller_network": Row(
+        "equivariant", designed("controller"), ["EquivariantMLP"], ["MLP"],
+        beside={"controller_view": "sectors", "controller_output": "heading_direction"},
+    ),
     "controller_weight_decay": Row(
         0.5, rules("weight_decay"), [0.5, 0.005, 0.005], [0.005] * 3, **BY_INTERVALS
     ),
