@@ -101,10 +101,11 @@ def _task_options() -> str:
 
 _HYPERPARAMETERS = (
     *("generations", "population_size", "episodes_per_policy", "sigma", "learning_rate", "weight_decay", "hidden"),
-    *("output_weights", "controller_interval", "controller_view", "controller_output", "minimum_goal_distance"),
+    *("output_weights", "controller_interval", "controller_network", "controller_view", "controller_output"),
+    "minimum_goal_distance",
     *("primitive_view", "goal_encoding", "symmetry", "clock_frequency", "primitive_estimate", "intervals"),
     *("primitive_population_size", "primitive_sigma", "primitive_learning_rate", "primitive_hidden", "fall_price"),
-    *("max_tilt", "hold_tied", "common_random_numbers", "rank_ties", "target", "waypoints"),
+    *("max_tilt", "hold_tied", "common_random_numbers", "rank_ties", "target", "explore"),
 )
 """Settings of the method, in the order of its description."""
 
