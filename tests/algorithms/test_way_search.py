@@ -148,14 +148,14 @@ def test_a_way_guides_training_alone(quick):
 
 
 @pytest.mark.parametrize("estimate", ["episode", "interval"])
-def test_goals_are_random_and_the_controller_waits_until_a_way_is_known(estimate):
+def test_goals_wander_and_the_controller_waits_until_a_way_is_known(estimate):
     settings = {**SEARCH, "hidden": (4,), "horizon": 20, "primitive_estimate": estimate}
     algorithm = build_algorithm(make_config("point-maze", "smoke", settings))
     state, rules = algorithm.start(3), algorithm.hyperparameters
     before = generation_work(state, rules, algorithm.table.size)
     known = way_search.replace(state, archive=way_search.replace(state.archive, way=np.ones((2, 2)), way_steps=9))
     after = generation_work(known, rules, algorithm.table.size)
-    assert (before.generation.decisions, after.generation.decisions) == ("random", None)
+    assert (before.generation.decisions, after.generation.decisions) == ("wander", None)
     assert not before.generation.levels[0].theta.any()
     assert after.generation.levels[0].theta.tolist() == state.levels[0].theta.tolist()
     assert not before.signs[..., 0].any()

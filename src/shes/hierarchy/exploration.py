@@ -17,6 +17,22 @@ EXPLORATION_STD = 0.01
 """Standard deviation of the exploration noise on the controller's output and on the control (authors' code)."""
 
 
+NEW_DIRECTION = 0.3
+"""Probability of a new direction at a decision of one that wanders."""
+TURN_RAD = 0.3
+"""Standard deviation of its turn at the other decisions, in radians."""
+
+
+def wander(rng: np.random.Generator, decisions: int, number: int) -> F64Array:
+    """Return the directions [decisions, number] in radians of `number` robots that wander: at random, but steadily."""
+    turns, is_new = rng.normal(0, TURN_RAD, (decisions, number)), rng.random((decisions, number)) < NEW_DIRECTION
+    is_new[:1] = True
+    angles = np.where(is_new, rng.uniform(-np.pi, np.pi, (decisions, number)), turns)
+    for i in range(1, decisions):
+        angles[i] += np.where(is_new[i], 0.0, angles[i - 1])
+    return angles
+
+
 class Exploration:
     """Exploration noise of an agent's episodes. It is drawn when they start, and transferred to the device at once."""
 
@@ -59,6 +75,9 @@ class Exploration:
         if decisions == "random":
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(2,))))
             return design.direction_outputs(rng.uniform(0, 2 * np.pi, count))
+        if decisions == "wander":
+            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(3,))))
+            return design.direction_outputs(wander(rng, count, 1)[:, 0])
         return design.direction_outputs(np.full(count, decisions))
 
     def upload(self) -> None:

@@ -132,7 +132,7 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
         LevelParameters.of_all(state.levels),
         state.archive is not None and not state.archive.way_steps,
     )
-    if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals are random
+    if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
         levels = (*(level.at_zero() for level in levels[:-1]), levels[-1])
         signs[:, :, :-1] = 0
     dims = [len(level.theta) for level in state.levels]
@@ -160,7 +160,7 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
         members_per_lane=shared,
         has_frozen_control=not hyperparameters.by_episodes[-1],
         snapshot_goals=snapshot_goals,
-        decisions="random" if is_searching else None,
+        decisions="wander" if is_searching else None,
         way=None if state.archive is None else state.archive.waypoints,
     )
     return Work(signs=signs, noise_index=noise_index, tasks=tasks, generation=generation)
