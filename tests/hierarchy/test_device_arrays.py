@@ -138,7 +138,7 @@ def test_decisions_that_are_not_learned_are_those_of_the_cpu(name):
         assert_same(found, run(name, CpuSimulator, 8, **asked)[0])
         assert set(waits) == {2}
         ends.add(found[0].final_position.tobytes())
-    assert len(ends) == 3
+    assert len(ends) == 4
 
 
 @pytest.mark.parametrize("name", ["gather", "flat", "one level in turns"])

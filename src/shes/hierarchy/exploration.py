@@ -9,28 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from shes.es.archive import wander
 from shes.hierarchy.agent import AgentBatch
 from shes.hierarchy.episodes import Decisions, EpisodeTask, Generation
 from shes.types import F32Array, F64Array, IntArray
 
 EXPLORATION_STD = 0.01
 """Standard deviation of the exploration noise on the controller's output and on the control (authors' code)."""
-
-
-NEW_DIRECTION = 0.3
-"""Probability of a new direction at a decision of one that wanders."""
-TURN_RAD = 0.3
-"""Standard deviation of its turn at the other decisions, in radians."""
-
-
-def wander(rng: np.random.Generator, decisions: int, number: int) -> F64Array:
-    """Return the directions [decisions, number] in radians of `number` robots that wander: at random, but steadily."""
-    turns, is_new = rng.normal(0, TURN_RAD, (decisions, number)), rng.random((decisions, number)) < NEW_DIRECTION
-    is_new[:1] = True
-    angles = np.where(is_new, rng.uniform(-np.pi, np.pi, (decisions, number)), turns)
-    for i in range(1, decisions):
-        angles[i] += np.where(is_new[i], 0.0, angles[i - 1])
-    return angles
 
 
 class Exploration:

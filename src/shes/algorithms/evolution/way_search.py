@@ -15,11 +15,10 @@ import numpy as np
 
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
-from shes.es.archive import Archive, Reached
+from shes.es.archive import Archive, Reached, wander
 from shes.es.level import LevelParameters, TrainState
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation, Snapshot
-from shes.hierarchy.exploration import wander
 from shes.types import BoolArray, F64Array, IntArray
 
 WALKERS = 64
