@@ -1,7 +1,7 @@
 """Wall-clock time to a Gather score, ours beside HIRO: `python benchmarks/time_to_score.py --out results/hiro`.
 
-Reads two tables in the folder: `gather_hiro_curves.csv` (`python benchmarks/seeds.py gather --spec hiro
---integrator euler --results results/hiro`; the time of a walker counts) and `curves.csv` (`python
+Reads two tables in the folder: `gather_hiro_curves.csv` (made at commit 5de091c by `python benchmarks/seeds.py gather
+--spec hiro --integrator euler --results results/hiro`; the time of a walker counts) and `curves.csv` (`python
 benchmarks/hiro_runs.py --results results/hiro`).
 Writes `time_to_score.csv`, a row for each run and score: seconds and environment steps at the first evaluation with a
 mean of at least that score, both empty if there was none, and the seconds and best score of the whole run. Draws the

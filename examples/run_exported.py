@@ -23,7 +23,7 @@ class ExportedAgent:
         self.reset()
 
     def reset(self):
-        self.step, self.goal, self.element, self.way = 0, 0j, 0, 0j
+        self.step, self.goal, self.element = 0, 0j, 0
 
     def act(self, observation, pose=None, goal=None):
         """Return the controls in [-1, 1]; `pose` (x, y, heading) if the file has none, `goal` (x, y) of a primitive."""
@@ -45,8 +45,7 @@ class ExportedAgent:
         own, angle = view_of(seen, skill["view"], heading)
         if self.step % self.spec["controller_interval"] == 0:
             self.goal = position + self.decide(seen, heading) if "controller" in self.spec else complex(*goal)
-            self.way = self.goal - position
-            way = self.way * unit(angle).conjugate()
+            way = (self.goal - position) * unit(angle).conjugate()
             turn = np.arctan2(way.imag, way.real) * (skill["num_turns"] / (2 * np.pi))
             mirrored = skill["is_mirrored"] and turn < np.rint(turn)
             self.element = int(np.rint(turn)) % skill["num_turns"] + skill["num_turns"] * bool(mirrored)
@@ -76,7 +75,7 @@ class ExportedAgent:
 
     def decide(self, seen, heading):
         boss = self.spec["controller"]
-        values, _ = view_of(seen, boss["view"], heading, self.way / boss["goal_distance_m"])
+        values, _ = view_of(seen, boss["view"], heading)
         out = self.network("controller", values).astype(np.float64)
         if boss["num_sectors"]:
             along = sectors_of(boss["num_sectors"]) * (2 / boss["num_sectors"])
@@ -116,14 +115,13 @@ def sectors_of(count):
     return np.cos(middle) + 1j * np.sin(middle)
 
 
-def view_of(seen, view, heading, last_goal=0j):
+def view_of(seen, view, heading):
     """Return what a level sees of the observation, and the angle of the frame in which it sees it."""
     columns = seen if view["columns"] is None else seen[view["columns"]]
     if view["kind"] == "columns":
         return columns, heading
     if view["kind"] == "sectors":
-        vectors = [*(complex(*(seen[[x, y]] / scale)) for x, y, scale in view["vectors"]), last_goal]
-        turned = [vector * unit(heading).conjugate() for vector in vectors]
+        turned = [complex(*(seen[[x, y]] / scale)) * unit(heading).conjugate() for x, y, scale in view["vectors"]]
         along, rings = sectors_of(len(view["rings"][0])), seen[np.array(view["rings"])]
         parts = [vector.real * along.real + vector.imag * along.imag for vector in (1 + 0j, *turned)]
         return np.concatenate([*rings, *(((rings**2) ** 2) ** 2), *parts]), heading

@@ -147,6 +147,23 @@ def test_a_way_guides_training_alone(quick):
     assert found.way.tolist() == way.tolist()
 
 
+@pytest.mark.parametrize("estimate", ["episode", "interval"])
+def test_goals_wander_and_the_controller_waits_until_a_way_is_known(estimate):
+    settings = {**SEARCH, "hidden": (4,), "horizon": 20, "primitive_estimate": estimate}
+    algorithm = build_algorithm(make_config("point-maze", "smoke", settings))
+    state, rules = algorithm.start(3), algorithm.hyperparameters
+    before = generation_work(state, rules, algorithm.table.size)
+    known = way_search.replace(state, archive=way_search.replace(state.archive, way=np.ones((2, 2)), way_steps=9))
+    after = generation_work(known, rules, algorithm.table.size)
+    assert (before.generation.decisions, after.generation.decisions) == ("wander", None)
+    assert not before.generation.levels[0].theta.any()
+    assert after.generation.levels[0].theta.tolist() == state.levels[0].theta.tolist()
+    assert not before.signs[..., 0].any()
+    assert (after.signs[..., 0] != 0).all()
+    assert before.signs[..., 1].tolist() == after.signs[..., 1].tolist()
+    assert {tuple(signs[0] for signs in task.signs) for task in before.tasks} <= {(0, 0), (0, 0, 0, 0)}
+
+
 def trained(path, generations=3, **settings):
     return runs.train_tiny(path, "point-push", **{**SEARCH, "generations": generations, **settings})
 

@@ -132,13 +132,13 @@ def test_a_device_gives_the_numbers_of_the_cpu_with_two_waits_a_step(name):
 @pytest.mark.parametrize("name", ["gather", "one-hot", "equivariant"])
 def test_decisions_that_are_not_learned_are_those_of_the_cpu(name):
     ends = set()
-    for decisions in ("zero", "random", 0.5):
+    for decisions in ("zero", "random", "wander", 0.5):
         asked = {"decisions": decisions, "is_evaluation": True}
         found, waits = run(name, DeviceSimulator, 8, strict_xp, **asked)
         assert_same(found, run(name, CpuSimulator, 8, **asked)[0])
         assert set(waits) == {2}
         ends.add(found[0].final_position.tobytes())
-    assert len(ends) == 3
+    assert len(ends) == 4
 
 
 @pytest.mark.parametrize("name", ["gather", "flat", "one level in turns"])

@@ -256,26 +256,24 @@ def test_the_view_by_sectors_has_the_readings_and_the_component_of_each_vector_a
     config = make_config(env, "smoke", {"spec": spec, "reset_noise": 0.1, **SECTORS})
     design, task = build_algorithm(config).design, build_task(config, 8, is_evaluation=False)
     observed, view = _states(task, 8), design.controller_view
-    before, out, goal = observed.copy(), np.full((8, 80), np.nan), np.random.default_rng(1).normal(size=(8, 2))
-    assert view.size(task.observation_size) == design.controller.sizes[0] == 80
+    before, out = observed.copy(), np.full((8, 70), np.nan)
+    assert view.size(task.observation_size) == design.controller.sizes[0] == 70
     assert view.write(observed, task.heading, out) is task.heading
-    assert not out[:, 70:].any()
-    view.recall(goal, task.heading, out)
     assert np.array_equal(observed, before)
     readings = observed[:, task.sensor_rings.ravel()]
     assert out[:, :20].tolist() == readings.tolist()
     assert out[:, 20:40] == pytest.approx(readings**8)
     for row in range(8):
         ahead = [np.cos(task.heading[row]), np.sin(task.heading[row])]
-        vectors = (ahead, task.position[row] / 8, task.sim.qvel[row, :2], goal[row])
+        vectors = (ahead, task.position[row] / 8, task.sim.qvel[row, :2])
         for sector in range(10):
             middle = task.heading[row] - np.pi + (sector + 0.5) * np.pi / 5
             along = [vector[0] * np.cos(middle) + vector[1] * np.sin(middle) for vector in vectors]
             assert out[row, 40 + sector :: 10].tolist() == pytest.approx(along, abs=1e-12)
     names = view.names(task.observation_names)
-    assert len(set(names)) == 80
-    assert (names[0], names[30], names[41], names[79]) == (
-        "food_0", "poison_0, eighth power", "heading along sector 1", "last goal along sector 9",
+    assert len(set(names)) == 70
+    assert (names[0], names[30], names[41], names[69]) == (
+        "food_0", "poison_0, eighth power", "heading along sector 1", "velocity along sector 9",
     )  # fmt: skip
 
 

@@ -18,6 +18,22 @@ PATIENCE = 5
 """The search is over if this many slices have not shortened the way."""
 
 
+NEW_DIRECTION = 0.3
+"""Probability of a new direction at a decision of one that wanders."""
+TURN_RAD = 0.3
+"""Standard deviation of its turn at the other decisions, in radians."""
+
+
+def wander(rng: np.random.Generator, decisions: int, number: int) -> F64Array:
+    """Return the directions [decisions, number] in radians of `number` robots that wander: at random, but steadily."""
+    turns, is_new = rng.normal(0, TURN_RAD, (decisions, number)), rng.random((decisions, number)) < NEW_DIRECTION
+    is_new[:1] = True
+    angles = np.where(is_new, rng.uniform(-np.pi, np.pi, (decisions, number)), turns)
+    for i in range(1, decisions):
+        angles[i] += np.where(is_new[i], 0.0, angles[i - 1])
+    return angles
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reached:
     """Places that the walkers of a search have reached [M]."""

@@ -84,6 +84,10 @@ class LevelParameters:
         """Return `theta` with the normalisation given by `statistics`."""
         return cls(theta=theta, mean=statistics.mean, inverse_std=1 / statistics.std)
 
+    def at_zero(self) -> LevelParameters:
+        """Return these with all parameters 0: the network's outputs are 0."""
+        return replace(self, theta=np.zeros_like(self.theta))
+
     @classmethod
     def of_all(cls, levels: Sequence[LevelState]) -> tuple[LevelParameters, ...]:
         """Return the parameters of each of `levels`."""

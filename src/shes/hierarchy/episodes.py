@@ -20,8 +20,9 @@ from shes.types import F64Array
 PARTS = ("physics", "policy", "task")
 """Parts of a rollout that are timed: MuJoCo; the agent; the task's observations and rewards, and the rest."""
 
-Decisions: TypeAlias = Literal["zero", "random"] | float
-"""Decisions of a controller that has learned nothing: outputs of zero, a random direction each, or one in radians."""
+Decisions: TypeAlias = Literal["zero", "random", "wander"] | float
+"""Decisions of a controller that has learned nothing: outputs of zero, a random direction each, directions that often
+stay about the same, or one in radians."""
 
 Outcomes: TypeAlias = NDArray[np.void]
 """A structured array with one element per episode and the fields of `empty_outcomes`."""

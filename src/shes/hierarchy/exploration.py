@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from shes.es.archive import wander
 from shes.hierarchy.agent import AgentBatch
 from shes.hierarchy.episodes import Decisions, EpisodeTask, Generation
 from shes.types import F32Array, F64Array, IntArray
@@ -59,6 +60,9 @@ class Exploration:
         if decisions == "random":
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(2,))))
             return design.direction_outputs(rng.uniform(0, 2 * np.pi, count))
+        if decisions == "wander":
+            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(3,))))
+            return design.direction_outputs(wander(rng, count, 1)[:, 0])
         return design.direction_outputs(np.full(count, decisions))
 
     def upload(self) -> None:

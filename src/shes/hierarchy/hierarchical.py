@@ -67,10 +67,6 @@ class HierarchicalAgent(GoalReachingAgent[HierarchicalDesign]):
         design, seen = self.design, self._controller_inputs[rows]
         observation, heading = given.observation[rows], given.heading[rows]
         self._controller_view.write(observation, heading, seen)
-        if self._controller_view.recalls_goal:
-            is_first = np.repeat(self.clock[due] == 0, self.rows_per_lane)
-            last = np.where(self.xp.asarray(is_first)[:, None], 0.0, self._way[rows])
-            self._controller_view.recall(last / design.goal_distance, heading, seen)
         if self.is_recording:
             self.moments[CONTROLLER].add(rows, seen)
         scaled = normalise(seen, *self._normalisation[CONTROLLER], design.input_clip)

@@ -18,8 +18,6 @@ from shes.types import F64Array, IntArray
 
 SECTORS_SCALE = {"position": 8.0, "velocity": 1.0}
 """Length in metres, and speed in metres per second, that read 1 in `SectorsView`."""
-RECALLED = "last goal"
-"""Beginning of the names of the values that `View.recall` writes."""
 
 
 class View(ABC):
@@ -27,9 +25,6 @@ class View(ABC):
 
     is_egocentric: bool = False
     """Whether the values, and the goals beside them, are expressed in the robot's own frame."""
-
-    recalls_goal: bool = False
-    """Whether a controller sees its last goal as well, which `recall` writes."""
 
     @abstractmethod
     def size(self, observation_size: int) -> int:
@@ -40,15 +35,6 @@ class View(ABC):
         """Write the view of `observation` [N, O] into `out` [N, V], and return the angle of its frame [N] in radians.
 
         `heading` [N] is that of the robots; a view without a frame of its own returns it.
-        """
-
-    def recall(self, goal: F64Array, heading: F64Array, out: F64Array) -> None:  # noqa: B027 - most have no memory
-        """Write the last goal into `out` [N, V], after `write`.
-
-        Args:
-            goal: Vector from where the robots were to their last goals [N, 2], in goal distances; 0 if there is none.
-            heading: Headings of the robots [N] in radians.
-            out: The view.
         """
 
     @abstractmethod
@@ -151,18 +137,16 @@ class EgocentricView(View):
 
 
 class SectorsView(View):
-    """A task's range sensors and four vectors, each as one value per sector around the robot: a symmetric input.
+    """A task's range sensors and three vectors, each as one value per sector around the robot: a symmetric input.
 
     Turning the world around the robot, or mirroring it, permutes the sectors of every channel alike. The channels are
     the rings of sensors; their eighth powers, which resolve what is near as the readings resolve what is far; and the
-    heading, the robot's position in the world, its velocity, and the controller's last goal. A vector's value in a
-    sector is its component along the sector's middle. The heading is always straight ahead, so its values are
-    constants, by which a controller can tell the sectors apart.
+    heading, the robot's position in the world, and its velocity. A vector's value in a sector is its component along
+    the sector's middle. The heading is always straight ahead, so its values are constants, by which a controller can
+    tell the sectors apart.
 
     Source: `docs/learning.md`, "Equivariant controllers".
     """
-
-    recalls_goal = True
 
     def __init__(
         self, rings: Sequence[Sequence[int]], vectors: Mapping[str, Sequence[int]], xp: ModuleType = np
@@ -172,7 +156,7 @@ class SectorsView(View):
         self.vectors = {name: (int(x), int(y)) for name, (x, y) in vectors.items()}
         self.num_sectors = len(self.rings[0])
         """Number of sectors, S. The first begins straight behind the robot, the others follow counter-clockwise."""
-        self.num_channels = 2 * len(self.rings) + len(self.vectors) + 2
+        self.num_channels = 2 * len(self.rings) + 1 + len(self.vectors)
         """Number of values per sector, C."""
         self._columns = _columns(tuple(index for ring in self.rings for index in ring), xp)
         middle = (np.arange(self.num_sectors) + 0.5) * (2 * np.pi / self.num_sectors) - np.pi
@@ -183,39 +167,27 @@ class SectorsView(View):
         return self.num_channels * self.num_sectors
 
     def write(self, observation: F64Array, heading: F64Array, out: F64Array) -> F64Array:
-        """Write the channels one after another, the last goal as 0; see `View.write`."""
+        """Write the channels one after another; see `View.write`."""
         num_readings = len(self.rings) * self.num_sectors
         readings = observation[:, self._columns]
         out[:, :num_readings] = readings
         squares = readings * readings
         squares *= squares
         np.multiply(squares, squares, out=out[:, num_readings : 2 * num_readings])
-        self._channel(out, 2 * len(self.rings))[:] = self._ahead
-        for number, (name, columns) in enumerate(self.vectors.items(), 2 * len(self.rings) + 1):
-            x, y = (observation[:, column] / SECTORS_SCALE[name] for column in columns)
-            self._write_vector(x, y, heading, self._channel(out, number))
-        self._channel(out, self.num_channels - 1)[:] = 0.0
-        return heading
-
-    def recall(self, goal: F64Array, heading: F64Array, out: F64Array) -> None:
-        """Write the last goal into the last channel; see `View.recall`."""
-        self._write_vector(goal[:, 0], goal[:, 1], heading, self._channel(out, self.num_channels - 1))
-
-    def _channel(self, out: F64Array, number: int) -> F64Array:
-        """Return a channel of `out` [N, S], a view."""
-        return out[:, number * self.num_sectors : (number + 1) * self.num_sectors]
-
-    def _write_vector(self, x: F64Array, y: F64Array, heading: F64Array, out: F64Array) -> None:
-        """Write the components of a vector in the world's frame along the sectors' middles into `out` [N, S]."""
+        vectors = out[:, 2 * num_readings :].reshape(len(out), -1, self.num_sectors)
+        vectors[:, 0] = self._ahead
         cosine, sine = np.cos(heading), np.sin(heading)
-        ahead, left = cosine * x + sine * y, cosine * y - sine * x
-        np.add(ahead[:, None] * self._ahead, left[:, None] * self._left, out=out)
+        for number, (name, columns) in enumerate(self.vectors.items(), 1):
+            x, y = (observation[:, column] / SECTORS_SCALE[name] for column in columns)
+            ahead, left = cosine * x + sine * y, cosine * y - sine * x
+            vectors[:, number] = ahead[:, None] * self._ahead + left[:, None] * self._left
+        out[:, 2 * num_readings :] = vectors.reshape(len(out), -1)
+        return heading
 
     def names(self, observation_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the sensors, twice, then those of the components of the vectors."""
         readings = tuple(observation_names[i] for ring in self.rings for i in ring)
-        vectors = ("heading", *self.vectors, RECALLED)
-        along = (f"{name} along sector {i}" for name in vectors for i in range(self.num_sectors))
+        along = (f"{name} along sector {i}" for name in ("heading", *self.vectors) for i in range(self.num_sectors))
         return (*readings, *(f"{name}, eighth power" for name in readings), *along)
 
     def to_dict(self) -> dict[str, Any]:

@@ -166,7 +166,7 @@ def _work(
     parameters, rows = algorithm.parameters(state), algorithm.episodes_in_lockstep
     if decisions is not None:  # a network with parameters of 0 returns 0
         parameters = tuple(
-            replace(level, theta=np.zeros_like(level.theta)) if name == "controller" else level
+            level.at_zero() if name == "controller" else level
             for name, level in zip(algorithm.design.level_names, parameters, strict=True)
         )
     zeros = (0,) * len(parameters)

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from shes.envs.episode_batch import EpisodeBatch
-from shes.hierarchy.views import RECALLED, View
+from shes.hierarchy.views import View
 
 _MOST_LISTED = 12
 """Number of inputs up to which each is listed; of more, those whose names begin with one word are summed up."""
@@ -35,8 +35,6 @@ class ControllerSight:
         """Return names and values of the inputs; of many, the largest of those that begin with one word."""
         kinds: dict[str, dict[str, float]] = {}
         for name, value in zip(self._names, self._seen[0].tolist(), strict=True):
-            if name.startswith(RECALLED):  # it is the agent's own; the goal is drawn anyway
-                continue
             is_listed = len(self._names) <= _MOST_LISTED or name in self._position
             kinds.setdefault(name if is_listed else _first_word(name), {})[name] = value
         found: list[str] = []

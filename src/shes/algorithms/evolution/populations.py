@@ -128,6 +128,13 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
     if estimate is not None and len(state.levels) == 1:
         return branch_work(state, estimate, table_size)
     signs, episodes = hyperparameters.signs(state.generation), hyperparameters.episodes(state.generation)
+    levels, is_searching = (
+        LevelParameters.of_all(state.levels),
+        state.archive is not None and not state.archive.way_steps,
+    )
+    if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
+        levels = (*(level.at_zero() for level in levels[:-1]), levels[-1])
+        signs[:, :, :-1] = 0
     dims = [len(level.theta) for level in state.levels]
     # line 3: sample epsilon, as places in the noise table.
     noise_index = draw_noise_index(state.seed, state.generation, len(signs), dims, table_size)
@@ -146,13 +153,14 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
     )
     shared = members_per_lane(signs.shape[1], episodes)
     generation = Generation(
-        levels=LevelParameters.of_all(state.levels),
+        levels=levels,
         sigma=hyperparameters.sigma.value(state.generation),
         episodes_per_policy=episodes,
         is_evaluation=False,
         members_per_lane=shared,
         has_frozen_control=not hyperparameters.by_episodes[-1],
         snapshot_goals=snapshot_goals,
+        decisions="wander" if is_searching else None,
         way=None if state.archive is None else state.archive.waypoints,
     )
     return Work(signs=signs, noise_index=noise_index, tasks=tasks, generation=generation)

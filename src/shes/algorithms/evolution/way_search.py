@@ -15,7 +15,7 @@ import numpy as np
 
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
-from shes.es.archive import Archive, Reached
+from shes.es.archive import Archive, Reached, wander
 from shes.es.level import LevelParameters, TrainState
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import EpisodeTask, Generation, Snapshot
@@ -30,8 +30,6 @@ MIN_SPEED_M_S = 0.15
 The shipped walkers have 0.71 in Maze, 0.57 in Push and, between the walls of Fall, 0.25; an untrained ant has 0.005.
 """
 _DECISIONS = 5
-_NEW_DIRECTION = 0.3  # probability of a new direction at a decision
-_TURN_RAD = 0.3  # standard deviation of the turn otherwise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,10 +94,8 @@ def _walk(
         for cell in cells
     ]
     walkers, nodes = np.arange(WALKERS), archive.nodes[cells]
-    angle, progress_m, found = rng.uniform(-np.pi, np.pi, WALKERS), 0.0, list[Reached]()
-    for _ in range(search.decisions):
-        turned, is_new = angle + rng.normal(0, _TURN_RAD, WALKERS), rng.random(WALKERS) < _NEW_DIRECTION
-        angle = np.where(is_new, rng.uniform(-np.pi, np.pi, WALKERS), turned)
+    progress_m, found = 0.0, list[Reached]()
+    for angle in wander(rng, search.decisions, WALKERS):
         direction, seeds = np.stack([np.cos(angle), np.sin(angle)], axis=1), rng.integers(0, 2**63, WALKERS).tolist()
         goals = search.goal_distance * direction
         tasks = [
