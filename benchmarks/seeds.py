@@ -28,7 +28,7 @@ WALKERS = {"gather": "ant-walker", "maze": "ant-walker", "push": "ant-walker-sti
 """The shipped walker of each task."""
 FROZEN: dict[str, dict[str, Any]] = {
     "gather": {"generations": 75, "evaluation_interval": 15, "evaluation_episodes": 100},
-    "maze": {"generations": 120, "evaluation_interval": 20, "evaluation_episodes": 100},
+    "maze": {"generations": 60, "evaluation_interval": 10, "evaluation_episodes": 100},
     "push": {"generations": 120, "evaluation_interval": 20, "evaluation_episodes": 100},
     "fall": {"generations": 120, "evaluation_interval": 20, "evaluation_episodes": 100},
 }

@@ -81,6 +81,7 @@ _ANT_TO_TARGET = {
     "controller_output": "direction",
     "max_tilt": 60.0,
     "explore": "archive",
+    "explore_horizon": 1500,  # a slow walker finds the way, and a faster one a shorter way
     "population_size": 40,
     "generations": 200,
 }
