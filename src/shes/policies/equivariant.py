@@ -40,7 +40,7 @@ class EquivariantMLP(MLP):
     is_tied = True
 
     def __init__(self, actions: Sequence[Sequence[Action]]) -> None:
-        """Create a network whose layers have the units on which `actions` [layer][generator] act, inputs first.
+        """Create a network whose layers have the units on which `actions` act, by layer and generator, inputs first.
 
         All layers have the same number of generators, in the same order. Hidden layers and outputs go through tanh,
         which is odd and acts on each unit alone, so it commutes with signed permutations.
