@@ -4,8 +4,9 @@
 - `coevolved`: both levels together from scratch (`shes train ant-gather`).
 
 Every run can be interrupted at any time: the same command goes on, with several workers or runs beside each other. The
-tables have a row for each run: its best checkpoint over 200 fresh episodes of the task as specified, and beside it the
-best of nine constant controllers and random goals on the same primitive and episodes.
+tables have a row for the best checkpoint of each run over 200 fresh episodes of the task as specified, and beside it
+rows for the best of nine constant controllers and for random goals on the same primitive; on a shipped walker, which
+all seeds share, these two once.
 """
 
 from __future__ import annotations
@@ -40,30 +41,27 @@ def settings_of(task: str, way: str, seed: int) -> dict[str, Any]:
     return {"seed": seed} | ({"primitive": WALKERS[task], **FROZEN[task]} if way == "frozen" else {})
 
 
-def results(way: str, seed: int, path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return a row about the best checkpoint of a finished run, and a row for each of its evaluations."""
+def results(way: str, seed: int, path: Path, controllers: tuple[str, ...]) -> tuple[list[Any], list[Any]]:
+    """Return a row about each controller of a finished run's best checkpoint, and one for each of its evaluations."""
     progress, table = read_csv(path / "progress.csv"), read_csv(path / "evaluation.csv")
-    row: dict[str, Any] = {
+    run = {
         "way": way,
         "seed": seed,
         "generations": int(progress["generation"][-1]),
         "env_steps": int(progress["env_steps"][-1]),
         "wall_time_s": round(progress["wall_time_s"][-1]),
     }
-    for controller in CONTROLLERS:
+    rows = []
+    for controller in controllers:
         found = shes.evaluate(path, episodes=EPISODES, controller=controller)
-        values = found.summary()
-        row |= {f"{controller}_{name}": values[name] for name in ("score_mean", "score_std", "success_rate")}
-        if controller == "trained":
-            row |= {name: values[name] for name in ("return_mean", "episode_steps_mean")}
-        if controller == "constant":
-            row["constant"] = found.controller
+        names = ("score_mean", "score_std", "success_rate", "return_mean", "episode_steps_mean")
+        rows.append({**run, "controller": found.controller} | {name: found.summary()[name] for name in names})
     names = ("generation", "env_steps", "wall_time_s", "score_mean", "score_std")
     curve = [
         {"way": way, "seed": seed, **dict(zip(names, values, strict=True))}
         for values in zip(*(table[name].tolist() for name in names), strict=True)
     ]
-    return row, curve
+    return rows, curve
 
 
 def main() -> None:
@@ -83,9 +81,10 @@ def main() -> None:
             settings = {**settings_of(asked.task, way, seed), "num_workers": asked.workers}
             finish_run(make_config(f"ant-{asked.task}", overrides=settings), path)
             if asked.results is not None:
-                row, curve = results(way, seed, path)
-                print(f"{way}, seed {seed}: score {row['trained_score_mean']:.2f}", flush=True)
-                rows.append(row)
+                shares_primitive = way == "frozen" and seed != asked.seeds[0]
+                found, curve = results(way, seed, path, CONTROLLERS[:1] if shares_primitive else CONTROLLERS)
+                print(f"{way}, seed {seed}: score {found[0]['score_mean']:.2f}", flush=True)
+                rows += found
                 curves += curve
     if asked.results is not None:
         asked.results.mkdir(parents=True, exist_ok=True)
