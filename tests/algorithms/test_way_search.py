@@ -12,6 +12,7 @@ from shes.backends.backend import Backend
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.es.archive import PATIENCE
 from shes.hierarchy.episodes import EpisodeResults, Snapshot
+from shes.hierarchy.exploration import Exploration
 from shes.runs.tables import read_csv
 from shes.training.build import build_algorithm
 from shes.training.make_config import make_config
@@ -164,6 +165,22 @@ def test_goals_wander_and_the_controller_waits_until_a_way_is_known(estimate):
     assert {tuple(signs[0] for signs in task.signs) for task in before.tasks} <= {(0, 0), (0, 0, 0, 0)}
 
 
+def test_robots_that_wander_have_the_control_noise_of_training():
+    algorithm = build_algorithm(make_config("point-maze", "smoke", {**SEARCH, "hidden": (4,), "horizon": 20}))
+    work = generation_work(algorithm.start(3), algorithm.hyperparameters, algorithm.table.size)
+    found = []
+    for generation in (work.generation, way_search.replace(work.generation, decisions=None)):
+        exploration = Exploration(algorithm.design.make(1, generation.rows_per_lane), 20, 2)
+        exploration.begin(generation)
+        exploration.draw(0, work.tasks[0])
+        exploration.upload()
+        found.append(exploration.of_step())
+    wandering, learned = found
+    assert wandering["control_noise"].any()
+    assert wandering["control_noise"].tolist() == learned["control_noise"].tolist()
+    assert wandering["decision_noise"].tolist() != learned["decision_noise"].tolist()
+
+
 def trained(path, generations=3, **settings):
     return runs.train_tiny(path, "point-push", **{**SEARCH, "generations": generations, **settings})
 
@@ -208,6 +225,16 @@ def test_a_shipped_agent_has_the_map_and_no_states(quick, tmp_path):
         ("point-flagrun", {}, r"explore is not a setting of a run of point-flagrun.* Omit --explore"),
         ("point-maze", {"algorithm": "es"}, r"explore is not a setting of a run of point-maze with algorithm 'es'"),
         ("point-maze", {}, r"the training target is random\. Set --target, e\.g\. --target 0 16, or --explore none"),
+        (
+            "point-maze",
+            {"target": (8.0, 0.0)},
+            r"evaluation's target \(0\.0, 16\.0\), but the training target is \(8\.0, 0\.0\)\. Set --target 0 16",
+        ),
+        (
+            "point-push",
+            {"evaluation_target": (1.0, 2.5)},
+            r"the training target is \(0\.0, 19\.0\)\. Set --target 1 2\.5, or --explore none",
+        ),
         ("point-push", {"waypoints": (1.0, 2.0)}, r"waypoints \(1\.0, 2\.0\) are a way already\. Set --waypoints none"),
         (
             "point-push",
