@@ -109,6 +109,24 @@ def test_every_decision_asks_for_a_goal_at_the_goal_distance_and_directions_turn
     assert len(np.unique(goals[0].round(6), axis=0)) == 64
 
 
+def test_every_slice_takes_its_steps_and_walks_in_directions_of_its_own():
+    found, backend = searched(1.0, 2)
+    first, both = (state.env_steps for state in found)
+    assert min(first, both - first) >= way_search.SLICE_STEPS
+    starts = backend.starts[:64], backend.starts[first // 10 :][:64]
+    goals = [np.array([start.goals[0] for start in each]) for each in starts]
+    assert not np.isclose(*goals).any()
+
+
+def test_walkers_are_counted_in_the_cells_where_they_begin():
+    found, backend = searched(1.0, 2)
+    archive = found[-1].archive
+    begun = len([start for start in backend.starts if start.steps == 0])
+    assert archive.chosen[archive.steps == 0].tolist() == [begun]
+    assert archive.chosen.sum() % way_search.WALKERS == 0
+    assert archive.chosen.sum() > begun >= way_search.WALKERS
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.1])
 def test_a_primitive_that_does_not_walk_is_asked_again_in_every_generation(speed):
     found, _ = searched(speed, 3)
