@@ -10,7 +10,7 @@ from shes.algorithms.evolution import way_search
 from shes.algorithms.evolution.populations import generation_work
 from shes.backends.backend import Backend
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
-from shes.es.archive import PATIENCE
+from shes.es.archive import PATIENCE, wander
 from shes.hierarchy.episodes import EpisodeResults, Snapshot
 from shes.hierarchy.exploration import Exploration
 from shes.runs.tables import read_csv
@@ -183,7 +183,7 @@ def test_goals_wander_and_the_controller_waits_until_a_way_is_known(estimate):
     assert {tuple(signs[0] for signs in task.signs) for task in before.tasks} <= {(0, 0), (0, 0, 0, 0)}
 
 
-def test_robots_that_wander_have_the_control_noise_of_training():
+def test_robots_that_wander_do_so_by_the_seed_and_have_the_control_noise_of_training():
     algorithm = build_algorithm(make_config("point-maze", "smoke", {**SEARCH, "hidden": (4,), "horizon": 20}))
     work = generation_work(algorithm.start(3), algorithm.hyperparameters, algorithm.table.size)
     found = []
@@ -193,6 +193,11 @@ def test_robots_that_wander_have_the_control_noise_of_training():
         exploration.draw(0, work.tasks[0])
         exploration.upload()
         found.append(exploration.of_step())
+        if generation.decisions == "wander":
+            decided = exploration._drawn[0][:, 0, 0]
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(work.tasks[0].seeds[0], spawn_key=(3,))))
+    angles = wander(rng, 5, 1)[:, 0]  # a decision in every 4 of 20 steps
+    assert decided == pytest.approx(np.stack([np.cos(angles), np.sin(angles)], axis=1), abs=1e-6)
     wandering, learned = found
     assert wandering["control_noise"].any()
     assert wandering["control_noise"].tolist() == learned["control_noise"].tolist()
