@@ -10,8 +10,9 @@ from shes.algorithms.evolution import way_search
 from shes.algorithms.evolution.populations import generation_work
 from shes.backends.backend import Backend
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
-from shes.es.archive import PATIENCE
+from shes.es.archive import PATIENCE, wander
 from shes.hierarchy.episodes import EpisodeResults, Snapshot
+from shes.hierarchy.exploration import Exploration
 from shes.runs.tables import read_csv
 from shes.training.build import build_algorithm
 from shes.training.make_config import make_config
@@ -108,6 +109,24 @@ def test_every_decision_asks_for_a_goal_at_the_goal_distance_and_directions_turn
     assert len(np.unique(goals[0].round(6), axis=0)) == 64
 
 
+def test_every_slice_takes_its_steps_and_walks_in_directions_of_its_own():
+    found, backend = searched(1.0, 2)
+    first, both = (state.env_steps for state in found)
+    assert min(first, both - first) >= way_search.SLICE_STEPS
+    starts = backend.starts[:64], backend.starts[first // 10 :][:64]
+    goals = [np.array([start.goals[0] for start in each]) for each in starts]
+    assert not np.isclose(*goals).any()
+
+
+def test_walkers_are_counted_in_the_cells_where_they_begin():
+    found, backend = searched(1.0, 2)
+    archive = found[-1].archive
+    begun = len([start for start in backend.starts if start.steps == 0])
+    assert archive.chosen[archive.steps == 0].tolist() == [begun]
+    assert archive.chosen.sum() % way_search.WALKERS == 0
+    assert archive.chosen.sum() > begun >= way_search.WALKERS
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.1])
 def test_a_primitive_that_does_not_walk_is_asked_again_in_every_generation(speed):
     found, _ = searched(speed, 3)
@@ -164,6 +183,27 @@ def test_goals_wander_and_the_controller_waits_until_a_way_is_known(estimate):
     assert {tuple(signs[0] for signs in task.signs) for task in before.tasks} <= {(0, 0), (0, 0, 0, 0)}
 
 
+def test_robots_that_wander_do_so_by_the_seed_and_have_the_control_noise_of_training():
+    algorithm = build_algorithm(make_config("point-maze", "smoke", {**SEARCH, "hidden": (4,), "horizon": 20}))
+    work = generation_work(algorithm.start(3), algorithm.hyperparameters, algorithm.table.size)
+    found = []
+    for generation in (work.generation, way_search.replace(work.generation, decisions=None)):
+        exploration = Exploration(algorithm.design.make(1, generation.rows_per_lane), 20, 2)
+        exploration.begin(generation)
+        exploration.draw(0, work.tasks[0])
+        exploration.upload()
+        found.append(exploration.of_step())
+        if generation.decisions == "wander":
+            decided = exploration._drawn[0][:, 0, 0]
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(work.tasks[0].seeds[0], spawn_key=(3,))))
+    angles = wander(rng, 5, 1)[:, 0]  # a decision in every 4 of 20 steps
+    assert decided == pytest.approx(np.stack([np.cos(angles), np.sin(angles)], axis=1), abs=1e-6)
+    wandering, learned = found
+    assert wandering["control_noise"].any()
+    assert wandering["control_noise"].tolist() == learned["control_noise"].tolist()
+    assert wandering["decision_noise"].tolist() != learned["decision_noise"].tolist()
+
+
 def trained(path, generations=3, **settings):
     return runs.train_tiny(path, "point-push", **{**SEARCH, "generations": generations, **settings})
 
@@ -208,6 +248,16 @@ def test_a_shipped_agent_has_the_map_and_no_states(quick, tmp_path):
         ("point-flagrun", {}, r"explore is not a setting of a run of point-flagrun.* Omit --explore"),
         ("point-maze", {"algorithm": "es"}, r"explore is not a setting of a run of point-maze with algorithm 'es'"),
         ("point-maze", {}, r"the training target is random\. Set --target, e\.g\. --target 0 16, or --explore none"),
+        (
+            "point-maze",
+            {"target": (8.0, 0.0)},
+            r"evaluation's target \(0\.0, 16\.0\), but the training target is \(8\.0, 0\.0\)\. Set --target 0 16",
+        ),
+        (
+            "point-push",
+            {"evaluation_target": (1.0, 2.5)},
+            r"the training target is \(0\.0, 19\.0\)\. Set --target 1 2\.5, or --explore none",
+        ),
         ("point-push", {"waypoints": (1.0, 2.0)}, r"waypoints \(1\.0, 2\.0\) are a way already\. Set --waypoints none"),
         (
             "point-push",

@@ -68,6 +68,18 @@ def test_a_way_replaces_the_waypoints_until_it_is_taken_back():
     assert rewards == [-10, -14, -14, -10]
 
 
+def test_a_shorter_way_does_not_stop_simulations_that_are_not_reset():
+    task = make_task("point-maze", 2, ENVIRONMENTS["point-maze"].options(target=(6.0, 8.0), reset_noise=0.0))
+    way = np.array([[0.1, 0], [0.2, 0], [0.3, 0], [6, 0]])
+    task.set_way(way)
+    task.reset(np.array([0, 1]), [1, 2])
+    for _ in way:
+        task.update_features()
+    task.set_way(way[-1:])
+    task.reset(np.array([0]), [1])
+    assert np.isfinite(task.update_features()).all()
+
+
 def test_an_environment_without_a_target_has_neither_places_nor_a_way():
     task = make_task("point-gather", 1)
     for refused in (lambda: task.places(np.zeros((1, 9))), lambda: task.set_way(np.zeros((1, 2)))):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shes.es.archive import PATIENCE, Archive, Reached
+from shes.es.archive import PATIENCE, Archive, Reached, wander
 
 
 def start():
@@ -60,6 +60,16 @@ def test_the_way_is_the_chain_of_nodes_to_the_first_success_and_a_shorter_one_re
     assert longer.way is archive.way
     shorter = archive.entered(reached([[4, 4]], [29], [1], solved=[0]))
     assert (shorter.way.tolist(), shorter.way_steps) == ([[0.1, 0.2], [1, 0]], 29)
+
+
+def test_of_two_successes_the_one_in_fewer_steps_is_the_way_also_if_it_is_the_later_one():
+    archive = line((1, 0), (2, 0)).entered(reached([[2, 0], [1, 0]], [20, 10], [2, 1], solved=[0, 1]))
+    assert (archive.way.tolist(), archive.way_steps) == ([[0.1, 0.2], [1, 0]], 10)
+
+
+def test_who_wanders_begins_in_any_direction():
+    first = wander(np.random.default_rng(0), 3, 4000)[0]
+    assert np.histogram(first, 4, (-np.pi, np.pi))[0] == pytest.approx(1000, abs=150)
 
 
 def test_a_slice_forgets_nodes_that_lead_nowhere_and_no_way_changes():

@@ -102,6 +102,7 @@ def test_pooled_sums_are_averages_over_the_inputs_that_the_symmetry_exchanges(na
         assert pooled.tolist() == [0.0, 0.0]  # the mean of a vector and all its turns
     for action in actions[0]:
         assert transform(action, pooled) == pytest.approx(pooled)
+        assert pooled_squares[action[0]] == pytest.approx(pooled_squares)
     assert pooled_squares.sum() == pytest.approx(squares.sum())
     MLP(2, (), 1).pool(total, squares)
     assert not np.array_equal(total, pooled)

@@ -417,6 +417,18 @@ def test_a_controller_brings_its_parameters_statistics_and_settings(steered, pla
     assert record["primitive"]["run"] == str(plain)
 
 
+def test_an_equivariant_controller_brings_its_network(tmp_path):
+    network = {"controller_network": "equivariant", "controller_view": "sectors"}
+    settings = {**network, "controller_output": "heading_direction", "generations": 1}
+    source = runs.train_tiny(tmp_path / "source", **settings)
+    path = runs.train_tiny(tmp_path / "run", controller=str(source), generations=1)
+    assert RunFolder.open(path).read_config().values.items() >= network.items()
+    assert same(controller(path, "0"), controller(source, "best"))
+    message = r"controller_network is 'mlp', but the controller of .* was trained with 'equivariant'\. Omit"
+    with pytest.raises(ConfigError, match=message):
+        runs.train_tiny(tmp_path / "other", controller=str(source), controller_network="mlp")
+
+
 @pytest.mark.parametrize(("name", "other"), [("controller_output", "vector"), ("hidden", (5,))])
 def test_what_contradicts_the_controller_is_refused(steered, tmp_path, name, other):
     message = f"{name} is {other!r}, but the controller of {steered} was trained with {BY_CONTROLLER[name]!r}. Omit --"

@@ -42,15 +42,14 @@ class Exploration:
         self._has_control_noise = explores and not generation.has_frozen_control
 
     def draw(self, lane: int, task: EpisodeTask) -> None:
-        """Draw the noise, or the decisions, of the episodes of `task` in `lane`, each from its own seed."""
+        """Draw the noise, and the decisions if they are given, of the episodes of `task` in `lane`, by their seeds."""
         for slot, seed in zip(task.slots, task.seeds, strict=True):
-            if self._decisions is not None:
-                self._drawn[0][:, lane, slot] = self._decide(self._decisions, seed)
-                continue
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
             for noise in self._drawn:
                 drawn = rng.standard_normal((noise.shape[0], noise.shape[3]), dtype=np.float32)
                 np.multiply(drawn, np.float32(EXPLORATION_STD), out=noise[:, lane, slot])
+            if self._decisions is not None:
+                self._drawn[0][:, lane, slot] = self._decide(self._decisions, seed)
 
     def _decide(self, decisions: Decisions, seed: int) -> F64Array:
         """Return the outputs [decisions, decision_size] of the deciding level in an episode."""

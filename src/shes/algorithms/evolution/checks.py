@@ -133,6 +133,14 @@ def _check_exploration(settings: Any) -> None:
             "explore is 'archive', but the training target is random. Set --target, e.g. --target 0 16, or "
             "--explore none."
         )
+    environment: Any = find_environment(settings.run.env)
+    own = environment.task.own_target
+    target, sought = options.target or own, options.evaluation_target or own
+    if target != sought:
+        raise ConfigError(
+            f"explore is 'archive', which searches for a way to evaluation's target {sought}, but the training target "
+            f"is {target}. Set --target {' '.join(f'{x:g}' for x in sought)}, or --explore none."
+        )
     if PRIMITIVE_VIEWS.find(settings.hierarchy.primitive_view).sees_task:
         raise ConfigError(
             "explore is 'archive', but the primitive sees the task's observation, which a walker does not have. "

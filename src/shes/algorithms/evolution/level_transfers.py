@@ -1,6 +1,6 @@
 """Transfer of the levels of an evolution strategy. Source: SHES paper, II-D.
 
-A primitive brings its goal encoding, clock, view and symmetry; a controller its view and output.
+A primitive brings its goal encoding, clock, view and symmetry; a controller its view, network and output.
 """
 
 from __future__ import annotations
@@ -77,7 +77,8 @@ class ControllerTransfer(_Transfer):
 
     def settings(self, source: Any, level_names: tuple[str, ...]) -> dict[str, Any]:
         """Return the settings of the controller's inputs, outputs and layers."""
-        return {name: source.values[name] for name in ("controller_output", "controller_view", "hidden")}
+        names = ("controller_network", "controller_output", "controller_view", "hidden")
+        return {name: source.values[name] for name in names}
 
     def interface(self, problem: Problem) -> str:
         """Return the inputs and outputs of the controller in words."""

@@ -95,6 +95,7 @@ class TargetTask(Task):
         self._num_waypoints = len(legs)
         self._way: F64Array = self.xp.asarray(ends)  # the waypoints and, last, the target
         self._way_beyond: F64Array = self.xp.asarray(np.append(np.cumsum(legs[::-1])[::-1], 0.0))
+        self._next[:] = 0  # rows that are not reset may have passed more points than there are now
 
     def places(self, states: F64Array) -> Places:
         """Return where robots in physics states [N, S] are; see `EpisodeBatch.places`.
