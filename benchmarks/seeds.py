@@ -59,7 +59,7 @@ def results(way: str, seed: int, path: Path, controllers: tuple[str, ...]) -> tu
     names = ("generation", "env_steps", "wall_time_s", "score_mean", "score_std")
     curve = [
         {"way": way, "seed": seed, **dict(zip(names, values, strict=True))}
-        for values in zip(*(table[name].tolist() for name in names), strict=True)
+        for values in zip(*(table[name] for name in names), strict=True)
     ]
     return rows, curve
 

@@ -82,7 +82,7 @@ _ALONE: dict[tuple[str, str], dict[str, Any]] = {
 _PIECES = (
     *("primitive_view", "symmetry", "goal_encoding", "clock_frequency", "primitive_estimate", "intervals"),
     *("fall_price", "output_weights", "weight_decay", "hold_tied", "controller_view", "controller_output"),
-    *("controller_network", "explore", "target"),
+    *("controller_network", "explore", "explore_horizon", "target"),
     *("controller_interval", "minimum_goal_distance", "primitive_population_size", "primitive_sigma"),
     *("primitive_learning_rate", "max_tilt"),
 )
@@ -161,7 +161,7 @@ class Scale:
         elif self.preset != "laptop" and (body, form) == ("ant", PIECES):
             laptop = self._laptop(body, task)
             names = (*_PIECES, *_OF_BRANCHES_ALONE) if task == "flagrun" else _PIECES
-            settings = {name: laptop[name] for name in names if name in laptop}
+            settings = {name: laptop[name] for name in names if laptop.get(name) is not None}
             if settings.get("controller_network") == "equivariant":  # its layers are sized by sector
                 networks = make_config(f"{body}-{task}", self.preset).values
                 settings |= {"hidden": laptop["hidden"], "primitive_hidden": networks["hidden"]}

@@ -122,7 +122,7 @@ def planned_config(cell: Cell) -> TrainConfig:
     """
     settings = {name: value for name, value in cell.settings.items() if name not in _TRANSFER}
     if cell.primitive is not None:
-        settings = {name: value for name, value in settings.items() if name != "explore"}
+        settings = {name: value for name, value in settings.items() if not name.startswith("explore")}
     if cell.primitive is not None and cell.settings.get("freeze_primitive", True):
         settings["primitive_estimate"] = "episode"
     return make_config(cell.env, cell.preset, settings)
