@@ -14,12 +14,10 @@ from typing import Any
 from run import write_csv
 
 import shes
+from shes.runs.shipped import shipped_names
 
 EPISODES, SEED = 400, 1000
-AGENTS = (
-    *("ant-walker", "ant-walker-stiff", "ant-gather", "ant-gather-coevolved"),
-    *("ant-maze", "ant-maze-coevolved", "ant-push"),
-)
+AGENTS = shipped_names()
 
 
 def measure(agent: str) -> dict[str, Any]:

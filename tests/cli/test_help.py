@@ -349,7 +349,7 @@ def test_every_shell_asks_for_the_words_that_may_follow(shes, shell):
         ("train --preset smoke --primitive ant-walker-", ["ant-walker-stiff"]),
         ("train --preset unknown --outp", []),
         ("resume runs/fi", ["runs/first"]),
-        ("evaluate ant-m", ["ant-maze", "ant-maze-coevolved"]),
+        ("evaluate ant-g", ["ant-gather", "ant-gather-coevolved"]),
         ("evaluate x --epis", ["--episodes"]),
         ("evaluate x --ru", []),
         ("bench roll", ["rollout"]),
