@@ -41,7 +41,7 @@ def test_the_panels_of_a_run_of_two_levels():
     ]
     assert titles(read.runs, "Goals") == ["primitive return, evaluation", "goals reached, evaluation"]
     diagnostics = titles(read.runs, "Diagnostics")
-    assert {"controller gradient norm", "controller halves cosine", "learning rate"} <= set(diagnostics)
+    assert {"controller gradient norm", "controller halves cosine", "cells"} <= set(diagnostics)
     assert titles(read.runs, "Speed") == ["steps per second"]
 
 
