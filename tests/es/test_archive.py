@@ -92,3 +92,14 @@ def test_a_search_is_over_some_slices_after_the_way_became_shorter():
             assert (archive.stalled, archive.is_over) == (number, False)
     archive = archive.after_slice()
     assert (archive.is_over, archive.states.shape, len(archive.cells)) == (True, (0, 3), 2)
+
+
+def test_what_happens_in_a_search_is_told_once():
+    before = start()
+    begun = line((1, 0)).entered(reached([[1, 0]], [10], [1]))
+    known = begun.entered(reached([[2, 0]], [20], [1], solved=[0]))
+    assert before.news(before) == known.news(known) == []
+    assert begun.news(before) == ["the primitive walks: the search for a way begins"]
+    assert known.news(begun) == ["a way of 20 steps is known after 0 environment steps of search"]
+    assert known.over().news(known) == ["the search is over: the way has 20 steps"]
+    assert len(known.over().news(before)) == 3

@@ -175,6 +175,19 @@ class Archive:
         )
         return after.over() if stalled >= PATIENCE else after
 
+    def news(self, before: Archive) -> list[str]:
+        """Return in words what has happened since `before`: the search has begun, a first way is known, it is over."""
+        news = list[str]()
+        if self.has_begun and not before.has_begun:
+            news.append("the primitive walks: the search for a way begins")
+        if self.way_steps and not before.way_steps:
+            news.append(
+                f"a way of {self.way_steps} steps is known after {self.env_steps:,} environment steps of search"
+            )
+        if self.is_over and not before.is_over:
+            news.append(f"the search is over: the way has {self.way_steps} steps")
+        return news
+
     @property
     def waypoints(self) -> F64Array | None:
         """The way [points, X] without its start, in metres; None until one is known.

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from shes.errors import ConfigError
+from shes.hierarchy.views import sector_directions
 from shes.options import make, subclass_of
 from shes.registry import Registry
 from shes.types import F64Array
@@ -145,8 +146,7 @@ class SectorOutput(ControllerOutput):
         """Sum up `num_sectors` outputs, counter-clockwise from straight behind."""
         self.size = num_sectors
         self._of_sum = of_sum
-        middle = (np.arange(num_sectors) + 0.5) * (2 * np.pi / num_sectors) - np.pi
-        self._along: F64Array = np.stack([np.cos(middle), np.sin(middle)]) * (2 / num_sectors)
+        self._along: F64Array = np.stack(sector_directions(num_sectors)) * (2 / num_sectors)
 
     def vector(self, output: F64Array, heading: F64Array, goal_distance: float) -> F64Array:
         """Return the vector to the goal for the sum of the sectors' vectors."""

@@ -136,6 +136,12 @@ class EgocentricView(View):
         return EgocentricView(self.body, *self._places, xp)
 
 
+def sector_directions(num_sectors: int) -> tuple[F64Array, F64Array]:
+    """Return x (ahead) and y (left) of the directions to the sectors' middles, counter-clockwise from straight behind."""
+    middle = (np.arange(num_sectors) + 0.5) * (2 * np.pi / num_sectors) - np.pi
+    return np.cos(middle), np.sin(middle)
+
+
 class SectorsView(View):
     """A task's range sensors and three vectors, each as one value per sector around the robot: a symmetric input.
 
@@ -159,8 +165,7 @@ class SectorsView(View):
         self.num_channels = 2 * len(self.rings) + 1 + len(self.vectors)
         """Number of values per sector, C."""
         self._columns = _columns(tuple(index for ring in self.rings for index in ring), xp)
-        middle = (np.arange(self.num_sectors) + 0.5) * (2 * np.pi / self.num_sectors) - np.pi
-        self._ahead, self._left = (xp.asarray(part) for part in (np.cos(middle), np.sin(middle)))
+        self._ahead, self._left = (xp.asarray(part) for part in sector_directions(self.num_sectors))
 
     def size(self, observation_size: int) -> int:
         """Return the number of channels times the number of sectors."""

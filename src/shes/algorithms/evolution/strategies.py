@@ -69,8 +69,12 @@ class EvolutionAlgorithm(Algorithm[TrainState]):
         """Yield a report after every generation from `state` on, indefinitely."""
         table, threads = self.table.on(self.problem.xp), min(self.problem.num_threads, _MAX_THREADS)
         with ThreadPoolExecutor(threads, thread_name_prefix="shes-gradient") as pool:
+            archive = state.archive
             for report in evolve(state, self.hyperparameters, table, backend, pool):
-                yield Report(state=report.state, columns=columns(report), log=report.log)
+                found = report.state.archive
+                news = [] if found is None or archive is None else found.news(archive)
+                archive = found
+                yield Report(state=report.state, columns=columns(report), log=[*report.log, *news])
 
     def to_arrays(self, state: TrainState) -> dict[str, np.ndarray]:
         """Return `state` as named arrays."""
