@@ -137,7 +137,7 @@ class EgocentricView(View):
 
 
 def sector_directions(num_sectors: int) -> tuple[F64Array, F64Array]:
-    """Return x (ahead) and y (left) of the directions to the sectors' middles, counter-clockwise from straight behind."""
+    """Return x (ahead) and y (left) of the directions to the middles of sectors, the first of which begins behind."""
     middle = (np.arange(num_sectors) + 0.5) * (2 * np.pi / num_sectors) - np.pi
     return np.cos(middle), np.sin(middle)
 
