@@ -3,7 +3,8 @@
 A place is a cell of the task's own coordinates. Ways form a tree of nodes, the robot's positions at the decisions.
 C cells, N nodes, W points of the way, K coordinates of a cell, S of a physics state, X of a position.
 
-Source: Ecoffet et al. 2021 (Go-Explore). Deviation: nothing but the time to get there makes a cell better.
+Source: Ecoffet et al. 2021 (Go-Explore).
+Deviation: nothing but the time to get there makes a cell better.
 """
 
 from __future__ import annotations
