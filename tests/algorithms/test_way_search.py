@@ -258,6 +258,11 @@ def test_a_shipped_agent_has_the_map_and_no_states(quick, tmp_path):
             {"evaluation_target": (1.0, 2.5)},
             r"the training target is \(0\.0, 19\.0\)\. Set --target 1 2\.5, or --explore none",
         ),
+        (
+            "point-push",
+            {"explore_horizon": 9},
+            r"explore_horizon must be at least controller_interval, 25.*, got 9\. Set",
+        ),
         ("point-push", {"waypoints": (1.0, 2.0)}, r"waypoints \(1\.0, 2\.0\) are a way already\. Set --waypoints none"),
         (
             "point-push",

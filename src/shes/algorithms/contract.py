@@ -47,7 +47,7 @@ class AnyState(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Explored:
-    """What a search for a way to the target has found, for a map."""
+    """Places and way that a search for a way to the target has found, for a map."""
 
     places: F64Array
     """Places that were reached [places, 2], in whole metres."""

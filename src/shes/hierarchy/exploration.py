@@ -1,4 +1,4 @@
-"""What is added to the outputs of the deciding level and to the controls.
+"""Noise and given decisions that are added to the outputs of the deciding level and to the controls.
 
 In whole episodes of training it is exploration noise. In evaluations it is nothing, or decisions that are not learned.
 """

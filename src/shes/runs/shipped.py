@@ -27,7 +27,7 @@ class FreshScore:
     """Scores on fresh episodes."""
 
     controller: str | None
-    """What set the goals, as `Evaluation.controller`; None for an agent without a controller."""
+    """The controller that set the goals, as `Evaluation.controller`; None for an agent without a controller."""
     episodes: int
     score_mean: float
     score_std: float

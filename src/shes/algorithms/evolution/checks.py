@@ -122,6 +122,9 @@ def _check_exploration(settings: Any) -> None:
             f"explore is 'archive', but {settings.run.env} has no target with a way to search for: only Maze, Push and "
             "Fall of this package have. Set --explore none."
         )
+    longest, interval = settings.exploration.explore_horizon, settings.hierarchy.controller_interval
+    if longest is not None and longest < interval:
+        raise out_of_range("explore_horizon", longest, f"at least controller_interval, {interval}: one decision")
     options = settings.environment
     if options.waypoints is not None:
         raise ConfigError(

@@ -128,10 +128,8 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
     if estimate is not None and len(state.levels) == 1:
         return branch_work(state, estimate, table_size)
     signs, episodes = hyperparameters.signs(state.generation), hyperparameters.episodes(state.generation)
-    levels, is_searching = (
-        LevelParameters.of_all(state.levels),
-        state.archive is not None and not state.archive.way_steps,
-    )
+    levels = LevelParameters.of_all(state.levels)
+    is_searching = state.archive is not None and not state.archive.way_steps
     if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
         levels = (*(level.at_zero() for level in levels[:-1]), levels[-1])
         signs[:, :, :-1] = 0

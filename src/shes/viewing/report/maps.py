@@ -50,7 +50,7 @@ class Journeys:
     plan: Plan | None
     """The world; None for an environment that draws itself."""
     explored: Explored | None = None
-    """What the run's search for a way had found at its end; None without a search."""
+    """Findings of the run's search for a way at its end; None without a search."""
 
 
 def play_episodes(run: Path, episodes: int, seed: int | None = None) -> Journeys:
