@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shes.algorithms.worker import RolloutWorker, WorkerPlan, lanes_that_fit
-from shes.backends.work import TaskList
+from shes.backends.backend import TaskList
 from shes.envs.registry import find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import StorageError
@@ -71,7 +71,7 @@ def _work(count, episodes=2):
 
 def _run(worker, generation, count=4, share=4):
     worker.receive(generation)
-    return dict(worker.run(TaskList(_work(count)), 2 * share))
+    return dict(worker.run(TaskList(_work(count)), share))
 
 
 def test_training_and_evaluation_have_their_own_horizon():

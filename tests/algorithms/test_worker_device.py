@@ -9,7 +9,7 @@ import pytest
 
 import shes.algorithms.worker
 from shes.algorithms.worker import RolloutWorker, lanes_in_memory, simulator_factory
-from shes.backends.work import TaskList
+from shes.backends.backend import TaskList
 from shes.errors import ConfigError
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator

@@ -4,7 +4,6 @@ import os
 import signal
 import sys
 import time
-from itertools import islice
 from pathlib import Path
 
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError
@@ -18,26 +17,6 @@ ERRORS = {
 """Errors that a task may ask for."""
 
 
-class Letters:
-    """A divisible task: its units are the letters of a text, and its result says which process did which of them."""
-
-    def __init__(self, text):
-        self.text = text
-
-    @property
-    def num_units(self):
-        return len(self.text)
-
-    def part(self, start, stop):
-        return type(self)(self.text[start:stop])
-
-    def join(self, results):
-        return [each for result in results for each in result]
-
-    def __iter__(self):  # as any other task, a verb and its argument
-        return iter(("spell", self.text))
-
-
 class Worker:
     """Runs tasks (verb, argument), a few at a time, and yields their results last first."""
 
@@ -48,10 +27,13 @@ class Worker:
     def receive(self, state):
         self.state = state
 
-    def run(self, work, share):
-        while taken := list(islice(work, min(self.at_once, share))):
+    def run(self, tasks, share):
+        while taken := tasks.take(min(self.at_once, share)):
             for number, task in reversed(taken):
                 yield number, self.do(*task)
+
+    def close(self):
+        pass
 
     def do(self, verb, argument=None, *more):
         return getattr(self, verb)(argument, *more)
@@ -59,11 +41,6 @@ class Worker:
     def add(self, number):
         """Add the state to a number."""
         return self.state + number
-
-    def spell(self, text):
-        """Return a pair of a process and letters, with the state behind."""
-        time.sleep(0.01 * len(text))
-        return [(os.getpid(), f"{text}{self.state}")]
 
     def where(self, seconds):
         """Take some time; return the process and the state."""

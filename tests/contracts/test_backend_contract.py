@@ -1,4 +1,4 @@
-"""The contract of every backend in `shes.backends.registry.BACKENDS`."""
+"""The contract of every backend in `shes.backends.named_backends.BACKENDS`."""
 
 import importlib.util
 import os
@@ -10,14 +10,14 @@ import psutil
 import pytest
 
 from shes.backends.backend import Backend
-from shes.backends.registry import BACKENDS
+from shes.backends.named_backends import BACKENDS
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, WorkerError
 from shes.settings import Execution, Settings, setting_fields
 from shes.training.build import build_algorithm, build_backend
 from shes.training.make_config import make_config
 from tests.backends.clusters import ray_cluster
-from tests.backends.workers import ERRORS, Letters, Worker
+from tests.backends.workers import ERRORS, Worker
 from tests.e2e import runs
 
 ENGINES = {"ray": "ray", "mpi": "mpi4py"}
@@ -139,29 +139,6 @@ def test_tasks_refer_to_the_last_state_broadcast(backend):
     backend.broadcast(300)
     assert list(backend.map([("add", 1)] * 5)) == [301] * 5
     assert list(backend.map([("add", 2)] * 5)) == [302] * 5
-
-
-def test_a_divisible_task_has_one_result_whoever_does_its_parts(backend):
-    found = list(backend.map([Letters("abcdefgh"), ("add", 1), Letters("xyz")]))
-    for result, text in ((found[0], "abcdefgh"), (found[2], "xyz")):
-        assert "".join(letters.removesuffix("100") for _, letters in result) == text
-        assert all(letters.endswith("100") for _, letters in result)
-    assert found[1] == 101
-
-
-def test_work_beside_the_next_map_has_its_own_state_and_both_have_all_results(backend):
-    beside = backend.beside([("add", i) for i in range(5)], 1000)
-    backend.broadcast(200)
-    assert list(backend.map([("add", i) for i in range(7)])) == list(range(200, 207))
-    assert beside.is_done
-    assert beside.results() == beside.results() == list(range(1000, 1005))
-
-
-def test_work_beside_that_no_map_follows_is_done_when_its_results_are_asked_for(backend):
-    beside = backend.beside([("add", 1), ("add", 2)], 1000)
-    assert beside.results() == [1001, 1002]
-    backend.broadcast(300)
-    assert list(backend.map([("add", 1)])) == [301]
 
 
 def test_an_error_of_shes_arrives_as_it_was_raised(backend):

@@ -2,27 +2,22 @@
 
 Start the whole program under `mpiexec` or `srun`: `mpiexec -n 48 python -m mpi4py.futures -m shes train ... --backend
 mpi`. mpi4py keeps the other ranks waiting for work. Each is given one long function, `_serve_rank`, which then talks to
-the main process by messages (`shes.backends.serving`). The state is broadcast along a tree. A rank that dies ends the
-job: that is MPI; the last checkpoint is intact.
+the main process by messages. The state is broadcast along a tree. A rank that dies ends the job: that is MPI; the last
+checkpoint is intact.
 """
 
 from __future__ import annotations
 
 import pickle
-from collections import deque
 from collections.abc import Callable, Sequence
 from time import monotonic, sleep
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any
 
 from shes.backends.backend import WorkerFactory
-from shes.backends.factory import pickle_factory
-from shes.backends.job import State
-from shes.backends.pull import PullBackend, WarningSettings
-from shes.backends.remote_worker import RemoteWorker
-from shes.backends.serving import serve, use_one_thread
+from shes.backends.serving import ClosedError, pickle_factory, serve, use_one_thread
+from shes.backends.supervision import REPORTED_S, RemoteWorker, SupervisingBackend
 from shes.errors import ConfigError, MissingExtraError, WorkerError
-from shes.settings import Settings
 
 _TAG = 4021  # of all messages of this backend
 # Between two looks for a message: a rank that waits leaves its core to others.
@@ -34,12 +29,10 @@ _HELD: list[MpiBackend] = []
 """The backend that has the ranks, if any."""
 
 
-class MpiBackend(PullBackend):
+class MpiBackend(SupervisingBackend):
     """One worker per MPI rank except the first; --workers sets only how many threads compute the gradient."""
 
-    Options: ClassVar[type[Settings]] = WarningSettings
-
-    def __init__(self, factory: WorkerFactory, num_workers: int, *, worker_warning_s: float | None = None) -> None:
+    def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
         """Start a worker in every rank but this one.
 
         Raises:
@@ -61,8 +54,7 @@ class MpiBackend(PullBackend):
                 f"--backend mpi needs ranks for its workers, and there are {self._comm.Get_size() - 1}. Start the "
                 "program under mpiexec or srun: mpiexec -n 3 python -m mpi4py.futures -m shes train ... --backend mpi."
             )
-        super().__init__(self._comm.Get_size() - 1, worker_warning_s, None)
-        self.workers: list[_Rank] = []
+        super().__init__(self._comm.Get_size() - 1, None)
         self._pool: Any = None
         self._served: list[Any] = []  # one future for every rank
         self._looked_at = 0.0
@@ -73,37 +65,8 @@ class MpiBackend(PullBackend):
         """Check that mpi4py and an MPI library are installed; see the base class."""
         _import_mpi()
 
-    def broadcast(self, state: Any) -> None:
-        """Send `state` to all ranks together.
-
-        Raises:
-            WorkerError: A rank has failed to start.
-        """
-        self.start_workers()
-        self._state = State(pickle.dumps(state, pickle.HIGHEST_PROTOCOL))
-        self._broadcast(self._state)
-
-    def close(self) -> None:
-        """End every worker after the episodes at work; the ranks stay in the pool."""
-        workers, self.workers = self.workers, []
-        for worker in workers:
-            worker.send("close")
-        while not all(future.done() for future in self._served):
-            self._collect(workers)
-            sleep(_LONGEST_NAP_S)
-        self._collect(workers)
-        self._served.clear()
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
-            _HELD.remove(self)
-
     def start_workers(self) -> None:
-        """Begin to serve in all ranks, unless they do.
-
-        Raises:
-            ConfigError: Another backend has the ranks.
-        """
+        """Begin to serve in all ranks, unless they do; raise ConfigError if another backend has the ranks."""
         if self.workers:
             return
         if _HELD:
@@ -111,41 +74,29 @@ class MpiBackend(PullBackend):
         _HELD.append(self)
         self._pool = self._futures.MPIPoolExecutor(main=False, backoff=_NAP_OF_POOL_S)
         self._served = [self._pool.submit(_serve_rank, self._factory) for _ in range(self.num_workers)]
-        self.workers = [_Rank(self._comm, rank) for rank in range(1, self._comm.Get_size())]
+        for rank in range(1, self._comm.Get_size()):
+            self.add_worker(_Rank(self._comm, rank))
 
-    def _broadcast(self, state: State) -> None:
-        """Send the state along a tree, and receive what workers send meanwhile: a worker that sends cannot join in."""
-        # One that cannot start never joins in.
-        self._wait(lambda: all(worker.is_ready for worker in self.workers), _LONGEST_NAP_S, self._text_of_unready)
+    def broadcast(self, state: Any) -> None:
+        """Send `state` to all ranks along a tree; raise WorkerError if a rank has failed to start."""
+        super().broadcast(state)
+        self.start_workers()
+        assert self._state is not None
+        while not all(worker.is_idle for worker in self.workers):  # one that works cannot join in
+            self.serve_requests()
         for worker in self.workers:
-            worker.note_state(state)
-            worker.send("broadcast", len(state.pickled), state.number)
-        request = self._comm.Ibcast([state.pickled, self._mpi.BYTE], root=0)
-        self._wait(request.Test, _SHORTEST_NAP_S, lambda: "the state has not reached every MPI rank")
+            worker.state = self._state
+            worker.send(("broadcast", len(self._state)))
+        request = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0)
+        begin, is_reported = monotonic(), False
+        while not request.Test():
+            if not is_reported and monotonic() >= begin + REPORTED_S:
+                is_reported = True
+                self.tell(f"the state has not reached every MPI rank after {REPORTED_S:g} s; the run waits")
+            sleep(_SHORTEST_NAP_S)
 
-    def _text_of_unready(self) -> str:
-        """Say which ranks are not ready."""
-        late = [str(worker.rank) for worker in self.workers if not worker.is_ready]
-        return f"MPI rank{'s' * (len(late) > 1)} {', '.join(late[:10])}{', ...' * (len(late) > 10)} cannot work yet"
-
-    def _wait(self, is_over: Callable[[], bool], nap_s: float, what_is_late: Callable[[], str]) -> None:
-        """Receive messages until `is_over`; after `worker_warning_s` tell once what is late."""
-        begin = monotonic()
-        is_told = self.worker_warning_s is None
-        while not is_over():
-            self._collect(self.workers)
-            self._look_at_ranks()
-            if not is_told and monotonic() >= begin + (self.worker_warning_s or 0.0):
-                is_told = True
-                self.tell(f"{what_is_late()} after {monotonic() - begin:.0f} s; the run waits")
-            sleep(nap_s)
-
-    def ready_workers(self, timeout_s: float) -> Sequence[RemoteWorker]:
-        """Wait at most `timeout_s` for messages, with naps; return the workers that have sent some.
-
-        Raises:
-            WorkerError: A rank has failed to start.
-        """
+    def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
+        """Wait at most `timeout_s` for requests, with naps; raise WorkerError if a rank has failed to start."""
         end, nap_s = monotonic() + timeout_s, _SHORTEST_NAP_S
         while True:
             self._collect(self.workers)
@@ -157,16 +108,14 @@ class MpiBackend(PullBackend):
             nap_s = min(2 * nap_s, _LONGEST_NAP_S)
 
     def _collect(self, workers: Sequence[_Rank]) -> None:
-        """Receive the messages that have arrived."""
+        """Receive the requests that have arrived."""
         status = self._mpi.Status()
         while self._comm.Iprobe(tag=_TAG, status=status):
             source: int = status.Get_source()
-            worker = workers[source - 1]
-            worker.is_ready = True
-            worker.inbox.append(self._comm.recv(source=worker.rank, tag=_TAG))
+            workers[source - 1].inbox.append(self._comm.recv(source=source, tag=_TAG))
 
     def _look_at_ranks(self) -> None:
-        """Now and then, raise WorkerError if a rank has failed outside of `serve`, whose errors come as messages."""
+        """Now and then, raise WorkerError if a rank has failed outside of `serve`, whose errors come as requests."""
         if monotonic() < self._looked_at + _LOOK_S:
             return
         self._looked_at = monotonic()
@@ -177,11 +126,26 @@ class MpiBackend(PullBackend):
                     "environment with SHES."
                 ) from error
 
-    def waits_for(self, worker: RemoteWorker) -> bool:
-        """Return True: all ranks receive a broadcast together."""
-        return True
+    def close(self) -> None:
+        """Close every worker; the ranks stay in the pool."""
+        workers, self.workers = self.workers, []
+        for worker in workers:
+            worker.stop()
+        while not all(future.done() for future in self._served):
+            self._collect(workers)  # a rank may be sending a request
+            sleep(_LONGEST_NAP_S)
+        self._collect(workers)
+        self._served.clear()
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+            _HELD.remove(self)
 
-    def advice(self, worker: RemoteWorker) -> str:
+    def is_awaited(self, worker: RemoteWorker) -> bool:
+        """Return whether the worker is not idle: all ranks receive a broadcast together."""
+        return not worker.is_idle
+
+    def advice(self, ending: str) -> str:
         """Not called: no rank is ever replaced."""
         raise AssertionError("MPI ends the whole job when a rank dies")
 
@@ -191,33 +155,31 @@ class _Rank(RemoteWorker):
 
     def __init__(self, comm: Any, rank: int) -> None:
         super().__init__()
-        self.rank = rank
+        self.name = f"rank {rank}"
         self.inbox: list[tuple[Any, ...]] = []
-        self._comm = comm
-        self._sent: list[Any] = []  # requests of messages on their way
+        self._comm, self._rank = comm, rank
+        self._sent: list[Any] = []  # MPI's requests of messages on their way
 
-    @property
-    def name(self) -> str:
-        return f"rank {self.rank}"
-
-    @property
-    def ending(self) -> str:
-        raise AssertionError("MPI ends the whole job when a rank dies")
-
-    def send(self, *message: Any) -> None:
+    def send(self, message: tuple[Any, ...]) -> None:
         self._sent = [request for request in self._sent if not request.Test()]
-        self._sent.append(self._comm.isend(message, dest=self.rank, tag=_TAG))
+        self._sent.append(self._comm.isend(message, dest=self._rank, tag=_TAG))
 
-    def receive(self) -> Sequence[tuple[Any, ...]]:
-        messages, self.inbox = self.inbox, []
-        return messages
+    def answer(self, message: tuple[Any, ...], state: bytes | None = None) -> None:
+        assert state is None, "all ranks have received it"
+        self.send(message)
 
-    def end(self) -> None:
+    def requests(self) -> Sequence[tuple[Any, ...]]:
+        found, self.inbox = self.inbox, []
+        return found
+
+    def stop(self) -> None:
+        self.send(("close",))
+
+    def has_stopped(self) -> bool:
+        raise AssertionError("the pool knows")
+
+    def end(self) -> str:
         raise AssertionError("a rank cannot be ended alone")
-
-
-class _ClosedError(EOFError):
-    """The main process has closed the worker."""
 
 
 class _Parent:
@@ -225,33 +187,46 @@ class _Parent:
 
     def __init__(self, mpi: ModuleType) -> None:
         self._mpi, self._comm = mpi, mpi.COMM_WORLD
-        self._inbox: deque[tuple[Any, ...]] = deque()
         self.is_closed = False
 
-    def send(self, message: tuple[Any, ...]) -> None:
-        self._collect()  # raises _ClosedError in the middle of a run as well
-        self._comm.send(message, dest=0, tag=_TAG)
+    def tell(self, *request: Any) -> None:
+        self.check()
+        self._comm.send(request, dest=0, tag=_TAG)
 
-    def recv(self) -> tuple[Any, ...]:
+    def ask(self, *request: Any) -> tuple[tuple[Any, ...], bytes | None]:
+        self.tell(*request)
+        message, state = self._receive(), None
+        while message[0] == "broadcast":
+            buffer = bytearray(message[1])
+            self._comm.Ibcast([buffer, self._mpi.BYTE], root=0).Wait()
+            message, state = self._receive(), bytes(buffer)
+        return message, state
+
+    def check(self) -> None:
+        if self._comm.Iprobe(source=0, tag=_TAG):
+            self._receive()  # while the rank works, there is no other message than the last one
+
+    def _receive(self) -> tuple[Any, ...]:
         nap_s = _SHORTEST_NAP_S
-        while not self._inbox:
-            self._collect()
+        while not self._comm.Iprobe(source=0, tag=_TAG):
             sleep(nap_s)
             nap_s = min(2 * nap_s, _LONGEST_NAP_S)
-        return self._inbox.popleft()
+        message = self._comm.recv(source=0, tag=_TAG)
+        if message[0] == "close":
+            self.is_closed = True
+            raise ClosedError
+        return message
 
-    def _collect(self) -> None:
-        """Receive the messages that have arrived."""
-        while self._comm.Iprobe(source=0, tag=_TAG):
-            message = self._comm.recv(source=0, tag=_TAG)
-            if message[0] == "close":
-                self.is_closed = True
-                raise _ClosedError
-            if message[0] == "broadcast":
-                state = bytearray(message[1])
-                self._comm.Ibcast([state, self._mpi.BYTE], root=0).Wait()
-                message = ("state", message[2], state)
-            self._inbox.append(message)
+    def wait_for_close(self) -> None:
+        """Return when the main process has closed the worker: after an error, too, it does that."""
+        while not self.is_closed:
+            try:
+                self._receive()
+            except ClosedError:
+                return
+
+    def leave(self) -> None:
+        pass
 
 
 def _serve_rank(factory: bytes) -> None:
@@ -261,11 +236,7 @@ def _serve_rank(factory: bytes) -> None:
     use_one_thread()
     parent = _Parent(MPI)
     serve(parent, factory)
-    while not parent.is_closed:  # after an error
-        try:
-            parent.recv()
-        except _ClosedError:
-            return
+    parent.wait_for_close()
 
 
 def _import_mpi() -> tuple[ModuleType, ModuleType]:

@@ -18,7 +18,7 @@ from typing import Any
 
 from shes.backends.backend import Backend
 from shes.backends.processes import ProcessesBackend
-from shes.backends.registry import BACKENDS
+from shes.backends.named_backends import BACKENDS
 from shes.cores import num_cores
 from shes.errors import RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig

@@ -1,0 +1,324 @@
+"""Supervision of workers in other processes: who has which task, who is gone, and what is repeated.
+
+A backend derives from `SupervisingBackend`, starts its workers, and carries requests and answers over pipes, Ray or
+MPI. `shes.backends.serving` is the worker's side of the conversation.
+"""
+
+from __future__ import annotations
+
+import pickle
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from textwrap import shorten
+from time import monotonic, sleep
+from typing import Annotated, Any
+
+from shes.backends.backend import Backend
+from shes.errors import WorkerError
+from shes.settings import Execution, Gt, Settings
+
+MAX_LOSSES = 3
+"""The run ends when so many workers were lost with the same task, or so many per worker in a row without a result."""
+REPORTED_AT = 0.1
+"""Part of `worker_timeout_s` after which a silent worker is reported."""
+REPORTED_S = 60.0
+"""Seconds after which a silent worker is reported if none is ever replaced."""
+CLOSE_S = 5.0
+"""Seconds that workers have to close their environments before they are killed."""
+_TICK_S = 1.0
+_MOST_LETTERS = 300  # of a task in a message
+
+
+@dataclass(frozen=True, kw_only=True)
+class SupervisionSettings(Settings):
+    """The limit for workers that do not answer."""
+
+    worker_timeout_s: Annotated[float, Gt(0), Execution()] | None = 600.0
+    """Seconds without a sign of life after which a worker is replaced; none for never. It is reported after a tenth."""
+
+
+class WorkerTraceback(Exception):  # noqa: N818 - the cause of an error, not an error of its own
+    """The traceback of an error in a worker process, as text."""
+
+    def __str__(self) -> str:
+        return f"\n{self.args[0]}"
+
+
+class RemoteWorker(ABC):
+    """A worker in another process as its parent sees it."""
+
+    name: str
+    """Name of the worker in messages."""
+
+    def __init__(self) -> None:
+        """Begin without tasks."""
+        self.is_started = True
+        """Whether its process exists; if not, it waits for a core of the cluster."""
+        self.is_ready = False
+        """Whether it has sent a request."""
+        self.is_idle = False
+        """Whether it waits for tasks, with a request that has no answer yet."""
+        self.is_expected = False
+        """Whether it has been told of tasks and has not asked for any yet."""
+        self.tasks: dict[int, None] = {}
+        """Numbers of the tasks that it has, in the order they were given."""
+        self.state: bytes | None = None
+        """The state that it has."""
+        self.heard_s = 0.0
+        """Time of its last request or answer, on the clock of the backend."""
+        self.is_reported = False
+        """Whether the user has been told of its silence."""
+        self.is_ended = False
+
+    @abstractmethod
+    def answer(self, message: tuple[Any, ...], state: bytes | None = None) -> None:
+        """Answer its request, soon and without waiting. If the worker is gone, `requests` notices it."""
+
+    @abstractmethod
+    def requests(self) -> Sequence[tuple[Any, ...]]:
+        """Return the requests that have arrived; raise EOFError or another OSError if the worker is gone."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Let the worker close its environments and end."""
+
+    @abstractmethod
+    def has_stopped(self) -> bool:
+        """Return whether the worker has ended."""
+
+    @abstractmethod
+    def end(self) -> str:
+        """End the worker at once, even if it does not answer; return how it ended, in words."""
+
+
+class SupervisingBackend(Backend):
+    """Workers in other processes, which ask for tasks.
+
+    A subclass fills `workers` in `start_workers`, which its constructor calls, and defines `wait` and `advice`.
+    """
+
+    def __init__(self, num_workers: int, worker_timeout_s: float | None) -> None:
+        """Begin without workers."""
+        self.num_workers = num_workers
+        self.worker_timeout_s = worker_timeout_s
+        self.workers: list[Any] = []
+        """The workers that are not known to be gone."""
+        self._reported_s = REPORTED_S if worker_timeout_s is None else REPORTED_AT * worker_timeout_s
+        self._tick_s = max(0.01, min(_TICK_S, self._reported_s / 2))
+        self._clock_s = 0.0  # how long this process has waited for requests
+        self._judged_s = 0.0  # when silent workers were last looked for
+        self._may_restart = True  # unless a worker has failed to start while others work
+        self._losses_in_a_row = 0
+        self._most_workers = 0  # a cluster that has lost a node has fewer
+        self._state: bytes | None = None
+        self._begin_map(())
+
+    @abstractmethod
+    def start_workers(self) -> None:
+        """Start the workers that are missing from `workers`."""
+
+    @abstractmethod
+    def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
+        """Wait at most `timeout_s` for requests; return the workers that have sent some, or are gone."""
+
+    @abstractmethod
+    def advice(self, ending: str) -> str:
+        """Return advice to the user about workers that keep ending in this way."""
+
+    def look_around(self) -> None:  # noqa: B027 - the number of workers is fixed, unless a cluster grows
+        """Do what is due between requests; called at least once a second while there are tasks."""
+
+    def broadcast(self, state: Any) -> None:
+        """Keep `state` for every worker that is given tasks from now on."""
+        self._state = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
+        self._may_restart = True
+
+    def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
+        """Yield the result of every task, in order."""
+        self._begin_map(tasks)
+        is_finished, next_number = False, 0
+        try:
+            self.restart_workers()
+            self._engage()
+            while next_number < len(tasks):
+                self.serve_requests()
+                while next_number in self._results:
+                    yield self._results.pop(next_number)
+                    next_number += 1
+            while any(self.is_awaited(worker) for worker in self.workers):
+                self.serve_requests()
+            is_finished = True
+        finally:
+            self._begin_map(())
+            if not is_finished:  # a worker raised, or the caller stopped iterating: nobody needs the remaining results
+                self.close()
+
+    def is_awaited(self, worker: RemoteWorker) -> bool:
+        """Return whether a `map` whose tasks are done waits for a worker: unless it never asked, as if it was stopped."""
+        return not (worker.is_idle or worker.is_expected) and worker.is_ready
+
+    def close(self) -> None:
+        """Let every worker close its environments and end; kill those that do not within seconds."""
+        workers, self.workers = self.workers, []
+        try:
+            for worker in workers:
+                worker.stop()
+            deadline_s = monotonic() + CLOSE_S
+            while monotonic() < deadline_s and not all(worker.has_stopped() for worker in workers):
+                sleep(0.005)
+        finally:
+            for worker in workers:
+                worker.is_ended = True
+                worker.end()
+
+    def add_worker(self, worker: RemoteWorker) -> None:
+        """Add a worker that `start_workers` has started."""
+        worker.heard_s = self._clock_s
+        self.workers.append(worker)
+
+    def tell(self, event: str) -> None:
+        """Tell the user of an event, if anyone listens; see `on_event`."""
+        if self.on_event is not None:
+            self.on_event(event)
+
+    def _begin_map(self, tasks: Sequence[Any]) -> None:
+        self._tasks = tasks
+        self._left = deque(range(len(tasks)))
+        self._results: dict[int, Any] = {}
+        self._losses: Counter[int] = Counter()  # workers that were lost with each task
+        self._share = max(1, -(-len(tasks) // self.num_workers))
+
+    def restart_workers(self) -> None:
+        """Start the workers that are missing, unless others work while one has failed to start."""
+        if self._may_restart or not self.workers:
+            self.start_workers()
+
+    def _engage(self) -> None:
+        """Tell idle workers of the tasks, as long as those that will ask for the first time leave some for others.
+
+        Lost tasks do not wait for a worker that was told of others: it may have been stopped.
+        """
+        expected = sum(worker.is_expected for worker in self.workers)
+        for worker in self.workers:
+            if not self._left or (not self._losses and len(self._left) <= expected * self._share):
+                return
+            if worker.is_idle:
+                worker.is_idle, worker.is_expected, worker.heard_s = False, True, self._clock_s
+                state = None if worker.state is self._state else self._state
+                worker.state = self._state
+                worker.answer(("run", self._share), state)
+                expected += 1
+
+    def serve_requests(self) -> None:
+        """Wait for requests and answer them. Replace workers that are gone or have been silent for too long."""
+        start = monotonic()
+        ready = self.wait(self._tick_s)
+        # Time in which this process has been stopped, for example by Ctrl-Z together with its workers, does not count.
+        self._clock_s += min(monotonic() - start, self._tick_s)
+        for worker in ready:
+            if worker.is_ended:  # meanwhile
+                continue
+            try:
+                requests = worker.requests()
+            except (EOFError, OSError) as error:
+                self._replace(worker, str(error))
+            else:
+                if worker.is_reported:
+                    self.tell(f"worker {worker.name} answers again, after {self._clock_s - worker.heard_s:.0f} s")
+                worker.heard_s, worker.is_reported = self._clock_s, False
+                for request in requests:
+                    self._handle(worker, *request)
+        if self._clock_s >= self._judged_s + self._tick_s:
+            self._judged_s = self._clock_s
+            for worker in [each for each in self.workers if each.is_started and not each.is_idle]:
+                self._judge_silence(worker)
+        self.look_around()
+
+    def _handle(self, worker: RemoteWorker, kind: str, *content: Any) -> None:
+        """Handle a request; see `shes.backends.serving`."""
+        worker.is_ready = True
+        if kind == "failed":
+            raise self._failure(worker, *content)
+        results, *asked = content
+        for number, result in results:
+            del worker.tasks[number]
+            self._results[number] = result
+            self._losses_in_a_row = 0
+        worker.is_expected = False
+        if kind == "want":
+            given = self._give(worker, *asked)
+            worker.answer(("tasks", given))
+        elif kind == "ready":
+            worker.is_idle = True
+            self._engage()
+        else:
+            worker.answer(("noted",))
+
+    def _give(self, worker: RemoteWorker, most: int, least: int) -> list[tuple[int, Any]]:
+        """Return the next numbered tasks for a worker; see `TaskSource.take`. There are none for an earlier state."""
+        if worker.state is not self._state:
+            return []
+        count = min(most, max(least, -(-len(self._left) // (2 * self.num_workers))), len(self._left))
+        numbers = [self._left.popleft() for _ in range(count)]
+        worker.tasks.update(dict.fromkeys(numbers))
+        return [(number, self._tasks[number]) for number in numbers]
+
+    def _failure(self, worker: RemoteWorker, error: bytes | None, text: str) -> Exception:
+        """Return the error that a worker has raised, with its traceback as the cause."""
+        if error is None:
+            at_work = ", ".join(map(self._task_text, list(worker.tasks)[:3])) or "nothing yet"
+            return WorkerError(f"a worker failed while at work on {at_work}:\n{text}")
+        found: Exception = pickle.loads(error)
+        found.__cause__ = WorkerTraceback(text)
+        return found
+
+    def _judge_silence(self, worker: RemoteWorker) -> None:
+        """Report a worker that has been silent for long, or replace it."""
+        silent_s, limit_s = self._clock_s - worker.heard_s, self.worker_timeout_s
+        if limit_s is not None and silent_s >= limit_s:
+            self._replace(worker, is_silent=True)
+        elif silent_s >= self._reported_s and not worker.is_reported:
+            worker.is_reported = True
+            end = "never replaced" if limit_s is None else f"replaced after {limit_s:g} s (--worker-timeout-s)"
+            self.tell(f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end}")
+
+    def _replace(self, worker: RemoteWorker, ending: str = "", *, is_silent: bool = False) -> None:
+        """Replace a worker that is gone or silent, and hand out its tasks before all others."""
+        self._most_workers = max(self._most_workers, len(self.workers))
+        self.workers.remove(worker)
+        worker.is_ended = True
+        ending = worker.end() or ending
+        lost = list(worker.tasks)
+        self._left.extendleft(reversed(lost))
+        self._losses.update(lost)
+        if worker.is_ready or not any(other.is_ready for other in self.workers):
+            self._losses_in_a_row += 1
+        else:  # on a node that lacks something, maybe: others work on, and the next broadcast starts it again
+            self._may_restart = False
+        cause = f"no answer for {self._clock_s - worker.heard_s:.0f} s" if is_silent else ending
+        self.tell(
+            f"worker {worker.name} {'was ended' if is_silent else 'died'} ({cause}); {len(lost)} tasks are done again"
+        )
+        self._check_losses(lost, f"giving {cause}" if is_silent else f"dying ({cause})", is_silent=is_silent)
+        self.restart_workers()
+        self._engage()
+
+    def _check_losses(self, lost: Sequence[int], fault: str, *, is_silent: bool) -> None:
+        """Raise WorkerError if too many workers were lost with the same task, or in a row."""
+        worst = max(lost, key=self._losses.__getitem__, default=None)
+        times = 0 if worst is None else self._losses[worst]
+        if times < MAX_LOSSES and self._losses_in_a_row < MAX_LOSSES * self._most_workers:
+            return
+        task = None if times < MAX_LOSSES else worst
+        where = "at once" if not times else f"on the same task, {times} times"
+        what = "" if task is None else f" It is {self._task_text(task)}."
+        advice = "If a step takes so long, raise --worker-timeout-s." if is_silent else self.advice(fault)
+        error = WorkerError(f"workers keep {fault} {where}.{what} {advice} Everything up to the last checkpoint is kept.")
+        error.task = task
+        raise error
+
+    def _task_text(self, number: int) -> str:
+        """Return a task in words, without large arrays."""
+        return shorten(repr(self._tasks[number]), _MOST_LETTERS, placeholder=" ...")
