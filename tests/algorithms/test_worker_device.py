@@ -127,7 +127,7 @@ def test_memory_that_runs_out_on_the_way_costs_no_result_and_doubles_none(device
 
     monkeypatch.setattr(Rollout, "_step", limited)
     worker.receive(_generation(plan))
-    found = list(worker.run(TaskList(_work(MEMBERS)), 2 * MEMBERS))
+    found = list(worker.run(TaskList(_work(MEMBERS)), MEMBERS))
     assert sorted(number for number, _ in found) == list(range(MEMBERS))
     assert {number: result.returns.tobytes() for number, result in found} == expected
     assert device.tried == [4, 2]

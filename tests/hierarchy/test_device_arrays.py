@@ -185,8 +185,11 @@ class Worker:
     def receive(self, state):
         self.generation = state
 
+    def close(self):
+        pass
+
     def run(self, work, share):
-        return self.rollout.run(work, self.generation, self.table)
+        return self.rollout.run(iter(work), self.generation, self.table)
 
 
 def test_a_generation_on_a_device_updates_as_on_the_cpu():
@@ -210,6 +213,9 @@ class BranchingWorker:
 
     def receive(self, state):
         self.generation = state
+
+    def close(self):
+        pass
 
     def run(self, work, share):
         plan, generation = self.plan, self.generation

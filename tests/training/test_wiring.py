@@ -396,7 +396,6 @@ ROWS: dict[str, Row] = {
     ),
     # workers
     "num_workers": Row(2, lambda r: r.num_processes, 2, 1, beside={"backend": "processes"}),
-    "worker_warning_s": Row(5.0, limit("worker_warning_s"), 5.0, 60.0, beside={"backend": "processes"}),
     "worker_timeout_s": Row(None, limit("worker_timeout_s"), None, 600.0, beside={"backend": "processes"}),
     "backend": Row(
         "processes", lambda r: r.backend, "ProcessesBackend", "SerialBackend", beside={"num_workers": 2}
