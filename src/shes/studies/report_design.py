@@ -5,9 +5,9 @@ from __future__ import annotations
 from itertools import chain
 from pathlib import Path
 
-from shes.bench.speedup_figure import KINDS, authors_speedup, paper_line
 from shes.storage import write_atomically
 from shes.studies.design import CurvePanel, Curves, Speedup, StudyDesign
+from shes.studies.speedup_figure import KINDS, authors_speedup, paper_line
 from shes.studies.study import Study
 from shes.viewing.report.experiment_design import (
     SUFFIX,

@@ -8,11 +8,11 @@ from html import unescape
 import numpy as np
 import pytest
 
-from shes.bench.speedup_figure import PAPER_SECONDS
 from shes.errors import RunFolderError
 from shes.studies.named_studies import STUDIES
 from shes.studies.paper_scales import REFERENCES
 from shes.studies.report_design import write_report_design
+from shes.studies.speedup_figure import PAPER_SECONDS
 from shes.viewing.report import page_sections
 from shes.viewing.report.experiment_page import experiment_section
 from shes.viewing.report.experiment_runs import group_places
