@@ -229,7 +229,7 @@ class BranchingWorker:
             generation.branch_steps or HORIZON,
             generation.members_per_lane,
         )
-        return rollout.run(work, generation, self.table)
+        return rollout.run(iter(work), generation, self.table)
 
 
 BRANCHES = {
