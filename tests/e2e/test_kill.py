@@ -66,7 +66,7 @@ def losses(path):
             inside = int(begun[1])
         elif re.fullmatch(r"generation \d+ ends", line):
             inside = None
-        elif lost := re.fullmatch(r"worker (\d+) died \(exit code -9\); (\d+) tasks are done again", line):
+        elif lost := re.fullmatch(r"worker (\d+) died \(killed by SIGKILL\); (\d+) tasks are done again", line):
             found.append((int(lost[1]), inside, int(lost[2])))
     return found
 
@@ -102,23 +102,25 @@ def test_a_worker_killed_inside_a_generation_is_replaced_and_the_numbers_stay_th
     ((lost, generation, tasks),) = losses(path)
     # A worker that had just finished its share is missed in the next generation.
     assert (lost, generation - inside) in {(worker, 0), (worker, 1)}
-    assert f"worker {worker} died (exit code -9); {tasks} tasks are done again" in out  # and it is said
+    assert f"worker {worker} died (killed by SIGKILL); {tasks} tasks are done again" in out  # and it is said
     assert runs.differences(undisturbed, path) == []
 
 
 def test_a_stopped_worker_is_told_of_and_replaced_and_the_numbers_stay_the_same(
     tmp_path, tiny_run, capsys, monkeypatch
 ):
-    answer, stopped = ProcessesBackend._answer, []
+    wait, stopped = ProcessesBackend.wait, []
 
-    def stop_and_answer(backend, worker, message):
-        if message[0] == "want" and not stopped:  # the answer is its first tasks
-            stopped.append(worker.popen.pid)
-            os.kill(stopped[0], signal.SIGSTOP)
-        answer(backend, worker, message)
+    def stop_and_wait(backend, timeout_s):
+        for worker in backend.workers:
+            if worker.tasks and not stopped:
+                stopped.append(worker.popen.pid)
+                os.kill(stopped[0], signal.SIGSTOP)
+                backend.worker_timeout_s = 3  # a start may take longer
+        return wait(backend, timeout_s)
 
-    monkeypatch.setattr(ProcessesBackend, "_answer", stop_and_answer)
-    settings = {"backend": "processes", "num_workers": 2, "worker_warning_s": 0.5, "worker_timeout_s": 3}
+    monkeypatch.setattr(ProcessesBackend, "wait", stop_and_wait)
+    settings = {"backend": "processes", "num_workers": 2, "worker_timeout_s": 20}
     path, settings = tmp_path / "run", {**runs.TINY, **settings}
     shes.train("point-gather", out=path, progress=True, **settings)
     out, (worker,) = " ".join(capsys.readouterr().out.split()), stopped

@@ -6,7 +6,7 @@ from __future__ import annotations
 import importlib
 import io
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, redirect_stderr
+from contextlib import ExitStack, closing, contextmanager, redirect_stderr
 from dataclasses import dataclass
 from difflib import get_close_matches
 from operator import attrgetter
@@ -21,7 +21,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.reader import ExternalReader, Locate, find_physics
 from shes.envs.tasks.task import SimulatorFactory
 from shes.envs.tasks.task_options import TaskOptions
-from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
+from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError, place_of
 from shes.registry import full_name
 from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
@@ -103,14 +103,15 @@ class ExternalEnvironment:
 
     @contextmanager
     def explained(self, action: str) -> Iterator[None]:
-        """Turn any error into a ConfigError or MissingExtraError: "<name> cannot <action>: <error>"."""
+        """Turn any error into a ConfigError or MissingExtraError: "<name> cannot <action>: <error> (<file>:<line>)"."""
         try:
             yield
         except Exception as error:
             kind = f"{type(error).__name__}: " * (not isinstance(error, ShesError | ModuleNotFoundError))
             told = f"{self.name} cannot {action}: {kind}{' '.join(str(error).split())}"
             if not isinstance(error, ImportError | gymnasium.error.DependencyNotInstalled):
-                raise ConfigError(told) from error
+                place = place_of(error, outside=("shes", "gymnasium"))
+                raise ConfigError(told.rstrip(": ") + f" ({place})" * bool(place and kind)) from error
             entry = getattr(gymnasium.registry.get(str(getattr(self.source, "id", self.source))), "entry_point", "")
             # gymnasium.envs.box2d.lunar_lander:LunarLander is installed by the extra gymnasium[box2d].
             part = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")
@@ -250,7 +251,8 @@ class ExternalTask(EpisodeBatch):
             return np.array(self._env(episode).render(), np.uint8) if self._render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Close the environments."""
-        for env in filter(None, self._envs):
-            env.close()
-        self._envs = [None] * self.num_episodes
+        """Close the environments: all of them, even if one raises an error."""
+        envs, self._envs = self._envs, [None] * self.num_episodes
+        with ExitStack() as stack:
+            for env in filter(None, envs):
+                stack.callback(env.close)
