@@ -63,7 +63,7 @@ class Slow(Worker):
         if MPI.COMM_WORLD.Get_rank() == 2:
             time.sleep(2)
 
-mpi.REPORTED_S = supervision.REPORTED_S = 0.5
+mpi.REPORTED_S, supervision.REPORTED_S = 1.5, 0.5
 with mpi.MpiBackend(Slow, 2) as backend:
     backend.on_event = lambda event: print(event, flush=True)
     backend.broadcast(1)
@@ -180,8 +180,8 @@ class TestUnderMpiexec:
         out, err = process.communicate(timeout=runs.patient(60))
         assert process.returncode == 0, err
         *others, unreached, done = out.splitlines()
-        assert re.search(r"worker rank 2 has given no answer for \d s; it is never replaced", others[0])
-        assert unreached == "the state has not reached every MPI rank after 0.5 s; the run waits"
+        assert "worker rank 2 has given no answer for" in others[0] + others[1]
+        assert unreached == "the state has not reached every MPI rank after 1.5 s; the run waits"
         assert done == "4 results"
 
     def test_the_backend_contract_holds(self):

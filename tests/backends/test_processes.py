@@ -273,7 +273,9 @@ def test_progress_keeps_a_slow_task_but_silence_does_not(others, monkeypatch):
         (pid,) = backend.map([("step", 0)])
         backend.worker_timeout_s = 4
         assert list(backend.map([("step", 6)])) == [pid]
-        message = r"workers keep giving no answer for \d+ s on the same task, 2 times\..* raise --worker-timeout-s\. Every"
+        message = (
+            r"workers keep giving no answer for \d+ s on the same task, 2 times\..* raise --worker-timeout-s\. Every"
+        )
         with pytest.raises(WorkerError, match=message):
             list(backend.map([("where", 600)]))
     assert psutil.Process().children() == others

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -28,7 +28,7 @@ from shes.sim.warp import WarpSimulator
 from shes.sim.warp_device import WarpDevice, is_out_of_memory
 from shes.sim.warp_memory import bytes_per_sim
 
-_LOG, _SIMULATOR_LOG = logging.getLogger("shes.run"), logging.getLogger("shes.mujoco")
+_SIMULATOR_LOG = logging.getLogger("shes.mujoco")
 _MAX_LOG_LINES = 20  # of the simulator, kept with the results of one task
 _CACHE_BYTES = 24 * 2**20  # more weights than this would leave the shared cache between two steps
 _MIN_ROWS, _MAX_ROWS = 32, 640  # episodes in lockstep: enough to share Python's overhead, few enough for the caches
@@ -166,10 +166,7 @@ class RolloutWorker:
         """Close the environments; they are made again when they are needed."""
         while self._rollouts:
             _, rollout = self._rollouts.popitem()
-            try:
-                rollout.batch.close()
-            except Exception as error:  # noqa: BLE001 - of the user's environment: the others are closed all the same
-                _LOG.warning("an environment cannot be closed: %s: %s", type(error).__name__, error)
+            rollout.batch.close()
 
     def run(self, work: TaskSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Run `work`, of which about `share` tasks are for this worker, and yield numbered results.

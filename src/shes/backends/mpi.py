@@ -8,8 +8,8 @@ checkpoint is intact.
 
 from __future__ import annotations
 
-import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from time import monotonic, sleep
 from types import ModuleType
 from typing import Any
@@ -35,10 +35,8 @@ class MpiBackend(SupervisingBackend):
     def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
         """Start a worker in every rank but this one.
 
-        Raises:
-            MissingExtraError: mpi4py is not installed, or finds no MPI library.
-            ConfigError: This program was not started as a pool of ranks, the MPI library cannot be called by threads,
-                or `factory` cannot be pickled.
+        Raises MissingExtraError without mpi4py or an MPI library; ConfigError if this program is no pool of ranks, the
+        library does not support threads, or `factory` cannot be pickled.
         """
         self._factory = pickle_factory(factory)
         self._mpi, self._futures = _import_mpi()
@@ -86,13 +84,13 @@ class MpiBackend(SupervisingBackend):
             self.serve_requests()
         for worker in self.workers:
             worker.state = self._state
-            worker.send(("broadcast", len(self._state)))
+            worker.answer(("broadcast", len(self._state)))
         request = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0)
-        begin, is_reported = monotonic(), False
+        begin, reported = monotonic(), 0
         while not request.Test():
-            if not is_reported and monotonic() >= begin + REPORTED_S:
-                is_reported = True
-                self.tell(f"the state has not reached every MPI rank after {REPORTED_S:g} s; the run waits")
+            if monotonic() >= begin + REPORTED_S * (reported + 1):
+                reported += 1
+                self.tell(f"the state has not reached every MPI rank after {REPORTED_S * reported:g} s; the run waits")
             sleep(_SHORTEST_NAP_S)
 
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
@@ -108,7 +106,6 @@ class MpiBackend(SupervisingBackend):
             nap_s = min(2 * nap_s, _LONGEST_NAP_S)
 
     def _collect(self, workers: Sequence[_Rank]) -> None:
-        """Receive the requests that have arrived."""
         status = self._mpi.Status()
         while self._comm.Iprobe(tag=_TAG, status=status):
             source: int = status.Get_source()
@@ -146,8 +143,8 @@ class MpiBackend(SupervisingBackend):
         return not worker.is_idle
 
     def advice(self, ending: str) -> str:
-        """Not called: no rank is ever replaced."""
-        raise AssertionError("MPI ends the whole job when a rank dies")
+        """Return nothing: no rank is ever replaced, because MPI ends the whole job when one dies."""
+        return ""
 
 
 class _Rank(RemoteWorker):
@@ -160,26 +157,22 @@ class _Rank(RemoteWorker):
         self._comm, self._rank = comm, rank
         self._sent: list[Any] = []  # MPI's requests of messages on their way
 
-    def send(self, message: tuple[Any, ...]) -> None:
-        self._sent = [request for request in self._sent if not request.Test()]
-        self._sent.append(self._comm.isend(message, dest=self._rank, tag=_TAG))
-
     def answer(self, message: tuple[Any, ...], state: bytes | None = None) -> None:
-        assert state is None, "all ranks have received it"
-        self.send(message)
+        self._sent = [request for request in self._sent if not request.Test()]
+        self._sent.append(self._comm.isend((message, state), dest=self._rank, tag=_TAG))
 
     def requests(self) -> Sequence[tuple[Any, ...]]:
         found, self.inbox = self.inbox, []
         return found
 
     def stop(self) -> None:
-        self.send(("close",))
+        self.answer(("close",))
 
     def has_stopped(self) -> bool:
-        raise AssertionError("the pool knows")
+        raise NotImplementedError("the pool knows")
 
     def end(self) -> str:
-        raise AssertionError("a rank cannot be ended alone")
+        raise NotImplementedError("MPI ends the whole job when a rank dies")
 
 
 class _Parent:
@@ -187,7 +180,7 @@ class _Parent:
 
     def __init__(self, mpi: ModuleType) -> None:
         self._mpi, self._comm = mpi, mpi.COMM_WORLD
-        self.is_closed = False
+        self._is_closed = False
 
     def tell(self, *request: Any) -> None:
         self.check()
@@ -195,38 +188,33 @@ class _Parent:
 
     def ask(self, *request: Any) -> tuple[tuple[Any, ...], bytes | None]:
         self.tell(*request)
-        message, state = self._receive(), None
+        message, state = self._receive()
         while message[0] == "broadcast":
             buffer = bytearray(message[1])
             self._comm.Ibcast([buffer, self._mpi.BYTE], root=0).Wait()
-            message, state = self._receive(), bytes(buffer)
+            (message, _), state = self._receive(), bytes(buffer)
         return message, state
 
     def check(self) -> None:
         if self._comm.Iprobe(source=0, tag=_TAG):
             self._receive()  # while the rank works, there is no other message than the last one
 
-    def _receive(self) -> tuple[Any, ...]:
+    def _receive(self) -> tuple[tuple[Any, ...], bytes | None]:
         nap_s = _SHORTEST_NAP_S
         while not self._comm.Iprobe(source=0, tag=_TAG):
             sleep(nap_s)
             nap_s = min(2 * nap_s, _LONGEST_NAP_S)
-        message = self._comm.recv(source=0, tag=_TAG)
+        message, state = self._comm.recv(source=0, tag=_TAG)
         if message[0] == "close":
-            self.is_closed = True
+            self._is_closed = True
             raise ClosedError
-        return message
-
-    def wait_for_close(self) -> None:
-        """Return when the main process has closed the worker: after an error, too, it does that."""
-        while not self.is_closed:
-            try:
-                self._receive()
-            except ClosedError:
-                return
+        return message, state
 
     def leave(self) -> None:
-        pass
+        """Wait until the main process closes the worker, which it does after an error, too."""
+        while not self._is_closed:
+            with suppress(ClosedError):
+                self._receive()
 
 
 def _serve_rank(factory: bytes) -> None:
@@ -234,9 +222,7 @@ def _serve_rank(factory: bytes) -> None:
     from mpi4py import MPI
 
     use_one_thread()
-    parent = _Parent(MPI)
-    serve(parent, factory)
-    parent.wait_for_close()
+    serve(_Parent(MPI), factory)
 
 
 def _import_mpi() -> tuple[ModuleType, ModuleType]:

@@ -34,9 +34,7 @@ class ProcessesBackend(SupervisingBackend):
 
     Options: ClassVar[type[Settings]] = SupervisionSettings
 
-    def __init__(
-        self, factory: WorkerFactory, num_workers: int, *, worker_timeout_s: float | None = None
-    ) -> None:
+    def __init__(self, factory: WorkerFactory, num_workers: int, *, worker_timeout_s: float | None = None) -> None:
         """Start `num_workers` processes. Each creates its worker by `factory`, which cloudpickle pickles."""
         super().__init__(num_workers, worker_timeout_s)
         self._factory = pickle_factory(factory)
@@ -49,11 +47,7 @@ class ProcessesBackend(SupervisingBackend):
         return [worker.popen.pid for worker in self.workers]
 
     def start_workers(self) -> None:
-        """Start the processes that are missing.
-
-        Raises:
-            WorkerError: The system allows no more processes or open files.
-        """
+        """Start the processes that are missing; raise WorkerError if the system does not allow as many."""
         try:
             while len(self.workers) < self.num_workers:
                 self.add_worker(self.start_worker())
@@ -64,9 +58,9 @@ class ProcessesBackend(SupervisingBackend):
                 "Lower --workers, or raise the limit on processes and open files (ulimit)."
             ) from error
 
-    def start_worker(self) -> WorkerProcess:
+    def start_worker(self) -> RemoteWorker:
         """Start a worker; a subclass may prepare it."""
-        return WorkerProcess(self._factory, self._import_path, self._selector)
+        return _WorkerProcess(self._factory, self._import_path, self._selector)
 
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
         """Wait at most `timeout_s` for requests; return the workers whose sockets have some, or are closed."""
@@ -83,37 +77,29 @@ class ProcessesBackend(SupervisingBackend):
         return "It may have printed the reason above; --backend serial does the same work in this process."
 
 
-class WorkerProcess(RemoteWorker):
+class _WorkerProcess(RemoteWorker):
     """A worker process as its parent sees it. The socket never blocks: a stopped worker does not read, nor write."""
 
     def __init__(self, factory: bytes, import_path: str, selector: BaseSelector) -> None:
-        """Start the process, which imports from `import_path` and makes its worker by the pickled `factory`.
-
-        Its socket is registered with `selector` until the worker ends.
-        """
         super().__init__()
         self._socket, theirs = socket.socketpair()
-        read_end, self._lifeline = os.pipe()
         # -P: a file in the working directory must not replace a module of the standard library.
         module = [sys.executable, "-P", "-m", "shes.backends.process_worker"]
-        arguments = [str(theirs.fileno()), str(read_end), str(os.getpid())]
         # The worker inherits the mask: a Ctrl-C in a terminal reaches it even before it can ignore it.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             self.popen = subprocess.Popen(
-                [*module, *arguments],
-                pass_fds=(theirs.fileno(), read_end),
+                [*module, str(theirs.fileno()), str(os.getpid())],
+                pass_fds=[theirs.fileno()],
                 env={**os.environ, **ONE_THREAD, "PYTHONPATH": import_path},
                 stdin=subprocess.DEVNULL,
             )
         except OSError:
             self._socket.close()
-            os.close(self._lifeline)
             raise
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             theirs.close()
-            os.close(read_end)
         self.name = str(self.popen.pid)
         self._incoming = bytearray()
         self._outgoing: deque[memoryview] = deque()
@@ -123,7 +109,6 @@ class WorkerProcess(RemoteWorker):
         self._send(factory)
 
     def answer(self, message: tuple[Any, ...], state: bytes | None = None) -> None:
-        """Send an answer, and `state` after it without a copy."""
         self._send(pickle.dumps(message, pickle.HIGHEST_PROTOCOL), state or b"")
 
     def _send(self, message: bytes, state: bytes = b"") -> None:
@@ -143,7 +128,6 @@ class WorkerProcess(RemoteWorker):
         self._selector.modify(self._socket, EVENT_READ | (EVENT_WRITE if self._outgoing else 0), self)
 
     def requests(self) -> Sequence[tuple[Any, ...]]:
-        """Return the requests that have arrived completely."""
         with suppress(BlockingIOError):
             read = self._socket.recv(_READ_BYTES)
             if not read:
@@ -159,12 +143,10 @@ class WorkerProcess(RemoteWorker):
         return found
 
     def stop(self) -> None:
-        """Let the process close its environments and end, even if it has been stopped."""
         self.popen.terminate()
         self.popen.send_signal(signal.SIGCONT)
 
     def has_stopped(self) -> bool:
-        """Return whether the process has ended."""
         return self.popen.poll() is not None
 
     def end(self) -> str:
@@ -172,11 +154,7 @@ class WorkerProcess(RemoteWorker):
         self.popen.kill()
         self._selector.unregister(self._socket)
         self._socket.close()
-        os.close(self._lifeline)
         with suppress(subprocess.TimeoutExpired):
             self.popen.wait(_END_S)
-        code = self.popen.returncode
-        if code is None or code >= 0:
-            return f"exit code {code}"
-        names = {each.value: each.name for each in signal.Signals}
-        return f"killed by {names.get(-code, f'signal {-code}')}"
+        names = {-each.value: f"killed by {each.name}" for each in signal.Signals}
+        return names.get(self.popen.returncode, f"exit code {self.popen.returncode}")

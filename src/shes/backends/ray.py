@@ -55,9 +55,7 @@ class RayBackend(SupervisingBackend):
     ) -> None:
         """Join or start the cluster, and start at most `num_workers` workers.
 
-        Raises:
-            MissingExtraError: Ray is not installed.
-            ConfigError: There is no cluster at `ray_address`, or `factory` cannot be pickled.
+        Raises MissingExtraError without Ray; ConfigError if there is no such cluster or `factory` cannot be pickled.
         """
         super().__init__(1, worker_timeout_s)
         self._most, self._address = num_workers, ray_address
@@ -65,12 +63,13 @@ class RayBackend(SupervisingBackend):
         self._ray = _import_ray()
         self._has_joined = False
         self._stored: dict[bytes, Any] = {}  # references to the factory and the state in the object store
-        self._ready: SimpleQueue[_RayWorker] = SimpleQueue()
+        self.ready: SimpleQueue[RemoteWorker] = SimpleQueue()
+        """Workers that have sent a request or are gone. Ray's threads fill it."""
         self._looked_at = 0.0
-        self._waits_since: float | None = None
+        self._waits_since = monotonic()  # for a worker to start
         # Ray's head node would keep a record of every call, 3 kB each for the last 100,000.
         options = {"num_cpus": 1, "max_restarts": 0, "max_concurrency": 2, "enable_task_events": False}
-        self._actor = self._ray.remote(**options)(RayActor)
+        self._actor = self._ray.remote(**options)(_RayActor)
         self.start_workers()
 
     @staticmethod
@@ -125,24 +124,18 @@ class RayBackend(SupervisingBackend):
             self._looked_at = monotonic()
             self.restart_workers()
         if any(worker.is_started for worker in self.workers):
-            self._waits_since = None
-        elif self._waits_since is None:
             self._waits_since = monotonic()
         elif monotonic() >= self._waits_since + REPORTED_S:
             self._waits_since = monotonic()
             self.tell("no worker has started yet: every CPU of the Ray cluster is taken (see `ray status`)")
 
-    def note_ready(self, worker: _RayWorker) -> None:
-        """Note, in any thread, that a worker has sent a request or is gone."""
-        self._ready.put(worker)
-
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
         """Wait at most `timeout_s` for requests; return the workers that have sent some, or are gone."""
-        found: list[_RayWorker] = []
+        found: list[RemoteWorker] = []
         with suppress(Empty):
-            found.append(self._ready.get(timeout=timeout_s))
+            found.append(self.ready.get(timeout=timeout_s))
             while True:
-                found.append(self._ready.get_nowait())
+                found.append(self.ready.get_nowait())
         return found
 
     def advice(self, ending: str) -> str:
@@ -164,7 +157,10 @@ class _RayWorker(RemoteWorker):
 
     def _call(self, *arguments: Any) -> None:
         self._request = self._actor.next_request.remote(*arguments).future()
-        self._request.add_done_callback(lambda _: self._backend.note_ready(self))
+        self._request.add_done_callback(self._note)
+
+    def _note(self, _: object) -> None:
+        self._backend.ready.put(self)
 
     def answer(self, message: tuple[Any, ...], state: bytes | None = None) -> None:
         stored = None if state is None else self._backend.store(state)
@@ -191,50 +187,44 @@ class _RayWorker(RemoteWorker):
         return ""
 
 
-class RayActor:
-    """The process of a worker: a thread does the tasks, while calls bring answers and fetch requests."""
+class _RayActor:
+    """The process of a worker: a thread does the tasks, while Ray's calls bring answers and fetch requests.
+
+    `ask`, `tell`, `check` and `leave` are the thread's connection to the parent.
+    """
 
     def __init__(self, factory: bytes, path: list[str]) -> None:
-        """Make the worker by the pickled `factory`, whose modules are found on this import `path`."""
         use_one_thread()
         sys.path += [entry for entry in path if entry not in sys.path]
         self._name = f"{os.getpid()} on {socket.gethostname()}"
-        self._parent = _QueuesToParent()
-        self._thread = Thread(target=serve, args=(self._parent, factory), name="shes-worker", daemon=True)
+        self._answers: SimpleQueue[tuple[tuple[Any, ...], bytes | None]] = SimpleQueue()
+        self._requests: SimpleQueue[bytes] = SimpleQueue()
+        self._is_closed = False
+        self._thread = Thread(target=serve, args=(self, factory), name="shes-worker", daemon=True)
         self._thread.start()
 
     def next_request(self, message: bytes | None, state: bytes | None) -> tuple[str, bytes]:
-        """Bring the worker an answer, but at first, and wait for its next request; return its name and the request."""
+        """Bring the worker an answer, except at first; return its name and its next request."""
         if message is not None:
-            self._parent.answers.put((pickle.loads(message), state))
-        return self._name, self._parent.requests.get()
+            self._answers.put((pickle.loads(message), state))
+        return self._name, self._requests.get()
 
     def stop(self) -> None:
-        """Let the worker close its environments and end."""
-        self._parent.is_closed = True
-        self._parent.answers.put(((), None))
+        self._is_closed = True
+        self._answers.put(((), None))
         self._thread.join(CLOSE_S)
-
-
-class _QueuesToParent:
-    """The connection of an actor's worker to its parent."""
-
-    def __init__(self) -> None:
-        self.answers: SimpleQueue[tuple[tuple[Any, ...], bytes | None]] = SimpleQueue()
-        self.requests: SimpleQueue[bytes] = SimpleQueue()
-        self.is_closed = False
 
     def ask(self, *request: Any) -> tuple[tuple[Any, ...], bytes | None]:
         self.tell(*request)
-        answer = self.answers.get()
+        answer = self._answers.get()
         self.check()
         return answer
 
     def tell(self, *request: Any) -> None:
-        self.requests.put(pickle.dumps(request, pickle.HIGHEST_PROTOCOL))
+        self._requests.put(pickle.dumps(request, pickle.HIGHEST_PROTOCOL))
 
     def check(self) -> None:
-        if self.is_closed:
+        if self._is_closed:
             raise ClosedError
 
     def leave(self) -> None:
@@ -253,41 +243,24 @@ def _import_ray() -> ModuleType:
 def _join(ray: ModuleType, address: str | None) -> None:
     """Join the cluster at `address`; start one on this machine if that is `local`, or None and there is none.
 
-    Raises:
-        ConfigError: There is no such cluster.
+    Asked for by `address` or RAY_ADDRESS, a cluster that does not answer is an error: a job for 600 cores must not run
+    on one node.
     """
-    # Asked for either way, a cluster that does not answer is an error: a job for 600 cores must not run on one node.
     asked = address or os.environ.get("RAY_ADDRESS") or "auto"
-    if asked not in ("auto", "local"):
-        _check_answer(asked, is_variable=address is None)
     quiet = {"log_to_driver": False, "logging_level": logging.WARNING}
     try:
+        if asked not in ("auto", "local"):  # Ray itself would ask for minutes
+            host, port = asked.rsplit(":", 1)
+            socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
         if asked != "local":
             ray.init(address=asked, **quiet)
             return
-    except (ConnectionError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
+    except (OSError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
         if asked != "auto" or address is not None:
-            raise _no_cluster(asked, error, is_variable=address is None) from error
+            where = "--ray-address" if address else "the environment variable RAY_ADDRESS"
+            raise ConfigError(
+                f"no Ray cluster answers at {asked!r}: {error}. Set {where} to HOST:PORT as `ray start --head` prints "
+                "it, to local for a cluster on this machine, or omit it. If the cluster asks for a token, set the "
+                "environment variable RAY_AUTH_MODE=token."
+            ) from error
     ray.init(address="local", num_cpus=num_cores(), include_dashboard=False, **quiet)
-
-
-def _check_answer(address: str, *, is_variable: bool) -> None:
-    """Raise ConfigError unless something answers at `address`: Ray itself would ask for minutes."""
-    try:
-        host, port = address.rsplit(":", 1)
-        socket.create_connection((host, int(port)), timeout=_ANSWER_S).close()
-    except (OSError, ValueError) as error:
-        raise _no_cluster(address, error, is_variable=is_variable) from error
-
-
-def _no_cluster(address: str, error: Exception, *, is_variable: bool) -> ConfigError:
-    fix = (
-        "Set the environment variable RAY_ADDRESS to HOST:PORT as `ray start --head` prints it, or unset it."
-        if is_variable
-        else "Set --ray-address to HOST:PORT as `ray start --head` prints it, to local for a cluster on this machine, "
-        "or omit it."
-    )
-    return ConfigError(
-        f"no Ray cluster answers at {address!r}: {error}. {fix} If the cluster asks for a token, set the environment "
-        "variable RAY_AUTH_MODE=token."
-    )

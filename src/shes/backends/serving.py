@@ -5,7 +5,7 @@ the worker's previous request: with hundreds of workers the parent's time goes i
 
 | request | answer |
 |---|---|
-| `("ready", results)`: the worker has no tasks | `("run", share)` and a state, if it is new, as soon as there are tasks |
+| `("ready", results)`: the worker has no tasks | `("run", share)` and a new state, as soon as there are tasks |
 | `("want", results, most, least)`: see `TaskSource.take` | `("tasks", numbered)`, empty at the end |
 | `("results", results)`: it has been silent for long | `("noted",)` |
 | `("failed", error, text)`: the last request | none |

@@ -21,10 +21,8 @@ from shes.settings import Execution, Gt, Settings
 
 MAX_LOSSES = 3
 """The run ends when so many workers were lost with the same task, or so many per worker in a row without a result."""
-REPORTED_AT = 0.1
-"""Part of `worker_timeout_s` after which a silent worker is reported."""
 REPORTED_S = 60.0
-"""Seconds after which a silent worker is reported if none is ever replaced."""
+"""Seconds without a sign of life after which a worker is reported; less if it is replaced sooner."""
 CLOSE_S = 5.0
 """Seconds that workers have to close their environments before they are killed."""
 _TICK_S = 1.0
@@ -36,40 +34,24 @@ class SupervisionSettings(Settings):
     """The limit for workers that do not answer."""
 
     worker_timeout_s: Annotated[float, Gt(0), Execution()] | None = 600.0
-    """Seconds without a sign of life after which a worker is replaced; none for never. It is reported after a tenth."""
-
-
-class WorkerTraceback(Exception):  # noqa: N818 - the cause of an error, not an error of its own
-    """The traceback of an error in a worker process, as text."""
-
-    def __str__(self) -> str:
-        return f"\n{self.args[0]}"
+    """Seconds without a sign of life after which a worker is replaced; none for never."""
 
 
 class RemoteWorker(ABC):
-    """A worker in another process as its parent sees it."""
+    """A worker in another process as its parent sees it. A subclass sets its `name` in messages."""
 
     name: str
-    """Name of the worker in messages."""
 
     def __init__(self) -> None:
         """Begin without tasks."""
-        self.is_started = True
-        """Whether its process exists; if not, it waits for a core of the cluster."""
-        self.is_ready = False
-        """Whether it has sent a request."""
-        self.is_idle = False
-        """Whether it waits for tasks, with a request that has no answer yet."""
-        self.is_expected = False
-        """Whether it has been told of tasks and has not asked for any yet."""
-        self.tasks: dict[int, None] = {}
-        """Numbers of the tasks that it has, in the order they were given."""
-        self.state: bytes | None = None
-        """The state that it has."""
-        self.heard_s = 0.0
-        """Time of its last request or answer, on the clock of the backend."""
-        self.is_reported = False
-        """Whether the user has been told of its silence."""
+        self.is_started = True  # if not, it waits for a core of the cluster
+        self.is_ready = False  # it has sent a request
+        self.is_idle = False  # it waits for tasks: its last request has no answer yet
+        self.is_expected = False  # it has been told of tasks, and has not asked for any yet
+        self.tasks: dict[int, None] = {}  # numbers of the tasks that it has, in the order they were given
+        self.state: bytes | None = None  # the state that it has
+        self.heard_s = 0.0  # time of its last request, on the clock of the backend
+        self.is_reported = False  # the user has been told of its silence
         self.is_ended = False
 
     @abstractmethod
@@ -96,17 +78,14 @@ class RemoteWorker(ABC):
 class SupervisingBackend(Backend):
     """Workers in other processes, which ask for tasks.
 
-    A subclass fills `workers` in `start_workers`, which its constructor calls, and defines `wait` and `advice`.
+    A subclass fills `workers` by `add_worker` in `start_workers`, which its constructor calls.
     """
 
     def __init__(self, num_workers: int, worker_timeout_s: float | None) -> None:
         """Begin without workers."""
-        self.num_workers = num_workers
-        self.worker_timeout_s = worker_timeout_s
+        self.num_workers, self.worker_timeout_s = num_workers, worker_timeout_s
         self.workers: list[Any] = []
         """The workers that are not known to be gone."""
-        self._reported_s = REPORTED_S if worker_timeout_s is None else REPORTED_AT * worker_timeout_s
-        self._tick_s = max(0.01, min(_TICK_S, self._reported_s / 2))
         self._clock_s = 0.0  # how long this process has waited for requests
         self._judged_s = 0.0  # when silent workers were last looked for
         self._may_restart = True  # unless a worker has failed to start while others work
@@ -127,7 +106,7 @@ class SupervisingBackend(Backend):
     def advice(self, ending: str) -> str:
         """Return advice to the user about workers that keep ending in this way."""
 
-    def look_around(self) -> None:  # noqa: B027 - the number of workers is fixed, unless a cluster grows
+    def look_around(self) -> None:
         """Do what is due between requests; called at least once a second while there are tasks."""
 
     def broadcast(self, state: Any) -> None:
@@ -156,8 +135,8 @@ class SupervisingBackend(Backend):
                 self.close()
 
     def is_awaited(self, worker: RemoteWorker) -> bool:
-        """Return whether a `map` whose tasks are done waits for a worker: unless it never asked, as if it was stopped."""
-        return not (worker.is_idle or worker.is_expected) and worker.is_ready
+        """Return whether a `map` whose tasks are done waits for a worker: not if it never asked, as if stopped."""
+        return worker.is_ready and not (worker.is_idle or worker.is_expected)
 
     def close(self) -> None:
         """Let every worker close its environments and end; kill those that do not within seconds."""
@@ -174,9 +153,14 @@ class SupervisingBackend(Backend):
                 worker.end()
 
     def add_worker(self, worker: RemoteWorker) -> None:
-        """Add a worker that `start_workers` has started."""
+        """Add a worker that has been started."""
         worker.heard_s = self._clock_s
         self.workers.append(worker)
+
+    def restart_workers(self) -> None:
+        """Start the workers that are missing, unless others work while one has failed to start."""
+        if self._may_restart or not self.workers:
+            self.start_workers()
 
     def tell(self, event: str) -> None:
         """Tell the user of an event, if anyone listens; see `on_event`."""
@@ -188,35 +172,29 @@ class SupervisingBackend(Backend):
         self._left = deque(range(len(tasks)))
         self._results: dict[int, Any] = {}
         self._losses: Counter[int] = Counter()  # workers that were lost with each task
-        self._share = max(1, -(-len(tasks) // self.num_workers))
-
-    def restart_workers(self) -> None:
-        """Start the workers that are missing, unless others work while one has failed to start."""
-        if self._may_restart or not self.workers:
-            self.start_workers()
 
     def _engage(self) -> None:
         """Tell idle workers of the tasks, as long as those that will ask for the first time leave some for others.
 
         Lost tasks do not wait for a worker that was told of others: it may have been stopped.
         """
+        share = max(1, -(-len(self._tasks) // self.num_workers))
         expected = sum(worker.is_expected for worker in self.workers)
         for worker in self.workers:
-            if not self._left or (not self._losses and len(self._left) <= expected * self._share):
+            if not self._left or (not self._losses and len(self._left) <= expected * share):
                 return
             if worker.is_idle:
                 worker.is_idle, worker.is_expected, worker.heard_s = False, True, self._clock_s
-                state = None if worker.state is self._state else self._state
-                worker.state = self._state
-                worker.answer(("run", self._share), state)
+                state, worker.state = None if worker.state is self._state else self._state, self._state
+                worker.answer(("run", share), state)
                 expected += 1
 
     def serve_requests(self) -> None:
         """Wait for requests and answer them. Replace workers that are gone or have been silent for too long."""
-        start = monotonic()
-        ready = self.wait(self._tick_s)
+        start, tick_s = monotonic(), min(_TICK_S, (self.worker_timeout_s or REPORTED_S) / 4)
+        ready = self.wait(tick_s)
         # Time in which this process has been stopped, for example by Ctrl-Z together with its workers, does not count.
-        self._clock_s += min(monotonic() - start, self._tick_s)
+        self._clock_s += min(monotonic() - start, tick_s)
         for worker in ready:
             if worker.is_ended:  # meanwhile
                 continue
@@ -225,12 +203,10 @@ class SupervisingBackend(Backend):
             except (EOFError, OSError) as error:
                 self._replace(worker, str(error))
             else:
-                if worker.is_reported:
-                    self.tell(f"worker {worker.name} answers again, after {self._clock_s - worker.heard_s:.0f} s")
                 worker.heard_s, worker.is_reported = self._clock_s, False
                 for request in requests:
                     self._handle(worker, *request)
-        if self._clock_s >= self._judged_s + self._tick_s:
+        if self._clock_s >= self._judged_s + tick_s:
             self._judged_s = self._clock_s
             for worker in [each for each in self.workers if each.is_started and not each.is_idle]:
                 self._judge_silence(worker)
@@ -248,8 +224,7 @@ class SupervisingBackend(Backend):
             self._losses_in_a_row = 0
         worker.is_expected = False
         if kind == "want":
-            given = self._give(worker, *asked)
-            worker.answer(("tasks", given))
+            worker.answer(("tasks", self._give(worker, *asked)))
         elif kind == "ready":
             worker.is_idle = True
             self._engage()
@@ -266,12 +241,12 @@ class SupervisingBackend(Backend):
         return [(number, self._tasks[number]) for number in numbers]
 
     def _failure(self, worker: RemoteWorker, error: bytes | None, text: str) -> Exception:
-        """Return the error that a worker has raised, with its traceback as the cause."""
+        """Return the error that a worker has raised, with its traceback in the cause."""
         if error is None:
             at_work = ", ".join(map(self._task_text, list(worker.tasks)[:3])) or "nothing yet"
             return WorkerError(f"a worker failed while at work on {at_work}:\n{text}")
         found: Exception = pickle.loads(error)
-        found.__cause__ = WorkerTraceback(text)
+        found.__cause__ = WorkerError(f"in a worker:\n{text}")
         return found
 
     def _judge_silence(self, worker: RemoteWorker) -> None:
@@ -279,7 +254,7 @@ class SupervisingBackend(Backend):
         silent_s, limit_s = self._clock_s - worker.heard_s, self.worker_timeout_s
         if limit_s is not None and silent_s >= limit_s:
             self._replace(worker, is_silent=True)
-        elif silent_s >= self._reported_s and not worker.is_reported:
+        elif not worker.is_reported and silent_s >= min(REPORTED_S, (limit_s or REPORTED_S) / 2):
             worker.is_reported = True
             end = "never replaced" if limit_s is None else f"replaced after {limit_s:g} s (--worker-timeout-s)"
             self.tell(f"worker {worker.name} has given no answer for {silent_s:.0f} s; it is {end}")
@@ -298,9 +273,8 @@ class SupervisingBackend(Backend):
         else:  # on a node that lacks something, maybe: others work on, and the next broadcast starts it again
             self._may_restart = False
         cause = f"no answer for {self._clock_s - worker.heard_s:.0f} s" if is_silent else ending
-        self.tell(
-            f"worker {worker.name} {'was ended' if is_silent else 'died'} ({cause}); {len(lost)} tasks are done again"
-        )
+        end = "was ended" if is_silent else "died"
+        self.tell(f"worker {worker.name} {end} ({cause}); {len(lost)} tasks are done again")
         self._check_losses(lost, f"giving {cause}" if is_silent else f"dying ({cause})", is_silent=is_silent)
         self.restart_workers()
         self._engage()
@@ -312,10 +286,12 @@ class SupervisingBackend(Backend):
         if times < MAX_LOSSES and self._losses_in_a_row < MAX_LOSSES * self._most_workers:
             return
         task = None if times < MAX_LOSSES else worst
-        where = "at once" if not times else f"on the same task, {times} times"
+        where = f"on the same task, {times} times" if times else "at once"
         what = "" if task is None else f" It is {self._task_text(task)}."
         advice = "If a step takes so long, raise --worker-timeout-s." if is_silent else self.advice(fault)
-        error = WorkerError(f"workers keep {fault} {where}.{what} {advice} Everything up to the last checkpoint is kept.")
+        error = WorkerError(
+            f"workers keep {fault} {where}.{what} {advice} Everything up to the last checkpoint is kept."
+        )
         error.task = task
         raise error
 

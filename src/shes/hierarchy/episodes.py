@@ -6,7 +6,6 @@ perturbations from its own noise table (SHES paper II-G).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 

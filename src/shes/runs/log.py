@@ -47,7 +47,7 @@ def run_log(folder: RunFolder) -> Iterator[None]:
         yield
     except Exception as error:
         for line in "".join(traceback.format_exception(error)).splitlines():
-            logger.error(line)
+            logger.log(logging.ERROR, "%s", line)
         raise
     finally:
         logger.removeHandler(handler)

@@ -17,8 +17,8 @@ from time import time
 from typing import Any
 
 from shes.backends.backend import Backend, TaskSource
-from shes.backends.processes import ProcessesBackend
 from shes.backends.named_backends import BACKENDS
+from shes.backends.processes import ProcessesBackend
 from shes.cores import num_cores
 from shes.errors import RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import importlib
 import io
+import logging
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, redirect_stderr
+from contextlib import closing, contextmanager, redirect_stderr
 from dataclasses import dataclass
 from difflib import get_close_matches
 from operator import attrgetter
@@ -26,6 +27,7 @@ from shes.registry import full_name
 from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
 
+_LOG = logging.getLogger("shes.run")
 _ROBOTICS = ("AntMaze", "PointMaze", "Fetch", "HandManipulate", "HandReach", "AdroitHand", "FrankaKitchen")
 _NUM_SEEDS = 2**31  # seeds are taken modulo this: some environments pass theirs on to generators that accept no more
 
@@ -251,8 +253,10 @@ class ExternalTask(EpisodeBatch):
             return np.array(self._env(episode).render(), np.uint8) if self._render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Close the environments: all of them, even if one raises an error."""
+        """Close the environments: all of them, even if some raise an error."""
         envs, self._envs = self._envs, [None] * self.num_episodes
-        with ExitStack() as stack:
-            for env in filter(None, envs):
-                stack.callback(env.close)
+        for env in filter(None, envs):
+            try:
+                env.close()
+            except Exception as error:  # noqa: BLE001 - of the user's code; nothing depends on it any more
+                _LOG.warning("%s cannot be closed: %s: %s", self.environment.name, type(error).__name__, error)
