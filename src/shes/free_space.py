@@ -10,9 +10,9 @@ from pathlib import Path
 
 from shes.control_groups import memory_limits
 
-__all__ = ["free_disk", "free_memory"]
+__all__ = ["free_disk", "free_memory", "resident_memory"]
 
-_MEMINFO = Path("/proc/meminfo")
+_MEMINFO, _STATM = Path("/proc/meminfo"), Path("/proc/self/statm")
 
 
 def free_memory() -> int:
@@ -27,6 +27,13 @@ def free_memory() -> int:
         available = 1024 * int(line.split()[1])
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     return min([available, *memory_limits(), *([] if limit == resource.RLIM_INFINITY else [limit])])
+
+
+def resident_memory() -> int:
+    """Return the bytes of memory that this process has at present; 0 where the system does not tell."""
+    with suppress(OSError):
+        return int(_STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return 0
 
 
 def free_disk(path: Path) -> int:

@@ -37,6 +37,7 @@ def shared():
 @pytest.fixture
 def backend(shared):
     shared.broadcast(100)
+    list(shared.map([("add", 1)] * 4))
     shared.told.clear()
     return shared
 
@@ -63,8 +64,7 @@ def test_a_worker_that_dies_is_replaced_and_its_tasks_done_again(backend, tmp_pa
     assert len(set(backend.pids())) == 2
 
 
-def test_workers_killed_between_maps_are_replaced_and_get_the_state(backend, tmp_path):
-    list(backend.map([("add", 1)] * 4))
+def test_workers_killed_between_maps_are_replaced(backend, tmp_path):
     before = backend.pids()
     for pid in before:
         os.kill(pid, signal.SIGKILL)
@@ -78,7 +78,7 @@ def test_workers_killed_between_maps_are_replaced_and_get_the_state(backend, tmp
 def test_a_task_that_always_kills_its_worker_is_named(backend, tmp_path):
     diary = tmp_path / "diary"
     message = (
-        rf"workers keep dying \(killed by SIGKILL\) on the same task, {MAX_LOSSES} times\. It is \(.*\)\. "
+        r"workers keep dying \(killed by SIGKILL\) on the same task, \(.*\)\. "
         r"Usually memory ran out: lower --workers or --chunk-size\. Everything up to the last checkpoint is kept"
     )
     with pytest.raises(WorkerError, match=message) as caught:
@@ -90,11 +90,14 @@ def test_a_task_that_always_kills_its_worker_is_named(backend, tmp_path):
     assert list(backend.map([("add", 1)])) == [8]  # without that task it works again
 
 
-def test_losses_are_counted_for_each_map(backend, tmp_path):
+def test_losses_are_counted_for_each_map_and_leave_no_file_open(backend, tmp_path):
+    gc.collect()  # else files that earlier tests left to the collector close during this one
+    files = psutil.Process().num_fds()
     for generation in range(MAX_LOSSES + 1):
         tasks = [("die_once", tmp_path / f"{generation}-{i}") for i in range(2)] + [("add", 1)] * 4
         assert list(backend.map(tasks)) == [100, 100] + [101] * 4
     assert len(backend.told) >= MAX_LOSSES + 1
+    assert psutil.Process().num_fds() <= files
 
 
 @pytest.mark.parametrize(
@@ -139,7 +142,7 @@ def test_a_factory_may_be_a_closure_but_needs_to_be_picklable(others):
     assert psutil.Process().children() == others
 
 
-def test_a_class_whose_module_workers_lack_is_an_error_that_names_it(monkeypatch, tmp_path):
+def test_a_class_whose_module_workers_lack_is_named(monkeypatch, tmp_path):
     module = types.ModuleType("found_nowhere")
     module.Mine = type("Mine", (Worker,), {"__module__": "found_nowhere"})
     monkeypatch.setitem(sys.modules, "found_nowhere", module)
@@ -151,7 +154,7 @@ def test_a_class_whose_module_workers_lack_is_an_error_that_names_it(monkeypatch
         (tmp_path / "found_nowhere.py").write_text("")
 
 
-def test_workers_search_the_first_working_directory_and_last_of_all(monkeypatch, tmp_path):
+def test_workers_search_the_first_working_directory_last(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "random.py").write_text("raise RuntimeError('not the module of Python')")
     for path, last in ((["", *sys.path], [str(tmp_path)]), (sys.path, [])):
@@ -196,7 +199,7 @@ def test_a_stopped_worker_is_reported_and_replaced(tmp_path):
     assert re.fullmatch(rf"worker {stopped} was ended \(no answer for \d+ s\); [1-3] tasks are done again", last)
 
 
-def test_a_worker_stopped_between_maps_delays_nothing_and_works_again(tmp_path):
+def test_a_worker_stopped_between_maps_delays_nothing(tmp_path):
     with ProcessesBackend(Worker, 2) as backend:
         list(backend.map([("meet", tmp_path)] * 4))
         stopped = backend.pids()[0]
@@ -228,7 +231,7 @@ def test_lost_tasks_do_not_wait_for_a_worker_that_never_asks(tmp_path):
         assert not any("no answer" in event for event in backend.told)
 
 
-def test_a_worker_that_dies_at_its_start_waits_for_the_next_broadcast(tmp_path):
+def test_a_worker_that_dies_at_its_start_waits_for_a_broadcast(tmp_path):
     starts, meeting = tmp_path / "starts", tmp_path / "meeting"
     starts.mkdir()
     meeting.mkdir()
@@ -274,7 +277,7 @@ def test_progress_keeps_a_slow_task_but_silence_does_not(others, monkeypatch):
         backend.worker_timeout_s = 4
         assert list(backend.map([("step", 6)])) == [pid]
         message = (
-            r"workers keep giving no answer for \d+ s on the same task, 2 times\..* raise --worker-timeout-s\. Every"
+            r"workers keep giving no answer for \d+ s on the same task, .*600\)\. .* raise --worker-timeout-s\. Every"
         )
         with pytest.raises(WorkerError, match=message):
             list(backend.map([("where", 600)]))
@@ -300,15 +303,6 @@ def test_workers_are_closed_before_they_end(tmp_path, moment):
             with pytest.raises(WorkerError):
                 list(backend.map([("divide", 0)]))
     assert sorted(map(int, diary.read_text().split())) == sorted(pids)
-
-
-def test_replacing_workers_leaves_no_open_file(backend, tmp_path):
-    list(backend.map([("add", 1)] * 4))
-    gc.collect()  # else files that earlier tests left to the collector close during this one
-    before = psutil.Process().num_fds()
-    for i in range(3):
-        list(backend.map([("die_once", tmp_path / str(i)), ("add", 1)]))
-    assert psutil.Process().num_fds() <= before
 
 
 PARENT = """

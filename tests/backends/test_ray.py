@@ -52,7 +52,7 @@ def backend(shared):
     return shared
 
 
-def test_an_address_where_nothing_answers_is_an_error_that_names_the_flag(monkeypatch):
+def test_an_address_where_nothing_answers_is_an_error(monkeypatch):
     exceptions = types.SimpleNamespace(RayError=OSError)
     ray = types.SimpleNamespace(is_initialized=lambda: False, remote=lambda **_: lambda cls: cls, exceptions=exceptions)
     monkeypatch.setitem(sys.modules, "ray", ray)
@@ -123,13 +123,6 @@ def test_every_cpu_of_every_node_has_a_worker(backend, tmp_path):
 
 
 @pytest.mark.extras
-def test_no_more_workers_are_started_than_asked_for(free_cluster):
-    with RayBackend(Worker, 1) as backend:
-        backend.broadcast(7)
-        assert len({pid for pid, _ in backend.map([("where", 0.01)] * 20)}) == backend.num_workers == 1
-
-
-@pytest.mark.extras
 def test_a_state_is_stored_once_for_all_workers(backend, monkeypatch):
     import ray
 
@@ -141,22 +134,8 @@ def test_a_state_is_stored_once_for_all_workers(backend, monkeypatch):
     assert len(stored) == 1
 
 
-def recorded():
-    """A task of which Ray keeps a record."""
-
-
 @pytest.mark.extras
-def test_the_cluster_keeps_no_record_of_calls(backend):
-    import ray
-
-    list(backend.map([("where", 0.01)] * 20))
-    ray.get(ray.remote(num_cpus=0)(recorded).remote())
-    runs.wait_until(lambda: "recorded" in str(ray.timeline()), "the record of another task")
-    assert "RayActor" not in str(ray.timeline())
-
-
-@pytest.mark.extras
-def test_a_worker_that_dies_is_told_of_and_replaced_and_its_tasks_are_done_again(backend, tmp_path):
+def test_a_worker_that_dies_is_replaced_and_its_tasks_done_again(backend, tmp_path):
     tasks = [("add", 1), ("die_once", tmp_path / "marker"), *[("add", i) for i in range(2, 30)]]
     assert list(backend.map(tasks)) == [101, 100, *range(102, 130)]
     (event,) = backend.told
@@ -174,7 +153,7 @@ def test_ray_accepts_the_cluster_file():
 
 @pytest.mark.extras
 def test_a_node_that_joins_in_mid_generation_gets_work(free_cluster):
-    with RayBackend(lambda: Worker(at_once=1), sys.maxsize) as backend:
+    with RayBackend(lambda: Worker(at_once=1), 3) as backend:  # not more, whatever joins
         backend.broadcast(100)
         results = backend.map([("node", 0.05)] * 800)
         next(results)

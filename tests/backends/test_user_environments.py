@@ -14,7 +14,7 @@ import shes
 from shes.errors import ConfigError
 from tests.e2e import runs
 
-MODULE = '''
+MODULE = """
 import os
 from pathlib import Path
 import gymnasium
@@ -29,7 +29,7 @@ class Env(gymnasium.Env):
             file.write(f"{what} {os.getpid()} {id(self)}\\n")
 
     def __init__(self, render_mode=None, fault=""):
-        self.fault = fault
+        self.fault, self.memory = fault, np.ones(10**7 if fault == "heavy" else 1)
         self.note("made")
 
     def reset(self, *, seed=None, options=None):
@@ -48,9 +48,9 @@ class Env(gymnasium.Env):
         if self.fault == "close":
             raise OSError("the window is gone")
 
-for fault in ("", "key", "assert", "close"):
+for fault in ("", "key", "assert", "close", "heavy"):
     gymnasium.register(f"User{fault.title()}-v0", Env, max_episode_steps=5, kwargs={"fault": fault})
-'''
+"""
 SETTINGS = {"algorithm": "es", "preset": "smoke", "generations": 2, "hidden": (4,)}
 SPREADS = {"serial": {"backend": "serial"}, "processes": {"num_workers": 2}}
 
@@ -103,6 +103,13 @@ def test_an_error_names_the_line_of_the_users_code(diary, tmp_path, spread, faul
     assert any(f'File "{file}", line {line}, in step' in each for each in runs.log_lines(tmp_path / "run"))
     made, closed = diary()
     assert len(closed) == len(made)
+
+
+def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
+    monkeypatch.setattr("shes.training.limits.free_memory", lambda: 10**9)
+    assert shes.train("gymnasium:User-v0", out=tmp_path / "light", **SETTINGS, backend="serial").generation == 2
+    with pytest.raises(ConfigError, match=r"takes \d\.\d GB of memory, but 1\.0 GB are free"):
+        shes.train("gymnasium:UserHeavy-v0", out=tmp_path / "heavy", **SETTINGS, backend="serial")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -69,7 +69,7 @@ def test_workers_and_chunks_change_no_number(reference, tmp_path, episodes, work
         for each in VARIANTS
     ],
 )
-def test_neither_workers_nor_a_resume_change_the_numbers_of_any_task(tmp_path, variant):
+def test_neither_workers_nor_a_resume_change_any_task(tmp_path, variant):
     settings = {"spec": variant.spec, "population_size": 12, "evaluation_interval": 1, "keep_checkpoints": 1}
     one = runs.train_tiny(tmp_path / "one", variant.name, **settings, generations=2)
     two = tmp_path / "two"
@@ -258,7 +258,7 @@ def source(tmp_path_factory):
         for env, name, settings in METHODS
     ],
 )
-def test_neither_workers_nor_a_resume_change_the_numbers_of_any_method(tmp_path, source, env, settings):
+def test_neither_workers_nor_a_resume_change_any_method(tmp_path, source, env, settings):
     if settings.get("primitive") == SOURCE:
         settings = {**settings, "primitive": str(source)}
     one = runs.train_tiny(tmp_path / "one", env, **method(settings))
@@ -294,7 +294,7 @@ def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
     assert (not found) is is_usual
 
 
-def test_a_primitive_alone_on_branches_leaves_episodes_that_go_on(tmp_path):
+def test_a_primitive_on_branches_leaves_episodes_that_go_on(tmp_path):
     """So that the comparison of such a run says that they survive its end."""
     path = runs.train_tiny(tmp_path / "run", "ant-flagrun", **{**METHOD, **WALKER, "generations": 2})
     found = runs.numbers(path)

@@ -1,9 +1,7 @@
 """The mpi backend: one worker in every rank but the first, which `python -m mpi4py.futures` starts as a pool.
 
-Start the whole program under `mpiexec` or `srun`: `mpiexec -n 48 python -m mpi4py.futures -m shes train ... --backend
-mpi`. mpi4py keeps the other ranks waiting for work. Each is given one long function, `_serve_rank`, which then talks to
-the main process by messages. The state is broadcast along a tree. A rank that dies ends the job: that is MPI; the last
-checkpoint is intact.
+`mpiexec -n 48 python -m mpi4py.futures -m shes train ... --backend mpi`: mpi4py gives each rank one long function,
+`_serve_rank`. The state is broadcast along a tree. A rank that dies ends the job: that is MPI.
 """
 
 from __future__ import annotations
@@ -23,21 +21,14 @@ _TAG = 4021  # of all messages of this backend
 # Between two looks for a message: a rank that waits leaves its core to others.
 _SHORTEST_NAP_S, _LONGEST_NAP_S = 1e-6, 4e-3
 _NAP_OF_POOL_S = 0.1  # mpi4py's, which looks for the end of `_serve_rank` during the whole run
-_LOOK_S = 1.0  # between two looks for ranks that have failed
-
-_HELD: list[MpiBackend] = []
-"""The backend that has the ranks, if any."""
+_HELD: list[MpiBackend] = []  # the backend that has the ranks, if any
 
 
 class MpiBackend(SupervisingBackend):
     """One worker per MPI rank except the first; --workers sets only how many threads compute the gradient."""
 
     def __init__(self, factory: WorkerFactory, num_workers: int) -> None:
-        """Start a worker in every rank but this one.
-
-        Raises MissingExtraError without mpi4py or an MPI library; ConfigError if this program is no pool of ranks, the
-        library does not support threads, or `factory` cannot be pickled.
-        """
+        """Start a worker in every rank but this one; raise ConfigError or MissingExtraError if that is impossible."""
         self._factory = pickle_factory(factory)
         self._mpi, self._futures = _import_mpi()
         if self._mpi.Query_thread() < self._mpi.THREAD_MULTIPLE:  # mpi4py's pool has a thread of its own
@@ -55,7 +46,6 @@ class MpiBackend(SupervisingBackend):
         super().__init__(self._comm.Get_size() - 1, None)
         self._pool: Any = None
         self._served: list[Any] = []  # one future for every rank
-        self._looked_at = 0.0
         self.start_workers()
 
     @staticmethod
@@ -85,12 +75,11 @@ class MpiBackend(SupervisingBackend):
         for worker in self.workers:
             worker.state = self._state
             worker.answer(("broadcast", len(self._state)))
-        request = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0)
-        begin, reported = monotonic(), 0
+        request, report_s = self._comm.Ibcast([self._state, self._mpi.BYTE], root=0), monotonic() + REPORTED_S
         while not request.Test():
-            if monotonic() >= begin + REPORTED_S * (reported + 1):
-                reported += 1
-                self.tell(f"the state has not reached every MPI rank after {REPORTED_S * reported:g} s; the run waits")
+            if monotonic() >= report_s:
+                report_s += REPORTED_S
+                self.tell("the state has not reached every MPI rank yet; the run waits")
             sleep(_SHORTEST_NAP_S)
 
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
@@ -98,30 +87,24 @@ class MpiBackend(SupervisingBackend):
         end, nap_s = monotonic() + timeout_s, _SHORTEST_NAP_S
         while True:
             self._collect(self.workers)
-            self._look_at_ranks()
             found = [worker for worker in self.workers if worker.inbox]
             if found or monotonic() >= end:
-                return found
+                break
             sleep(nap_s)
             nap_s = min(2 * nap_s, _LONGEST_NAP_S)
+        errors = [] if found else [future.exception() for future in self._served if future.done()]
+        if errors:  # outside of `serve`, whose errors come as requests
+            raise WorkerError(
+                f"an MPI rank could not begin to work ({type(errors[0]).__name__}: {errors[0]}). Every node needs the "
+                "same environment with SHES."
+            ) from errors[0]
+        return found
 
     def _collect(self, workers: Sequence[_Rank]) -> None:
         status = self._mpi.Status()
         while self._comm.Iprobe(tag=_TAG, status=status):
             source: int = status.Get_source()
             workers[source - 1].inbox.append(self._comm.recv(source=source, tag=_TAG))
-
-    def _look_at_ranks(self) -> None:
-        """Now and then, raise WorkerError if a rank has failed outside of `serve`, whose errors come as requests."""
-        if monotonic() < self._looked_at + _LOOK_S:
-            return
-        self._looked_at = monotonic()
-        for future in self._served:
-            if future.done() and (error := future.exception()) is not None:
-                raise WorkerError(
-                    f"an MPI rank could not begin to work ({type(error).__name__}: {error}). Every node needs the same "
-                    "environment with SHES."
-                ) from error
 
     def close(self) -> None:
         """Close every worker; the ranks stay in the pool."""

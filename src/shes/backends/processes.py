@@ -112,9 +112,8 @@ class _WorkerProcess(RemoteWorker):
         self._send(pickle.dumps(message, pickle.HIGHEST_PROTOCOL), state or b"")
 
     def _send(self, message: bytes, state: bytes = b"") -> None:
-        self._outgoing.append(memoryview(FRAME.pack(len(message), len(state)) + message))
-        if state:
-            self._outgoing.append(memoryview(state))
+        frame = FRAME.pack(len(message), len(state)) + message
+        self._outgoing += [memoryview(part) for part in (frame, state) if part]
         self.flush()
 
     def flush(self) -> None:

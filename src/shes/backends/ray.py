@@ -53,10 +53,7 @@ class RayBackend(SupervisingBackend):
         worker_timeout_s: float | None = None,
         ray_address: str | None = None,
     ) -> None:
-        """Join or start the cluster, and start at most `num_workers` workers.
-
-        Raises MissingExtraError without Ray; ConfigError if there is no such cluster or `factory` cannot be pickled.
-        """
+        """Join or start the cluster, and start at most `num_workers` workers; raise ConfigError if that fails."""
         super().__init__(1, worker_timeout_s)
         self._most, self._address = num_workers, ray_address
         self._factory = pickle_factory(factory)
@@ -90,15 +87,11 @@ class RayBackend(SupervisingBackend):
             self._ray.shutdown()
             self._has_joined = False
 
-    def broadcast(self, state: Any) -> None:
-        """Keep `state` for every worker; every node fetches it once."""
-        super().broadcast(state)
-        self._stored = {each: stored for each, stored in self._stored.items() if each is self._factory}
-
     def store(self, content: bytes) -> Any:
-        """Return a reference to the factory or the state in Ray's object store."""
+        """Return a reference to the factory or the last state in Ray's object store, which every node fetches once."""
         if content not in self._stored:
-            self._stored[content] = self._ray.put(content)
+            kept = {each: reference for each, reference in self._stored.items() if each is self._factory}
+            self._stored = {**kept, content: self._ray.put(content)}
         return self._stored[content]
 
     def start_workers(self) -> None:
@@ -108,12 +101,6 @@ class RayBackend(SupervisingBackend):
             self._has_joined = True
         self._looked_at = monotonic()
         self.num_workers = max(1, min(self._most, int(self._ray.cluster_resources().get("CPU", 0))))
-        # Those that wait for a CPU of a node that was lost would never start.
-        surplus = max(0, len(self.workers) - self.num_workers)
-        for worker in [each for each in self.workers if not each.is_started][:surplus]:
-            self.workers.remove(worker)
-            worker.is_ended = True
-            worker.end()
         while len(self.workers) < self.num_workers:
             actor = self._actor.options(scheduling_strategy="SPREAD").remote(self.store(self._factory), import_path())
             self.add_worker(_RayWorker(self, self._ray, actor))
@@ -188,10 +175,7 @@ class _RayWorker(RemoteWorker):
 
 
 class _RayActor:
-    """The process of a worker: a thread does the tasks, while Ray's calls bring answers and fetch requests.
-
-    `ask`, `tell`, `check` and `leave` are the thread's connection to the parent.
-    """
+    """A worker's process: a thread does the tasks, for which this is the connection, while calls bring answers."""
 
     def __init__(self, factory: bytes, path: list[str]) -> None:
         use_one_thread()

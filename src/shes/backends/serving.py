@@ -130,10 +130,7 @@ class _Run(TaskSource):
 
 
 def pickle_factory(factory: WorkerFactory) -> bytes:
-    """Return `factory` pickled; raise ConfigError if something that it refers to cannot be.
-
-    Classes defined in the caller's script are pickled by value.
-    """
+    """Return `factory` pickled, and classes of the caller's script by value; raise ConfigError if that is impossible."""
     try:
         return cloudpickle.dumps(factory)
     except Exception as error:
@@ -155,10 +152,7 @@ def unpickle_factory(pickled: bytes) -> WorkerFactory:
 
 
 def import_path() -> list[str]:
-    """Return the import path of this process, on which workers find the modules of the caller's classes.
-
-    Workers import these modules rather than receive them by value, so that the modules' own imports work as well.
-    """
+    """Return the import path of this process, on which workers find the modules of the caller's classes."""
     path = [entry for entry in sys.path if entry]
     # An empty entry is the working directory: of a notebook, of `python -c`. Workers search it last, so that no file
     # there replaces a module of the standard library. It is resolved now, because it may change later.

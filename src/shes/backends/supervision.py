@@ -52,7 +52,6 @@ class RemoteWorker(ABC):
         self.state: bytes | None = None  # the state that it has
         self.heard_s = 0.0  # time of its last request, on the clock of the backend
         self.is_reported = False  # the user has been told of its silence
-        self.is_ended = False
 
     @abstractmethod
     def answer(self, message: tuple[Any, ...], state: bytes | None = None) -> None:
@@ -149,7 +148,6 @@ class SupervisingBackend(Backend):
                 sleep(0.005)
         finally:
             for worker in workers:
-                worker.is_ended = True
                 worker.end()
 
     def add_worker(self, worker: RemoteWorker) -> None:
@@ -196,7 +194,7 @@ class SupervisingBackend(Backend):
         # Time in which this process has been stopped, for example by Ctrl-Z together with its workers, does not count.
         self._clock_s += min(monotonic() - start, tick_s)
         for worker in ready:
-            if worker.is_ended:  # meanwhile
+            if worker not in self.workers:  # it has been replaced meanwhile
                 continue
             try:
                 requests = worker.requests()
@@ -263,7 +261,6 @@ class SupervisingBackend(Backend):
         """Replace a worker that is gone or silent, and hand out its tasks before all others."""
         self._most_workers = max(self._most_workers, len(self.workers))
         self.workers.remove(worker)
-        worker.is_ended = True
         ending = worker.end() or ending
         lost = list(worker.tasks)
         self._left.extendleft(reversed(lost))
@@ -281,17 +278,12 @@ class SupervisingBackend(Backend):
 
     def _check_losses(self, lost: Sequence[int], fault: str, *, is_silent: bool) -> None:
         """Raise WorkerError if too many workers were lost with the same task, or in a row."""
-        worst = max(lost, key=self._losses.__getitem__, default=None)
-        times = 0 if worst is None else self._losses[worst]
-        if times < MAX_LOSSES and self._losses_in_a_row < MAX_LOSSES * self._most_workers:
+        task = next((number for number in lost if self._losses[number] >= MAX_LOSSES), None)
+        if task is None and self._losses_in_a_row < MAX_LOSSES * self._most_workers:
             return
-        task = None if times < MAX_LOSSES else worst
-        where = f"on the same task, {times} times" if times else "at once"
-        what = "" if task is None else f" It is {self._task_text(task)}."
+        what = "at once" if task is None else f"on the same task, {self._task_text(task)}"
         advice = "If a step takes so long, raise --worker-timeout-s." if is_silent else self.advice(fault)
-        error = WorkerError(
-            f"workers keep {fault} {where}.{what} {advice} Everything up to the last checkpoint is kept."
-        )
+        error = WorkerError(f"workers keep {fault} {what}. {advice} Everything up to the last checkpoint is kept.")
         error.task = task
         raise error
 

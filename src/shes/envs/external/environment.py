@@ -23,6 +23,7 @@ from shes.envs.external.reader import ExternalReader, Locate, find_physics
 from shes.envs.tasks.task import SimulatorFactory
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError, place_of
+from shes.free_space import resident_memory
 from shes.registry import full_name
 from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
@@ -102,6 +103,13 @@ class ExternalEnvironment:
             if not isinstance(env, gymnasium.Env):
                 raise ConfigError(f"its function must return a gymnasium.Env, got {env!r}.")
             return env
+
+    def measured_bytes(self) -> int:
+        """Return the bytes of memory that one more environment takes, where the system tells. One is made for it."""
+        before = resident_memory()
+        with closing(self.make_one()) as env, self.explained("reset"):
+            env.reset(seed=0)
+            return max(0, resident_memory() - before)
 
     @contextmanager
     def explained(self, action: str) -> Iterator[None]:
