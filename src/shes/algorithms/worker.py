@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
+from typing import Protocol
 
 import mujoco
 
-from shes.backends.backend import TaskSource
 from shes.envs.registry import EnvironmentMaker
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.envs.tasks.task_options import TaskOptions
@@ -97,8 +97,19 @@ def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, epis
     return max(1, int(_SHARE_OF_MEMORY * free_bytes / per_lane))
 
 
+class EpisodeSource(Protocol):
+    """The tasks of all workers, from which one takes its own."""
+
+    def take(self, most: int, least: int) -> Sequence[NumberedTask]:
+        """Return the next tasks, at most `most`, or near the end at least `least`; none at the end."""
+        ...
+
+    def note_progress(self) -> None:
+        """Show that the worker is alive."""
+
+
 def _pending_tasks(
-    work: TaskSource, pending: dict[int, EpisodeTask], lanes: int, least: int
+    work: EpisodeSource, pending: dict[int, EpisodeTask], lanes: int, least: int
 ) -> Generator[NumberedTask | None, None, None]:
     """Yield tasks of `work` and note them in `pending`, so that there are up to `lanes` of them.
 
@@ -168,7 +179,7 @@ class RolloutWorker:
             _, rollout = self._rollouts.popitem()
             rollout.batch.close()
 
-    def run(self, work: TaskSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
+    def run(self, work: EpisodeSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
         """Run `work`, of which about `share` tasks are for this worker, and yield numbered results.
 
         If a device runs out of memory, tasks without a result are repeated with half as many policies at a time.
@@ -189,7 +200,7 @@ class RolloutWorker:
                     return
 
     def _run(
-        self, work: TaskSource, pending: dict[int, EpisodeTask], share: int
+        self, work: EpisodeSource, pending: dict[int, EpisodeTask], share: int
     ) -> Iterator[tuple[int, EpisodeResults]]:
         """Run tasks that are `pending` already, then `work`. Tasks are `pending` until they have a result."""
         assert self._generation is not None, "receive() comes first"

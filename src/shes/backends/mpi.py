@@ -125,10 +125,6 @@ class MpiBackend(SupervisingBackend):
         """Return whether the worker is not idle: all ranks receive a broadcast together."""
         return not worker.is_idle
 
-    def advice(self, ending: str) -> str:
-        """Return nothing: no rank is ever replaced, because MPI ends the whole job when one dies."""
-        return ""
-
 
 class _Rank(RemoteWorker):
     """A rank as the main process sees it."""
@@ -150,12 +146,6 @@ class _Rank(RemoteWorker):
 
     def stop(self) -> None:
         self.answer(("close",))
-
-    def has_stopped(self) -> bool:
-        raise NotImplementedError("the pool knows")
-
-    def end(self) -> str:
-        raise NotImplementedError("MPI ends the whole job when a rank dies")
 
 
 class _Parent:

@@ -74,7 +74,7 @@ class ProcessesBackend(SupervisingBackend):
         """Return advice about processes that were killed, or that ended by themselves."""
         if signal.SIGKILL.name in ending:
             return "Usually memory ran out: lower --workers or --chunk-size."
-        return "It may have printed the reason above; --backend serial does the same work in this process."
+        return f"It may have printed the reason above. {super().advice(ending)}"
 
 
 class _WorkerProcess(RemoteWorker):

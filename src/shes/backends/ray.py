@@ -127,7 +127,7 @@ class RayBackend(SupervisingBackend):
 
     def advice(self, ending: str) -> str:
         """Return where the reason is to be found."""
-        return "Ray's logs on the node say more: see `ray logs`. --backend serial does the same work in this process."
+        return f"Ray's logs on the node say more: see `ray logs`. {super().advice(ending)}"
 
 
 class _RayWorker(RemoteWorker):

@@ -130,7 +130,7 @@ class _Run(TaskSource):
 
 
 def pickle_factory(factory: WorkerFactory) -> bytes:
-    """Return `factory` pickled, and classes of the caller's script by value; raise ConfigError if that is impossible."""
+    """Return `factory` pickled, and classes of the caller's script by value; raise ConfigError if that fails."""
     try:
         return cloudpickle.dumps(factory)
     except Exception as error:

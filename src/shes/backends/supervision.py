@@ -65,13 +65,13 @@ class RemoteWorker(ABC):
     def stop(self) -> None:
         """Let the worker close its environments and end."""
 
-    @abstractmethod
     def has_stopped(self) -> bool:
         """Return whether the worker has ended."""
+        return True
 
-    @abstractmethod
     def end(self) -> str:
-        """End the worker at once, even if it does not answer; return how it ended, in words."""
+        """End the worker at once, even if it does not answer; return how it ended, in words, if that is known."""
+        return ""
 
 
 class SupervisingBackend(Backend):
@@ -101,9 +101,9 @@ class SupervisingBackend(Backend):
     def wait(self, timeout_s: float) -> Sequence[RemoteWorker]:
         """Wait at most `timeout_s` for requests; return the workers that have sent some, or are gone."""
 
-    @abstractmethod
     def advice(self, ending: str) -> str:
         """Return advice to the user about workers that keep ending in this way."""
+        return "--backend serial does the same work in this process."
 
     def look_around(self) -> None:
         """Do what is due between requests; called at least once a second while there are tasks."""
