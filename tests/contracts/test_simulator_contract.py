@@ -7,7 +7,7 @@ from numpy.testing import assert_array_equal
 
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
-from tests.envs.reference_gather import ant_gather_xml
+from tests.envs.reference_worlds import ant_gather_xml
 
 SIMULATORS = {"cpu": CpuSimulator}
 NUM_SIMS = 5

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from shes.sim.cpu import CpuSimulator
-from tests.envs.reference_gather import ant_gather_xml
+from tests.envs.reference_worlds import ant_gather_xml
 
 INTEGRATORS = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,

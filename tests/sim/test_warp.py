@@ -20,7 +20,7 @@ from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_buffers import default_sizes
 from tests.contracts import test_simulator_contract as contract
-from tests.envs.reference_gather import ant_gather_xml
+from tests.envs.reference_worlds import ant_gather_xml
 
 pytestmark = [
     pytest.mark.extras,
