@@ -199,15 +199,6 @@ def test_a_simulation_goes_the_same_way_whatever_the_others_do_and_whenever_they
     assert alone.peaks().contacts > 0, "nothing touched"
 
 
-def test_a_reset_clears_the_controls_of_that_simulation():
-    simulator = WarpCpu(ant_model(), 2)
-    simulator.ctrl[:] = 30
-    simulator.step(np.arange(2), 5)
-    simulator.reset(np.array([0]))
-    assert not simulator.ctrl[0].any()
-    assert simulator.ctrl[1].all()
-
-
 @pytest.mark.parametrize("field", FIELDS)
 @pytest.mark.parametrize("bad", [1e12, np.nan, np.inf])
 def test_only_the_simulation_that_blew_up_is_marked_and_the_others_never_notice(field, bad):
