@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import shes.sim.warp
 import shes.sim.warp_device
-import shes.sim.warp_memory
 from shes.errors import ConfigError, MissingExtraError
+from shes.sim.warp import bytes_per_sim
 from shes.sim.warp_device import WarpDevice, is_out_of_memory, load_warp
-from shes.sim.warp_memory import bytes_per_sim
 
 VERSIONS = {"mujoco": "4.0.0", "mujoco-warp": "4.0.1", "warp-lang": "1.19.0"}
 NEEDS = {
@@ -224,8 +224,8 @@ def test_the_memory_of_a_simulation_is_what_many_take_without_what_the_first_bro
             state.loaded = True
 
     device = SimpleNamespace(free_bytes=lambda: state.free)
-    monkeypatch.setattr(shes.sim.warp_memory, "WarpSimulator", Simulator)
-    monkeypatch.setattr(shes.sim.warp_memory, "WarpDevice", lambda _: device)
+    monkeypatch.setattr(shes.sim.warp, "WarpSimulator", Simulator)
+    monkeypatch.setattr(shes.sim.warp, "WarpDevice", lambda _: device)
     assert bytes_per_sim("model", "cuda", 5, nconmax=3) == 1000
 
 

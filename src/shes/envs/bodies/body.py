@@ -77,11 +77,7 @@ class Body(ABC):
         """Return whether robots at `qpos` [N, num_qpos], on ground of height `ground_m`, have fallen over [N]."""
 
     def cos_tilt(self, qpos: F64Array) -> F64Array:
-        """Return the cosine [N] of the angle between the vertical and the robot's own, at `qpos` [N, num_qpos].
-
-        Raises:
-            ConfigError: The robot cannot tilt, or its class does not say how far it has.
-        """
+        """Return the cosine [N] of the angle between the vertical and the robot's own, at `qpos` [N, num_qpos]."""
         raise ConfigError(f"the {self.name} has no tilt to limit. Define `cos_tilt` in its class, or omit --max-tilt.")
 
     def frame_angle(self, qpos: F64Array) -> F64Array:
@@ -99,9 +95,6 @@ class Body(ABC):
             qvel: Generalised velocities [N, num_qvel].
             angle: Rotation of the frame [N] in radians; see `frame_angle`.
             out: Receives the values of `egocentric` [N, V].
-
-        Raises:
-            ConfigError: The robot has no egocentric view.
         """
         raise ConfigError(
             f"the {self.name} has no egocentric view. Define `egocentric` and `write_egocentric` in its class, or "

@@ -12,8 +12,7 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.envs.markers import TARGET, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.body_reader import BodyReader
-from shes.envs.tasks.task import Task, TaskDescription
+from shes.envs.tasks.task import BodyReader, Task, TaskDescription
 from shes.envs.tasks.task_options import FURTHEST_M, FallOptions
 from shes.envs.worlds import ARENA, add_grid, empty_world
 from shes.host_arrays import to_host

@@ -38,12 +38,7 @@ class TaskOptions(Settings):
     """Whether a task with targets uses those of evaluation instead of those of training."""
 
     def __post_init__(self) -> None:
-        """Check every value; the default integrator becomes that of the specification.
-
-        Raises:
-            ConfigError: A value is out of range or of the wrong type.
-            UnknownNameError: `spec`, `integrator` or another name is unknown.
-        """
+        """Check every value; the default integrator becomes that of the specification."""
         super().__post_init__()
         if self.integrator == "default":
             object.__setattr__(self, "integrator", SPECS[self.spec])
