@@ -32,22 +32,13 @@ class Reader(ABC):
 
     @abstractmethod
     def locate(self, rows: F64Array, info: Mapping[str, Any] | None, env: Any = None) -> tuple[F64Array, F64Array]:
-        """Return the robots' positions [N, 2] in metres and headings [N] in radians.
+        """Return positions [N, 2] in metres and headings [N] in radians of robots that observe `rows` [N, O].
 
-        Args:
-            rows: Observations [N, O].
-            info: The environment's `info`.
-            env: The environment.
+        An environment may need its `info`, or `env` itself.
         """
 
     def goal(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array | None:
-        """Return the goals [N, 2] that the environment sets, in metres, or None if it sets none.
-
-        Args:
-            rows: Observations [N, O].
-            position: Robots' positions [N, 2] in metres.
-            heading: Robots' headings [N] in radians.
-        """
+        """Return the goals [N, 2] in metres that the environment sets, given what `locate` found, or None."""
         return None
 
     @abstractmethod

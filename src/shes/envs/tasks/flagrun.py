@@ -70,7 +70,7 @@ class Flagrun(Task):
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="1 - d/d_c, where d is the distance to the goal and d_c its value when the goal was drawn; "
         "1 more if d is below 1 m",
-        ends="when the robot falls over (the height of the ant's torso leaves [0.2, 1.0] m; the point cannot fall)",
+        ends="when the robot falls over, by the rule of its body",
         score="the return",
         success="the distance to the goal of the step is below 1 m",
     )
