@@ -393,12 +393,16 @@ def test_settings_of_our_own_physics_are_refused(name, value):
     make_config("point-gather", "smoke", {name: value})
 
 
+def make_plain_car():
+    return Car()
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (Silent, r"drawn has no render mode 'rgb_array', only none"),
         (lambda render_mode=None: Car(render_mode, fault="draw"), r"drawn cannot be drawn: RuntimeError: no lamp"),
-        (lambda: Car(), r"drawn cannot be made with \{'render_mode': 'rgb_array'\}: TypeError"),
+        (make_plain_car, r"drawn cannot be made with \{'render_mode': 'rgb_array'\}: TypeError"),
     ],
 )
 def test_without_pictures_there_is_a_clear_error(make, message):
