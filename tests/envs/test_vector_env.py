@@ -5,6 +5,8 @@ import re
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import data_equivalence
+from gymnasium.vector import AutoresetMode
 
 import shes  # registers
 from shes.errors import ConfigError, PolicyError
@@ -92,3 +94,16 @@ def test_threads_change_no_bit():
     for start, observations in zip(starts[1:], played[1:], strict=True):
         np.testing.assert_array_equal(start, starts[0])
         np.testing.assert_array_equal(observations, played[0])
+
+
+def test_episodes_may_begin_anew_in_the_step_in_which_they_end():
+    """Both specifications and all tasks are compared in the contract, if slow tests are run."""
+    options = {"max_episode_steps": 3, "target": (1.0, 2.0)}
+    mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    ours = gymnasium.make_vec("shes/PointMaze-v0", num_envs=4, **mode, **options)
+    theirs = gymnasium.make_vec(
+        "shes/PointMaze-v0", num_envs=4, vectorization_mode="sync", vector_kwargs=mode, **options
+    )
+    assert data_equivalence(ours.reset(seed=3), theirs.reset(seed=3))
+    for action in np.random.default_rng(0).uniform(-1, 1, (8, *ours.action_space.shape)).astype(np.float32):
+        assert data_equivalence(ours.step(action), theirs.step(action))
