@@ -34,7 +34,7 @@ def find_opengl() -> str | None:
         ConfigError: MUJOCO_GL names an OpenGL that does not work.
     """
     asked = os.environ.get("MUJOCO_GL", "").lower().strip()
-    if is_switched_off():
+    if asked in _OFF:
         return None
     if sys.platform != "linux":
         return asked or "cgl"
@@ -53,11 +53,6 @@ def offer_opengl() -> None:
     found = find_opengl()
     if found is not None and not os.environ.get("MUJOCO_GL"):
         os.environ["MUJOCO_GL"] = found
-
-
-def is_switched_off() -> bool:
-    """Return whether MUJOCO_GL turns OpenGL off."""
-    return os.environ.get("MUJOCO_GL", "").lower().strip() in _OFF
 
 
 def _works(name: str) -> bool:
