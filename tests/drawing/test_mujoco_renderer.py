@@ -1,11 +1,13 @@
 """Three-dimensional pictures, which need OpenGL; and the looks of worlds and the following camera, which do not."""
 
+import os
+
 import mujoco
 import numpy as np
 import pytest
 
+from shes.drawing.make_drawer import find_opengl
 from shes.drawing.mujoco_renderer import FOLLOW_FIELD_OF_VIEW_DEG, MujocoRenderer, decorate, follow
-from shes.drawing.opengl import find_opengl
 from shes.drawing.renderer import between, extent_of
 from shes.envs.markers import FOOD, GOAL, ROBOT, ball, disc, line
 from shes.envs.registry import ENVIRONMENTS, make_task
@@ -46,6 +48,15 @@ def test_every_environment_is_drawn_with_its_robot(name, camera):
     assert (picture.shape, picture.dtype) == ((SIZE, SIZE, 3), np.uint8)
     assert picture.std() > 10
     assert share(picture, ROBOT) > 1e-4
+
+
+@pytest.mark.render
+def test_the_opengl_found_is_used_whatever_the_environment_says(monkeypatch):
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "other")
+    task, renderer = make("point-gather")
+    assert renderer.draw(task.sim.qpos[0]).std() > 10
+    renderer.close()
+    assert os.environ["PYOPENGL_PLATFORM"] == find_opengl()
 
 
 @pytest.mark.render

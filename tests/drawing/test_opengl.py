@@ -1,14 +1,11 @@
 """Choice of the OpenGL: MUJOCO_GL if it is set, else the first that works."""
 
 import logging
-import os
 import subprocess
-import sys
-from types import SimpleNamespace
 
 import pytest
 
-from shes.drawing import opengl
+from shes.drawing import make_drawer
 from shes.drawing.flat_renderer import FlatRenderer
 from shes.drawing.make_drawer import make_renderer
 from shes.envs.registry import make_task
@@ -28,14 +25,14 @@ def works(monkeypatch):
                 raise subprocess.TimeoutExpired(command, 1)
             return subprocess.CompletedProcess(command, 0 if name in names else -11)
 
-        monkeypatch.setattr(opengl.subprocess, "run", run)
+        monkeypatch.setattr(make_drawer.subprocess, "run", run)
         return tried
 
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(opengl.sys, "platform", "linux")
-    opengl.find_opengl.cache_clear()
+    monkeypatch.setattr(make_drawer.sys, "platform", "linux")
+    make_drawer.find_opengl.cache_clear()
     yield say
-    opengl.find_opengl.cache_clear()
+    make_drawer.find_opengl.cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -53,7 +50,7 @@ def test_the_first_that_works_is_found_unless_another_is_asked_for(works, monkey
     all_tried = works(*working)
     if asked is not None:
         monkeypatch.setenv("MUJOCO_GL", asked)
-    assert opengl.find_opengl() == opengl.find_opengl() == found
+    assert make_drawer.find_opengl() == make_drawer.find_opengl() == found
     assert all_tried == tried
 
 
@@ -62,15 +59,7 @@ def test_a_choice_that_does_not_work_is_refused(works, monkeypatch, asked):
     works("osmesa")
     monkeypatch.setenv("MUJOCO_GL", asked)
     with pytest.raises(ConfigError, match=f"asks for {asked}, which does not work here. Unset MUJOCO_GL.*libosmesa6"):
-        opengl.find_opengl()
-
-
-def test_what_was_found_is_used_whatever_the_environment_said(monkeypatch):
-    monkeypatch.setenv("PYOPENGL_PLATFORM", "other")
-    monkeypatch.setitem(sys.modules, "mujoco.osmesa", SimpleNamespace(GLContext="the context"))
-    monkeypatch.setattr(opengl.gl_context, "GLContext", None)
-    opengl.use_opengl("osmesa")
-    assert (os.environ["PYOPENGL_PLATFORM"], opengl.gl_context.GLContext) == ("osmesa", "the context")
+        make_drawer.find_opengl()
 
 
 def test_without_opengl_the_picture_is_flat_and_the_packages_are_named(works, caplog):

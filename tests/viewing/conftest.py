@@ -2,7 +2,7 @@
 
 import pytest
 
-from shes.drawing import opengl
+from shes.drawing import make_drawer
 from tests.e2e import runs
 
 
@@ -25,6 +25,6 @@ def without_opengl(request, monkeypatch):
     """Draw flat pictures, which is fast and works on every machine, but for tests marked `render`."""
     if "render" not in request.keywords:
         monkeypatch.setenv("MUJOCO_GL", "off")
-    opengl.find_opengl.cache_clear()
+    make_drawer.find_opengl.cache_clear()
     yield
-    opengl.find_opengl.cache_clear()
+    make_drawer.find_opengl.cache_clear()

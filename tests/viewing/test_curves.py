@@ -70,10 +70,9 @@ def test_runs_that_hardly_overlap_have_no_mean(spans, is_apart):
 
 
 def test_a_single_run_has_two_standard_errors_over_episodes():
-    table = {"steps": np.array([1.0, 2.0]), "score_mean": np.array([3.0, 5.0])}
-    assert column_curve([table], "score_mean", "steps", 10).band is None
-    curve = column_curve(
-        [{**table, "score_std": np.array([4.0, 0.0]), "episodes": np.full(2, 16.0)}], "score_mean", "steps", 10
-    )
-    assert (curve.grid.tolist(), curve.mean.tolist(), curve.singles) == ([10, 20], [3, 5], ())
+    table = {"wall_time_s": np.array([60.0, 120.0]), "score_mean": np.array([3.0, 5.0])}
+    assert column_curve([table], "score_mean", "wall_time_s").band is None
+    spread = {"score_std": np.array([4.0, 0.0]), "episodes": np.full(2, 16.0)}
+    curve = column_curve([{**table, **spread}], "score_mean", "wall_time_s")
+    assert (curve.grid.tolist(), curve.mean.tolist(), curve.singles) == ([1, 2], [3, 5], ())
     np.testing.assert_allclose(curve.band, ([1, 5], [5, 5]))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from shes.drawing import opengl
+from shes.drawing import make_drawer
 from shes.errors import CheckpointError, ConfigError, RunFolderError, StorageError
 from shes.viewing.render import render
 from shes.viewing.video import write_video
@@ -96,11 +96,11 @@ def test_a_listener_hears_of_every_control_step(tiny_run, tmp_path):
 @pytest.mark.parametrize(
     ("count", "arguments", "error", "message"),
     [
-        (0, {}, ConfigError, r"render needs at least one run: shes render RUN"),
-        (1, {"checkpoints": ()}, ConfigError, "at least one checkpoint"),
+        (0, {}, ConfigError, r"render needs at least one run and one checkpoint: shes render RUN"),
+        (1, {"checkpoints": ()}, ConfigError, "at least one run and one checkpoint"),
         (3, {"checkpoints": ["0", "best"]}, ConfigError, r"3 runs need one checkpoint .* each, got 2: 0, best\."),
         (2, {"checkpoints": ["0", "best", "last"]}, ConfigError, r"2 runs need one checkpoint .* got 3"),
-        (1, {"out": "walk.avi"}, ConfigError, "must end in .mp4 or .gif, got 'walk.avi'. Set --out"),
+        (1, {"out": "walk.avi"}, ConfigError, "out must end in .mp4 or .gif, got 'walk.avi'. Set --out"),
         (1, {"out": "nowhere/walk.mp4"}, ConfigError, "no folder nowhere"),
         (1, {"out": "folder.mp4"}, ConfigError, "is a folder"),
         (1, {"checkpoints": "77"}, CheckpointError, "there is no checkpoint .* There are: .*best"),
@@ -157,7 +157,7 @@ def test_a_video_that_fails_leaves_what_was_there(tmp_path, monkeypatch, suffix,
 
 @pytest.mark.render
 def test_a_video_by_opengl(tiny_run, tmp_path):
-    if opengl.find_opengl() is None:
+    if make_drawer.find_opengl() is None:
         pytest.skip("there is no OpenGL here (EGL or OSMesa)")
     frames = read(render(tiny_run, tmp_path / "walk.mp4", steps=4, size=128))
     assert frames.shape == (2 * 5 + HELD_FRAMES, 128, 256, 3)

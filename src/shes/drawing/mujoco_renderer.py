@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from bisect import bisect_left
 from collections.abc import Sequence
+from importlib import import_module
 
 import mujoco
 import numpy as np
+from mujoco.rendering.classic import gl_context
 
-from shes.drawing.opengl import use_opengl
 from shes.drawing.renderer import Extent, Picture, Renderer, check_camera
 from shes.envs.markers import ROBOT, Marker
 from shes.types import F64Array
@@ -53,7 +55,7 @@ class MujocoRenderer(Renderer):
     def __init__(self, spec: mujoco.MjSpec, width: int, height: int, opengl: str) -> None:
         """Decorate the world of `spec` and draw it with OpenGL `opengl`."""
         super().__init__(decorate(spec).compile(), width, height)
-        use_opengl(opengl)
+        _use_opengl(opengl)
         self._renderer = mujoco.Renderer(self.model, height, width, max_geom=_MAX_GEOMS)
         self._camera = mujoco.MjvCamera()
 
@@ -78,6 +80,16 @@ class MujocoRenderer(Renderer):
     def close(self) -> None:
         """Free the OpenGL context."""
         self._renderer.close()
+
+
+def _use_opengl(name: str) -> None:
+    """Make `mujoco.Renderer` use OpenGL `name`.
+
+    MuJoCo reads MUJOCO_GL only when it is imported, so this replaces the context class that its renderer looks up.
+    """
+    if name in ("egl", "osmesa"):
+        os.environ["PYOPENGL_PLATFORM"] = name  # overrides the caller's: `find_opengl` has tried this one
+        gl_context.GLContext = import_module(f"mujoco.{name}").GLContext
 
 
 def follow(camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData, extent: Extent) -> None:
@@ -167,17 +179,9 @@ def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 
 def _add_ground(spec: mujoco.MjSpec) -> None:
     """Add the material of the ground: a checkerboard, which makes movement visible."""
-    spec.add_texture(
-        name="ground",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=_GROUND[0],
-        rgb2=_GROUND[1],
-        markrgb=_GROUND_LINE,
-        width=512,
-        height=512,
-    )
+    flat, checker = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
+    looks = {"rgb1": _GROUND[0], "rgb2": _GROUND[1], "mark": mujoco.mjtMark.mjMARK_EDGE, "markrgb": _GROUND_LINE}
+    spec.add_texture(name="ground", type=flat, builtin=checker, width=512, height=512, **looks)
     material = spec.add_material(name="ground", texuniform=True, texrepeat=[0.5 / _GROUND_SQUARES_M] * 2)
     textures = list(material.textures)
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"

@@ -9,16 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from shes.types import F64Array, FloatArray
-from shes.viewing.curves import column_curve
+from shes.viewing.curves import X_AXES, column_curve
 from shes.viewing.groups import Group, RunData
 from shes.viewing.report_page import Figure
 
-X_AXES = {
-    "env_steps": ("environment steps", 1.0),
-    "wall_time_s": ("minutes", 1 / 60),
-    "generation": ("generation", 1.0),
-}
-"""Abscissae: column of the tables -> label, and factor of the column's values."""
 SECTIONS = ("Returns and scores", "Diagnostics")
 _MOST_POINTS = 1000
 """Of a longer curve every k-th point is drawn: a screen has no more pixels."""
@@ -41,10 +35,9 @@ class Panel(NamedTuple):
 
     @property
     def title(self) -> str:
-        """The quantity, and the episodes that it is of where there are two kinds."""
-        words = self.column.removesuffix("_mean").replace("_", " ").replace("env steps per s", "steps per second")
-        is_of_both = any(each in self.column for each in ("return", "score", "success", "goals_reached", "episode_st"))
-        return f"{words}, {self.table.replace('progress', 'training')}" if is_of_both else words
+        """The quantity, and the episodes that it is of."""
+        words = self.column.removesuffix("_mean").replace("_", " ")
+        return words if self.section == SECTIONS[1] else f"{words}, {self.table.replace('progress', 'training')}"
 
 
 def panels_of(runs: Sequence[RunData]) -> list[Panel]:
@@ -53,13 +46,13 @@ def panels_of(runs: Sequence[RunData]) -> list[Panel]:
     for table in ("evaluation", "progress"):
         for run in runs:
             for column, values in run.tables[table].items():
-                section, finite = _section(table, column), values[np.isfinite(values)]
+                section, finite = _section(column), values[np.isfinite(values)]
                 if section and len(finite) and (finite.min() < finite.max() or len(values) == 1):
                     found[Panel(section, table, column)] = None
     return sorted(found, key=lambda panel: SECTIONS.index(panel.section))
 
 
-def _section(table: str, column: str) -> str | None:
+def _section(column: str) -> str | None:
     """Return the section of a column; None if it is an abscissa, a time or a spread, which have other places."""
     is_rate = column == "env_steps_per_s"
     if column in X_AXES or (column.endswith(("_s", "_std")) and not is_rate):
@@ -132,7 +125,7 @@ def _traces(panel: Panel, group: Group, x: str) -> Iterator[dict[str, Any]]:
     tables = [table for table in tables if panel.column in table and x in table]
     if not tables:
         return
-    curve = column_curve(tables, panel.column, x, X_AXES[x][1])
+    curve = column_curve(tables, panel.column, x)
     color, dash = _COLORS[group.number % len(_COLORS)], _DASHES[group.number // len(_COLORS) % len(_DASHES)]
     silent = {"type": "scatter", "mode": "lines", "hoverinfo": "skip"}
     named = {"type": "scatter", "name": escape(group.label), "hovertemplate": "%{y:.4~g}"}

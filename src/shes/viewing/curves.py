@@ -16,6 +16,12 @@ from shes.types import F64Array
 
 Table = Mapping[str, F64Array]
 """Columns of a table by name, with a value per row."""
+X_AXES = {
+    "env_steps": ("environment steps (millions)", 1e-6),
+    "wall_time_s": ("minutes", 1 / 60),
+    "generation": ("generation", 1.0),
+}
+"""Abscissae: column of the tables -> label, and factor of the column's values."""
 _CONFIDENCE = 0.95
 _LEAST_OVERLAP = 0.5
 """Part of the median length of the runs that all of them must cover for a mean."""
@@ -75,12 +81,12 @@ def mean_curve(x: Sequence[F64Array], y: Sequence[F64Array]) -> MeanCurve:
     return MeanCurve(grid=grid, values=values, band=confidence_interval(values), singles=())
 
 
-def column_curve(tables: Sequence[Table], column: str, x: str, factor: float = 1.0) -> MeanCurve:
-    """Return the mean of `column` of the tables of several runs, over their column `x` times `factor`.
+def column_curve(tables: Sequence[Table], column: str, x: str) -> MeanCurve:
+    """Return the mean of `column` of the tables of several runs, over `x` of `X_AXES`.
 
     A single table of evaluations has a band of two standard errors over the episodes on either side.
     """
-    curve = mean_curve([table[x] * factor for table in tables], [table[column] for table in tables])
+    curve = mean_curve([table[x] * X_AXES[x][1] for table in tables], [table[column] for table in tables])
     spread = column.replace("_mean", "_std")
     if len(tables) > 1 or spread == column or not {spread, "episodes"} <= tables[0].keys():
         return curve

@@ -58,12 +58,7 @@ class Group:
 
 
 def read_runs(runs: Path | str | Sequence[Path | str], command: str) -> tuple[list[RunData], dict[str, ShesError]]:
-    """Return `runs`, the arguments of `command`, and the errors of those that cannot be read, by name.
-
-    Raises:
-        ConfigError: No run is given.
-        ShesError: A path is neither a folder of runs nor a shipped agent, or none of the runs can be read.
-    """
+    """Return `runs`, the arguments of `command`, and the errors of those that cannot be read, by name."""
     given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
     if not given:
         raise ConfigError(f"{command} needs at least one run folder: shes {command} RUN...")

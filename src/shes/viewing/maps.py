@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from shes.algorithms.contract import Explored
 from shes.drawing.renderer import Extent, Outline, extent_of, outlines
-from shes.envs.episode_batch import EpisodeBatch
-from shes.training.build import build_task, open_run
-from shes.training.evaluate import fresh_seeds
-from shes.training.loaded_agent import Agent
-from shes.types import F64Array, IntArray
+from shes.runs.folder import RunFolder
+from shes.training.build import open_run
+from shes.types import F64Array
 from shes.viewing.curve_figures import numbers
+from shes.viewing.playback import Playback
 from shes.viewing.report_page import Figure
 
-MOST_EPISODES = 20
+MOST_EPISODES = 10
 """More paths would hide each other."""
-_MARGIN_M = 1.0
 _GROUND, _CHASM = "#e9ece7", "#a9aeb0"
 _FILLS = {"wall": "#8b94a1", "platform": _GROUND, "block": "#d2a873"}
 _PATH, _GOAL, _CELL = "#c2560c", "#1f5fc4", "#1f5fc459"
@@ -29,8 +26,7 @@ _CELL_HALF_M = 0.45
 _HEIGHT = 560
 
 
-@dataclass(frozen=True, kw_only=True)
-class EpisodePath:
+class EpisodePath(NamedTuple):
     """Where the robot was in one episode."""
 
     path: F64Array
@@ -40,79 +36,43 @@ class EpisodePath:
     score: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class WorldMap:
+class WorldMap(NamedTuple):
     """Episodes of an agent in its world."""
 
     episodes: list[EpisodePath]
     step_s: float
     outlines: list[Outline]
     """The world's boxes; none for an environment that draws itself."""
-    extent: Extent
+    extent: Extent | None
+    """Area of the world; None for an environment that draws itself."""
     explored: Explored | None
     """Findings of the run's search for a way at its end; None without a search."""
 
 
 def play_episodes(run: Path, episodes: int, seed: int | None = None) -> WorldMap:
-    """Play the first of the episodes that `evaluate` runs, at most 20, and return their paths.
-
-    Raises:
-        ConfigError: The environment does not tell the robot's position.
-        ShesError: The best checkpoint of `run` cannot be played.
-    """
-    opened = open_run(run, device="cpu")
-    seeds = fresh_seeds(opened.state, min(episodes, MOST_EPISODES), seed)
-    task = build_task(opened.config, len(seeds), is_evaluation=True)
+    """Play the first of the episodes that `evaluate` runs, at most `MOST_EPISODES`, and return their paths."""
+    playback = Playback(run, "best", seed)
+    task = playback.task
     try:
         model = None if task.draws_itself else task.world_to_draw().compile()
-        agent = Agent(opened, len(seeds))
-        task.reset(np.arange(len(seeds)), seeds)
-        task.check_position()
-        played = _play(task, agent, opened.config.evaluation_steps)
+        played = [_played(playback, playback.seed_of(number)) for number in range(min(episodes, MOST_EPISODES))]
     finally:
         task.close()
-    explored = opened.algorithm.explored(opened.state)
-    if explored is not None and opened.folder.checkpoint_path("last").exists():
-        explored = opened.algorithm.explored(open_run(run, "last", device="cpu").state)
-    return WorldMap(
-        episodes=played,
-        step_s=task.step_s,
-        outlines=[] if model is None else outlines(model),
-        extent=_extent(played) if model is None else extent_of(model),
-        explored=explored,
-    )
+    boxes, extent = ([], None) if model is None else (outlines(model), extent_of(model))
+    has_last = RunFolder.open(run).checkpoint_path("last").exists()
+    opened = open_run(run, "last" if has_last else "best", device="cpu")
+    return WorldMap(played, task.step_s, boxes, extent, opened.algorithm.explored(opened.state))
 
 
-def _play(task: EpisodeBatch, agent: Agent, most_steps: int) -> list[EpisodePath]:
-    """Play the episodes that were reset in `task` to their ends, in lockstep."""
-    active: IntArray = np.arange(task.num_episodes)
-    steps, score = np.zeros(task.num_episodes, dtype=np.int64), np.zeros(task.num_episodes)
-    paths, goals = [task.position.copy()], list[F64Array]()
-    for _ in range(most_steps):
-        control = agent.control(task.observe(), task.position, task.heading, task.goal)
-        if agent.goal is not None:
-            goals.append(agent.goal)
-        task.step(active, control)
-        paths.append(task.position.copy())
-        steps[active] += 1
-        score[active] = task.score[active]
-        active = active[~(task.terminated | task.diverged)[active]]
-        if not len(active):
-            break
-    path, held = np.stack(paths), np.stack(goals) if goals else np.empty((0, task.num_episodes, 2))
-    is_new = np.ones(held.shape[:2], dtype=np.bool_)
-    is_new[1:] = (np.diff(held, axis=0) != 0).any(axis=2)
-    return [
-        EpisodePath(path=path[: end + 1, i], goals=held[:end, i][is_new[:end, i]], score=float(score[i]))
-        for i, end in enumerate(steps.tolist())
-    ]
-
-
-def _extent(episodes: list[EpisodePath]) -> Extent:
-    """Return the area of all paths and goals."""
-    points = np.concatenate([part for each in episodes for part in (each.path, each.goals)])
-    low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+def _played(playback: Playback, seed: int) -> EpisodePath:
+    """Play an episode; raise ConfigError if the environment does not tell the robot's position."""
+    task, path, goals = playback.task, list[F64Array](), list[F64Array]()
+    for _ in playback.play(seed):
+        task.check_position()
+        path.append(task.position[0].copy())
+        if playback.goal is not None and (not goals or (goals[-1] != playback.goal).any()):
+            goals.append(playback.goal.copy())
+    return EpisodePath(np.stack(path), np.reshape(goals, (-1, 2)), float(task.score[0]))
 
 
 def map_figure(world: WorldMap) -> Figure:
@@ -149,7 +109,7 @@ def _trace(points: F64Array, **look: Any) -> dict[str, Any]:
 
 def _layout(world: WorldMap) -> dict[str, Any]:
     """Return the layout of a map, with the world in it."""
-    left, bottom, right, top = world.extent
+    left, bottom, right, top = world.extent or (None,) * 4
     shapes = [
         {
             "type": "path",

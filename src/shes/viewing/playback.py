@@ -70,6 +70,11 @@ class Playback:
         """The environment; whoever plays it closes it."""
         self._view = getattr(opened.algorithm.design, "controller_view", None) if sensors else None
 
+    @property
+    def goal(self) -> F64Array | None:
+        """The current goal [2] in metres; None if the agent has none."""
+        return None if self._agent.goal is None else self._agent.goal[0]
+
     def seed_of(self, episode: int) -> int:
         """Return the seed of episode `episode` of those that `evaluate` runs."""
         return fresh_seeds(self._state, episode + 1, self._seed)[episode]
@@ -97,7 +102,7 @@ class Playback:
         facts = (*self._facts, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", end)
         return PlayedStep(
             pose=task.pose(0),
-            markers=[*task.markers(0), *sensed, *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
+            markers=[*task.markers(0), *sensed, *_goal_and_trail(self.goal, trail, task.ground_m)],
             facts=tuple(filter(None, facts)),
             inputs=() if self._view is None else input_words(self._view, task),
             is_last=bool(end),
@@ -127,13 +132,13 @@ def input_words(view: View, task: EpisodeBatch) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _goal_and_trail(goals: F64Array | None, trail: deque[F64Array], ground_m: float) -> list[Marker]:
+def _goal_and_trail(place: F64Array | None, trail: deque[F64Array], ground_m: float) -> list[Marker]:
     """Return markers of the robot's trail and position, and of the goal and a line to it, if there is one."""
     height = ground_m + _ABOVE_GROUND_M
     places = [(*place, height) for place in trail]
     way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
     spot = disc(places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
-    if goals is None:
+    if place is None:
         return [*way, spot]
-    goal = (*goals[0], height)
+    goal = (*place, height)
     return [*way, spot, line(places[-1], goal, _LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]

@@ -20,15 +20,9 @@ from matplotlib.ticker import MaxNLocator
 from shes.checked import checked
 from shes.errors import ConfigError, RunFolderError
 from shes.storage import write_atomically
-from shes.viewing.curves import MeanCurve, Table, column_curve
+from shes.viewing.curves import X_AXES, MeanCurve, Table, column_curve
 from shes.viewing.groups import Group, RunData, group_runs, read_runs
 
-X_AXES = {
-    "generation": ("generation", 1.0),
-    "env_steps": ("environment steps (millions)", 1e-6),
-    "wall_time_s": ("minutes", 1 / 60),
-}
-"""Abscissae: column of the tables -> label, and factor of the column's values."""
 _PANEL_INCHES = (5.0, 3.8)
 _TICKS = 5  # more would overlap where the numbers have many digits
 _LEGEND_LINE_INCHES, _CHARACTERS_PER_INCH = 0.19, 11
@@ -43,7 +37,7 @@ def plot(
     *,
     x: Literal["env_steps", "generation", "wall_time_s"] = "env_steps",
 ) -> Path:
-    """Draw the learning curves of `runs`.
+    """Draw the learning curves of `runs`; return the path of the picture.
 
     Runs that differ in the seed only form a group: the figure shows its mean and a 95 % t interval over its runs. Two
     runs are drawn as thin lines with their mean, and runs that hardly overlap without one. A single run shows its
@@ -57,14 +51,6 @@ def plot(
             others have one.
         out: Path of the picture; the suffix (.png, .pdf, .svg) selects the format.
         x: Horizontal axis.
-
-    Returns:
-        Path of the picture.
-
-    Raises:
-        RunFolderError: A run is neither a folder of runs nor a shipped agent, or none has an evaluation yet.
-        ConfigError: `runs` is empty, or the suffix of `out` is not a picture format.
-        StorageError: The picture cannot be written.
     """
     target = Path(out)
     read, errors = read_runs(runs, "plot")
@@ -93,14 +79,13 @@ def plot(
 
 def _draw_panel(axis: Axes, groups: Sequence[Group], title: str, table: str, column: str, x: str) -> list[MeanCurve]:
     """Draw a column of the runs of each group; return their means."""
-    label, factor = X_AXES[x]
     axis.set_title(title)
-    axis.set_xlabel(label)
+    axis.set_xlabel(X_AXES[x][0])
     axis.xaxis.set_major_locator(MaxNLocator(nbins=_TICKS))
     axis.grid(alpha=0.3)
     drawn: list[MeanCurve] = []
     for group in groups:
-        curve = column_curve([_columns(run, table, column, x) for run in group.runs], column, x, factor)
+        curve = column_curve([_columns(run, table, column, x) for run in group.runs], column, x)
         color, style = _look(group)
         draw_mean_curve(axis, curve, color, group.label, style)
         drawn.append(curve)

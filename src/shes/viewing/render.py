@@ -39,7 +39,7 @@ def render(
     sensors: bool = False,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a video of an episode. Several runs or checkpoints are shown side by side.
+    """Write a video of an episode; return its path. Several runs or checkpoints are shown side by side.
 
     The episode is one of those that `evaluate` runs, the same for all. An external environment draws itself, with its
     own camera and without goals. Needs no screen: EGL or OSMesa draws (MUJOCO_GL decides if it is set); without either
@@ -63,15 +63,6 @@ def render(
         sensors: Whether to show what the controller sees, in words, and what the agent's sensors read, if it has any
             (Gather).
         on_step: Called with the number of control steps drawn and their maximum.
-
-    Returns:
-        Path of the video.
-
-    Raises:
-        RunFolderError: One of `runs` is neither a run folder nor a shipped agent.
-        CheckpointError: A checkpoint is missing or damaged.
-        ConfigError: An argument is out of range, or the environment has no pictures.
-        StorageError: The video cannot be written.
     """
     target = Path(out)
     check_video_path(target)
@@ -100,12 +91,8 @@ def _shown(
     """Return run, checkpoint and label of each column of the video; raise ConfigError if their numbers do not fit."""
     given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
     names = [checkpoints] if isinstance(checkpoints, str) else list(map(str, checkpoints))
-    if not given:
-        raise ConfigError("render needs at least one run: shes render RUN... --out walk.mp4")
-    if not names:
-        raise ConfigError(
-            "render needs at least one checkpoint: best, last or the number of a generation. Set --checkpoint."
-        )
+    if not given or not names:
+        raise ConfigError("render needs at least one run and one checkpoint: shes render RUN... --checkpoint best")
     count = max(len(given), len(names))
     if len(given) not in (1, count) or len(names) not in (1, count):
         raise ConfigError(

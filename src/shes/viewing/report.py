@@ -17,8 +17,7 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 import numpy as np
 
 from shes.checked import checked
-from shes.drawing.opengl import find_opengl
-from shes.errors import ConfigError, ShesError
+from shes.errors import ShesError
 from shes.hierarchy.episodes import PARTS
 from shes.runs.config import TrainConfig
 from shes.runs.repetitions import differing_settings
@@ -35,6 +34,7 @@ from shes.viewing.groups import Group, RunData, group_runs, read_runs, setting_t
 from shes.viewing.maps import MOST_EPISODES, map_figure, play_episodes, search_figure
 from shes.viewing.render import render
 from shes.viewing.report_page import Figure, cards, details, page, paragraph, plot, read_plotly, section, table
+from shes.viewing.video import check_target
 
 logger = logging.getLogger("shes.report")
 _P, _T = ParamSpec("_P"), TypeVar("_T")
@@ -61,7 +61,7 @@ def report(
     video: bool = True,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Write a report of `runs`, one HTML page that needs no network.
+    """Write a report of `runs`, one HTML page that needs no network; return its path.
 
     What cannot be read, or done with one of the runs, is noted in the report and logged. Runs are grouped as by `plot`.
     It needs plotly (extra report). Without a graphics card a video takes half a minute; --no-video omits them.
@@ -77,18 +77,12 @@ def report(
         num_workers: Worker processes; 0 is one for every core. Does not change results.
         video: Whether the report has videos.
         on_step: Called with the number of parts of the work that have begun, and their total.
-
-    Returns:
-        Path of the page.
-
-    Raises:
-        RunFolderError: A run is neither a folder of runs nor a shipped agent, or none can be read.
-        ConfigError: `runs` is empty, or another argument is out of range.
-        MissingExtraError: plotly is not installed.
-        StorageError: The page cannot be written.
     """
     read, errors = read_runs(runs, "report")
-    target, plotly = _checked_path(out, read), read_plotly()
+    is_one = len(read) == 1 and not shipped_name(read[0].folder.path)
+    target = Path(out) if out is not None else (read[0].folder.path if is_one else Path()) / "report.html"
+    check_target(target, [".html"])
+    plotly = read_plotly()
     groups = group_runs(read)
     shown = groups[:_MOST_SHOWN]
     total = len(read) + len(shown) * (1 + video)
@@ -109,19 +103,6 @@ def report(
     made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
     text = page(f"Report: {title}", made, body, figures, plotly)
     write_atomically(target, lambda file: file.write(text.encode(errors="replace")))
-    return target
-
-
-def _checked_path(out: Path | str | None, runs: Sequence[RunData]) -> Path:
-    """Return the path of the page; raise ConfigError if it cannot be one."""
-    is_one = len(runs) == 1 and not shipped_name(runs[0].folder.path)
-    target = Path(out) if out is not None else (runs[0].folder.path if is_one else Path()) / "report.html"
-    if target.suffix.lower() != ".html":
-        raise ConfigError(f"out must end in .html, got {str(out)!r}. Set --out.")
-    if target.is_dir():
-        raise ConfigError(f"{target} is a folder. Choose another path with --out.")
-    if not target.parent.is_dir():
-        raise ConfigError(f"there is no folder {target.parent}. Create it, or choose another path with --out.")
     return target
 
 
@@ -165,16 +146,15 @@ def _results(groups: Sequence[Group], found: Mapping[str, Evaluation], episodes:
 
 
 def _result_cells(found: Sequence[Evaluation]) -> list[str]:
-    def text(column: str, *, is_rate: bool = False) -> str:
+    def sample(column: str) -> F64Array:
         values = [np.asarray(getattr(each, column), dtype=np.float64) for each in found]
-        sample = values[0] if len(found) == 1 else np.array([each.mean() for each in values])
-        return f"{sample.mean():.2f}" if is_rate else estimate(sample)
+        return values[0] if len(found) == 1 else np.array([each.mean() for each in values])
 
     has_goals = all(each.primitive_returns is not None for each in found)
-    goals = text("goals_reached") if has_goals else "-"
-    steps = f"{np.mean([each.steps.mean() for each in found]):.0f}"
-    diverged = str(int(sum(each.diverged.sum() for each in found)))
-    return [text("scores"), text("returns"), text("successes", is_rate=True), goals, steps, diverged]
+    estimates = [estimate(sample(column)) for column in ("scores", "returns")]
+    goals = estimate(sample("goals_reached")) if has_goals else "-"
+    diverged = sum(int(each.diverged.sum()) for each in found)
+    return [*estimates, f"{sample('successes').mean():.2f}", goals, f"{sample('steps').mean():.0f}", str(diverged)]
 
 
 def estimate(values: F64Array) -> str:
@@ -229,7 +209,7 @@ def _maps(
     hint = (
         f"Paths of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of one run of "
         f"each of the first {len(groups)} groups. A dot is the end of a path, a cross a goal. A video is the beginning "
-        f"of the first episode{'; it is flat, because there is no OpenGL here' * (find_opengl() is None)}."
+        "of the first episode."
     )
     return section("Maps and videos", paragraph(hint), cards(made)) if made else ""
 
@@ -281,8 +261,6 @@ def _runs(groups: Sequence[Group], notes: list[str]) -> str:
     for group in groups:
         for run in group.runs:
             state = run_state(run.folder)
-            if state.state in ("damaged", "tables only"):
-                run.notes.append(f"The last checkpoint is {'damaged' if state.state == 'damaged' else 'missing'}.")
             cells = [getattr(state, name) for name in _STATE]
             rows.append((run.name, group.label, *("-" if cell is None else setting_text(cell) for cell in cells)))
             notes += [f"{run.name}: {note}" for note in run.notes]

@@ -66,14 +66,19 @@ def captioned(view: Picture, paragraphs: Sequence[Sequence[str]]) -> Picture:
     return np.asarray(image)
 
 
-def check_video_path(path: Path) -> str:
-    """Return the path of ffmpeg; raise ConfigError if it is missing, or if no video can be written to `path`."""
-    if path.suffix.lower() not in _ENCODERS:
-        raise ConfigError(f"a video must end in {' or '.join(_ENCODERS)}, got {str(path)!r}. Set --out.")
+def check_target(path: Path, suffixes: Iterable[str]) -> None:
+    """Raise ConfigError if no file with one of `suffixes` can be written to `path`."""
+    if path.suffix.lower() not in suffixes:
+        raise ConfigError(f"out must end in {' or '.join(suffixes)}, got {str(path)!r}. Set --out.")
     if not path.parent.is_dir():
         raise ConfigError(f"there is no folder {path.parent}. Create it, or choose another path with --out.")
     if path.is_dir():
         raise ConfigError(f"{path} is a folder. Choose another path with --out.")
+
+
+def check_video_path(path: Path) -> str:
+    """Return the path of ffmpeg; raise ConfigError if it is missing, or if no video can be written to `path`."""
+    check_target(path, _ENCODERS)
     try:
         found = imageio_ffmpeg.get_ffmpeg_exe()
         reason = f"{found} is not there"
@@ -88,11 +93,7 @@ def check_video_path(path: Path) -> str:
 
 
 def write_video(path: Path, frames: Iterable[Picture]) -> None:
-    """Write `frames` (pictures [H, W, 3] of one even size) to `path`, atomically.
-
-    Raises:
-        StorageError: The video cannot be encoded or written; a file at `path` is unchanged.
-    """
+    """Write `frames` (pictures [H, W, 3] of one even size) to `path`, atomically."""
     ffmpeg = check_video_path(path)
     with tempfile.TemporaryDirectory(prefix="shes-video-") as folder:
         file = Path(folder) / f"video{path.suffix.lower()}"

@@ -22,11 +22,6 @@ def watch(run: Path | str, *, checkpoint: str = "best", seed: Annotated[int, Ge(
         run: The run folder, or the name of a shipped agent.
         checkpoint: Checkpoint: `best`, `last` or the number of a generation.
         seed: Seed of the episodes, as for `evaluate`.
-
-    Raises:
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
-        CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: There is no screen, or the environment has no window.
     """
     playback = Playback(run, checkpoint, seed, sensors=True)
     window = open_window(playback.task)
