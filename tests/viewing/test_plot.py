@@ -130,12 +130,6 @@ def test_a_copy_of_a_run_is_no_repetition(seeds, tmp_path, drawn):
     assert legend(drawn[0]) == [str(seeds[0]), str(tmp_path / "copy"), EPISODES]
 
 
-def test_execution_does_not_part_repetitions(seeds, tmp_path, drawn):
-    other = runs.train_tiny(tmp_path / "other", seed=9, keep_checkpoints=3, num_workers=1)
-    plot([seeds[0], other], tmp_path / "a.png", x="wall_time_s")
-    assert legend(drawn[0])[0] == "point-gather smoke (2 runs)"
-
-
 def test_no_label_leaves_the_picture_or_meets_another(seeds, tmp_path, drawn):
     deep = tmp_path / "_a$b$" / "/".join(["a rather long name of a folder"] * 7)
     copies = [shutil.copytree(seeds[0], deep / str(number)) for number in range(13)]
@@ -232,10 +226,3 @@ def test_a_damaged_run_is_not_left_out_but_a_young_one_is(seeds, run_copy, tmp_p
     (run_copy / "evaluation.csv").write_text("generation\nx\n")
     with pytest.raises(RunFolderError, match="cannot be read as a table of numbers"):
         plot([seeds[1], run_copy], tmp_path / "a.png")
-
-
-def test_evaluations_without_a_spread_have_no_band(run_copy, tmp_path, drawn):
-    kept = ("generation", "env_steps", "score_mean")
-    write_table(run_copy, "evaluation", {name: table(run_copy, "evaluation")[name] for name in kept})
-    plot(run_copy, tmp_path / "a.png")
-    assert legend(drawn[0]) == ["point-gather smoke"]

@@ -2,12 +2,10 @@
 
 import json
 
-import gymnasium
 import numpy as np
 import pytest
 
 from shes.algorithms.contract import Explored
-from shes.errors import ConfigError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.training.evaluate import evaluate
@@ -149,25 +147,3 @@ def test_the_map_of_a_search_shows_cells_and_the_way(tmp_path):
     assert squares["x"] == [-0.45, 0.45, 0.45, -0.45, None, 2.55, 3.45, 3.45, 2.55, None]
     assert squares["y"][5:9] == [0.55, 0.55, 1.45, 1.45]
     assert (way["x"], way["y"], way["name"]) == ([0, 3, 6], [0, 1, 0], "way found, 3 points")
-
-
-class Pole(gymnasium.Env):
-    """An environment without a position."""
-
-    observation_space = gymnasium.spaces.Box(-1, 1, (3,), np.float64)
-    action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        return self.np_random.uniform(-1, 1, 3), {}
-
-    def step(self, action):
-        return self.np_random.uniform(-1, 1, 3), 1.0, False, False, {}
-
-
-@pytest.mark.extras
-def test_an_environment_without_a_position_has_no_map(tmp_path):
-    gymnasium.register("tests/Pole-v0", Pole, max_episode_steps=10)
-    path = runs.train_tiny(tmp_path / "run", "gymnasium:tests/Pole-v0", algorithm="es", generations=1)
-    with pytest.raises(ConfigError, match="position"):
-        play_episodes(path, 2)

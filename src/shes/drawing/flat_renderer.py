@@ -39,8 +39,8 @@ class FlatRenderer(Renderer):
             if name.startswith(_SCENERY):
                 self._draw_geom(sheet, geom)
         for marker in sorted(markers, key=lambda each: each.position[2]):
-            ends = (marker.position, marker.end or marker.position)
-            sheet.bar(*map(np.array, ends), marker.radius, _rgb(marker.color))
+            start, end = np.array(marker.position), np.array(marker.end or marker.position)
+            sheet.bar(start, end, marker.radius, _rgb(marker.color))
         for geom, name in geoms:
             if not name.startswith(_SCENERY):
                 self._draw_geom(sheet, geom)

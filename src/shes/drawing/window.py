@@ -87,9 +87,7 @@ class PassthroughWindow:
 
     is_open = True
 
-    def show(
-        self, pose: Any, /, markers: Sequence[Marker] = (), *, is_new_episode: bool = False, lines: Sequence[str] = ()
-    ) -> None:
+    def show(self, *step: Any, **looks: Any) -> None:
         """Do nothing: the environment has shown the step."""
 
     def close(self) -> None:

@@ -93,27 +93,19 @@ def _layout(panels: Sequence[Panel], abscissae: Sequence[str]) -> dict[str, Any]
         }
         for x, (label, _) in X_AXES.items()
     ]
-    where = {"x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom", "pad": {"b": 35}}
+    above = {"x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom", "showarrow": False}
     titles = [
-        {
-            "text": escape(panel.title),
-            "showarrow": False,
-            "xref": f"{_axis('x', place)} domain",
-            "x": 0,
-            "xanchor": "left",
-            "yref": f"{_axis('y', place)} domain",
-            "y": 1,
-            "yanchor": "bottom",
-        }
-        for place, panel in enumerate(panels, 1)
+        {"text": escape(panel.title), "xref": f"{axis} domain", "yref": f"{axis.replace('x', 'y')} domain", **above}
+        for axis, panel in zip([_axis("x", place) for place in range(1, len(panels) + 1)], panels, strict=True)
     ]
+    menu = {"type": "buttons", "direction": "right", "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom"}
     return {
         "grid": {"rows": rows, "columns": columns, "pattern": "independent", "ygap": _GAP_PIXELS / _PANEL_PIXELS},
         "height": _FRAME_PIXELS + _PANEL_PIXELS * rows,
         "margin": {"l": 60, "r": 20, "t": 90, "b": 50},
         "hovermode": "x unified",
         "annotations": titles,
-        "updatemenus": [{"type": "buttons", "direction": "right", "buttons": buttons, **where}],
+        "updatemenus": [{**menu, "pad": {"b": 35}, "buttons": buttons}],
         "legend": {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom"},
         **{axis: {"title": {"text": X_AXES["env_steps"][0]}} for axis in axes},
     }

@@ -121,8 +121,8 @@ def input_words(view: View, task: EpisodeBatch) -> tuple[str, ...]:
     alike: dict[str, dict[str, float]] = {}
     for name, value in zip(names, values[0].tolist(), strict=True):
         word = re.match(r"[^\W\d_]+", name)
-        is_listed = len(names) <= _MOST_LISTED or name in position or word is None
-        alike.setdefault(name if is_listed else word[0], {})[name] = value
+        key = name if len(names) <= _MOST_LISTED or name in position or word is None else word[0]
+        alike.setdefault(key, {})[name] = value
     found = [f"controller sees {len(names)} value{'s' * (len(names) != 1)}"]
     for word, group in alike.items():
         if len(group) <= _FEW_ALIKE:

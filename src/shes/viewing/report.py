@@ -37,7 +37,8 @@ from shes.viewing.report_page import Figure, cards, details, page, paragraph, pl
 from shes.viewing.video import check_target
 
 logger = logging.getLogger("shes.report")
-_P, _T = ParamSpec("_P"), TypeVar("_T")
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 _MOST_SHOWN = 6
 """Groups that have a map and a video."""
 _VIDEO_STEPS, _VIDEO_PIXELS = 150, 320
