@@ -130,8 +130,9 @@ class TestUnderMpiexec:
     pytestmark = needs_mpi
 
     def test_without_mpiexec_the_error_says_how_to_start(self, tmp_path):
-        with pytest.raises(ConfigError, match=r"mpiexec -n 3 python -m mpi4py\.futures -m shes train"):
-            MpiBackend(Worker, 2)
+        code, _, err = runs.run("train", "point-gather", *runs.flags(preset="smoke", backend="mpi", out=tmp_path / "r"))
+        assert code == 2
+        assert "mpiexec -n 3 python -m mpi4py.futures -m shes train" in err
 
     @pytest.mark.parametrize("num_ranks", [2, 3])
     def test_a_run_has_the_numbers_of_serial(self, tmp_path, tiny_run, num_ranks):
