@@ -498,7 +498,8 @@ def test_a_setting_shows_in_the_run(name, source, tmp_path):
 
 
 def test_the_address_of_a_ray_cluster_arrives(monkeypatch):
-    package = SimpleNamespace(remote=lambda **_: lambda cls: cls, is_initialized=lambda: False)
+    exceptions = SimpleNamespace(RayError=OSError)
+    package = SimpleNamespace(remote=lambda **_: lambda cls: cls, is_initialized=lambda: False, exceptions=exceptions)
     monkeypatch.setattr("shes.backends.ray._import_ray", lambda: package)
     config = make_config("point-gather", "smoke", {"backend": "ray", "ray_address": "localhost:1"})
     with pytest.raises(ConfigError, match="no Ray cluster answers at 'localhost:1'"):
