@@ -297,23 +297,6 @@ def test_plot_says_where_the_picture_is(shes, tiny_run, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"curves.png", "b.pdf"}
 
 
-def test_bench_speedup_passes_settings_folder_and_network(shes, monkeypatch, tmp_path):
-    heard = []
-    monkeypatch.setattr("shes.bench.bench.speedup_of", lambda *told: heard.append(told) or {"shes_error": 0.5})
-    words = ("--workers", "2", "--out", str(tmp_path), "--latency-us", "20", "--gigabits-per-s", "100", "--json")
-    assert json.loads(shes("bench", "speedup", "point-gather", *words)) == {"shes_error": 0.5}
-    assert heard == [("point-gather", {"num_workers": 2}, tmp_path, 20.0, 100.0, 0.0)]
-    assert f"{tmp_path}/speedup.csv" in shes("bench", "speedup", "point-gather", *words[:-1])
-
-
-def test_bench_prints_a_table_or_json(shes, monkeypatch):
-    monkeypatch.setattr("shes.bench.measure._REPLAY_S", 0.02)  # how exact it is does not matter here
-    small = ["point-gather", *TINY, "--population-size", 4, "--horizon", 5]
-    found = json.loads(shes("bench", "update", *small, "--json"))
-    assert found["total_ms"] > 0
-    assert re.search(r"ratio +│ +[\d.]+ ", shes("bench", "rollout", *small))
-
-
 def test_flags_may_be_written_with_underscores_before_the_environment_and_none_is_a_value(shes, tmp_path):
     path = tmp_path / "run"
     words = ["--preset", "smoke", "--population_size", "4", "point-gather", "--hidden", "4", "3", "--horizon", "5"]

@@ -23,7 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "watch": ("viewing.watch.watch", "watch a run's policy in a window"),
     "export": ("training.export.export", "write a run's policy to a file that needs no SHES"),
     "experiment": ("studies.experiment.experiment", "run a study of many runs, with tables and figures"),
-    "bench": ("bench.bench.bench", "measure the speed of this machine"),
+    "bench": ("cli.bench.bench", "measure the speed of this machine"),
     "completion": ("cli.commands.completion", "print a script that completes commands and flags with the Tab key"),
 }
 """Function of every command, below `shes`, and its line in the overview."""

@@ -1,9 +1,8 @@
-"""The figure of `shes bench speedup`: speed-up over cores, beside the paper's. Source: SHES paper, Figure 6."""
+"""The figure of speed-up over cores, beside the paper's. Source: SHES paper, Figure 6."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
 
@@ -11,7 +10,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from shes.storage import write_atomically
 from shes.types import F64Array
 
 PAPER_SLOPE = ((1, 1.0), (250, 50.0), (600, 100.0))
@@ -57,18 +55,6 @@ def authors_speedup(algorithm: str) -> AuthorsSpeedup | None:
         return None
     speedup = [seconds[1] / each for each in seconds.values()]
     return AuthorsSpeedup(f"{_NAMES[algorithm]}, authors' code", [float(cores) for cores in seconds], speedup)
-
-
-def draw_speedup(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Draw the rows of `speedup.csv` to `path`, a PNG file."""
-    algorithms = dict.fromkeys(str(row["algorithm"]) for row in rows)
-    lines = [
-        SpeedupLine(_NAMES[name], [row for row in rows if row["algorithm"] == name], authors=name)
-        for name in algorithms
-    ]
-    figure = speedup_figure(lines, str(rows[0]["env"]))
-    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=150))
-    plt.close(figure)
 
 
 def speedup_figure(lines: Sequence[SpeedupLine], title: str, size: tuple[float, float] = (7, 5)) -> Figure:
