@@ -139,7 +139,7 @@ def test_watching_uses_the_environments_own_window(run, monkeypatch):
         if len(shown) == 12:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.drawing.passthrough.PassthroughWindow.show", show)
+    monkeypatch.setattr("shes.drawing.window.PassthroughWindow.show", show)
     with pytest.raises(KeyboardInterrupt):
         watch(run.path)
     assert [number for number, is_new in enumerate(shown) if is_new] == [0, 10]

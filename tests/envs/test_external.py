@@ -10,7 +10,7 @@ import pytest
 from gymnasium.wrappers import TimeLimit
 from numpy.testing import assert_allclose, assert_array_equal
 
-from shes.drawing.rendering import make_drawer
+from shes.drawing.make_drawer import make_drawer
 from shes.envs.bodies.point import Point
 from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED

@@ -1,4 +1,4 @@
-"""An interactive window by MuJoCo's viewer: drag to rotate, scroll to zoom, close it to stop."""
+"""Windows that show poses in real time: MuJoCo's viewer (drag to rotate, scroll to zoom), or the environment's own."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import threading
 import warnings
 from collections.abc import Sequence
 from time import monotonic, sleep
+from typing import Any, TypeAlias
 
 import mujoco
 
-from shes.drawing.mujoco_renderer import add_markers
+from shes.drawing.mujoco_renderer import ROBOT_BODY, add_markers, decorate
 from shes.drawing.renderer import between
-from shes.drawing.scenery import decorate
+from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import Marker
 from shes.errors import ConfigError
 from shes.types import F64Array
@@ -24,14 +25,15 @@ _CLOSE_TIMEOUT_S = 10.0
 
 
 class Viewer:
-    """A window that shows one world in real time."""
+    """A window by MuJoCo's viewer that shows one world."""
 
     def __init__(self, spec: mujoco.MjSpec, step_s: float) -> None:
         """Decorate the world of `spec` and open a window on it, if there is a screen; a `show` takes `step_s`."""
         _check_screen()
         from mujoco import viewer
 
-        self._step_s = step_s
+        self._step_s, self._due = step_s, monotonic()
+        self._qpos: F64Array | None = None
         self._model = decorate(spec).compile()
         self._data = mujoco.MjData(self._model)
         before = set(threading.enumerate())
@@ -40,22 +42,16 @@ class Viewer:
         except RuntimeError as error:  # macOS without mjpython
             raise ConfigError(f"the viewer cannot start: {error}. On macOS run mjpython instead of python.") from error
         self._threads = set(threading.enumerate()) - before
-        self._follow()
-        self._qpos: F64Array | None = None
-        self._due = monotonic()
+        with self._window.lock():
+            camera = self._window.cam
+            camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, ROBOT_BODY
+            camera.azimuth, camera.elevation, camera.distance = 90.0, -42.0, 13.0
         atexit.register(self.close)
 
     @property
     def is_open(self) -> bool:
         """Whether the window is open."""
         return self._window.is_running()
-
-    def _follow(self) -> None:
-        with self._window.lock():
-            camera = self._window.cam
-            camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
-            camera.trackbodyid = self._model.body("torso").id
-            camera.azimuth, camera.elevation, camera.distance = 90.0, -42.0, 13.0
 
     def show(
         self, qpos: F64Array, markers: Sequence[Marker] = (), *, is_new_episode: bool = False, lines: Sequence[str] = ()
@@ -84,6 +80,29 @@ class Viewer:
         self._window.close()
         for thread in self._threads:
             thread.join(_CLOSE_TIMEOUT_S)
+
+
+class PassthroughWindow:
+    """The window of an environment that shows its own steps."""
+
+    is_open = True
+
+    def show(self, *step: Any, **looks: Any) -> None:
+        """Do nothing: the environment has shown the step."""
+
+    def close(self) -> None:
+        """Do nothing: the environment closes it."""
+
+
+Window: TypeAlias = Viewer | PassthroughWindow
+
+
+def open_window(batch: EpisodeBatch) -> Window:
+    """Return a window that shows the poses of `batch`, if there is a screen; call it before the first reset."""
+    if batch.draws_itself:
+        batch.draw_by("human")
+        return PassthroughWindow()
+    return Viewer(batch.world_to_draw(), batch.step_s)
 
 
 def _check_screen() -> None:
