@@ -65,24 +65,13 @@ def test_a_goal_of_the_ant_is_all_of_its_coordinates(env):
     assert len(seen) == 28  # 30 in HIRO, where x and y are zero
 
 
-@pytest.mark.parametrize("env", ["point-maze", "point-fall"])
-def test_a_goal_of_the_point_is_its_position(env):
-    design, task = algorithm(env=env, goal_distance=3.0).design, make_task(env, 1)
-    task.reset(np.array([0]), [1])
-    assert design.half_range == (3, 3)
-    np.testing.assert_array_equal(design.coordinates(task.observe(), task.position), task.position)
-
-
-def test_a_goal_of_an_external_robot_is_its_position():
-    register_external(
-        "pendulum-in-a-plane", lambda: gymnasium.make("Pendulum-v1"), locate=lambda seen, _: (*seen[:2], 0)
-    )
-    design = algorithm(env="pendulum-in-a-plane", goal_distance=2.0).design
-    assert (design.half_range, design.columns) == ((2.0, 2.0), None)
-    assert design.coordinates(np.zeros((1, 3)), np.array([[3.0, 4.0]])).tolist() == [[3.0, 4.0]]
-
-
-def test_a_robot_whose_position_is_unknown_has_no_goals():
+def test_a_goal_of_other_robots_is_their_position():
+    register_external("pendulum-in-a-plane", lambda: gymnasium.make("Pendulum-v1"), locate=lambda o, _: (*o[:2], 0))
+    position = np.array([[3.0, 4.0]])
+    for env, columns in (("point-maze", (0, 1)), ("point-fall", (0, 1)), ("pendulum-in-a-plane", None)):
+        design = algorithm(env=env, goal_distance=3.0).design
+        assert (design.half_range, design.columns) == ((3.0, 3.0), columns)
+        assert design.coordinates(np.array([[3.0, 4.0, 5.0]]), position).tolist() == position.tolist()
     with pytest.raises(ConfigError, match=r"the position of the robot of .* is unknown"):
         algorithm(env="gymnasium:Pendulum-v1")
 
@@ -120,47 +109,15 @@ def test_transitions_of_a_flat_policy_are_those_of_a_plain_loop():
     np.testing.assert_allclose([each["policy_return"] for each in collector.episodes], returns)
 
 
-def test_the_primitives_goal_moves_and_changes_at_every_interval():
-    learner = algorithm()
-    rows, _, collector = collect(learner)
-    size, made, controller = len(learner.design.half_range), rows["primitive"], rows["controller"]
-    goals, following = made["inputs"][:, :size], made["next_inputs"][:, :size]
-    assert (len(made["reward"]), len(controller["reward"])) == (HORIZON, 2)  # the time limit cuts the third short
-    np.testing.assert_allclose(goals[[0, 4]], controller["goal"], rtol=1e-6)
-    for step in range(2 * INTERVAL):  # h(s, g, s') from the start of the interval
-        interval, inside = divmod(step, INTERVAL)
-        moved = controller["moved"][interval, inside]
-        np.testing.assert_allclose(goals[step], controller["goal"][interval] - moved, atol=1e-5)
-    np.testing.assert_allclose(following[:-1], goals[1:], atol=1e-6)  # at the end of an interval: the new goal
-    # The reward is minus the distance to the old goal, even where the next goal is another one.
-    for step in (0, 1, 2, 4, 5, 6, 8, 9):
-        assert made["reward"][step] == pytest.approx(-np.linalg.norm(following[step]), rel=1e-5)
-    left = np.linalg.norm(controller["goal"] - controller["change"], axis=1)
-    np.testing.assert_allclose(made["reward"][[3, 7]], -left, rtol=1e-5)
-    np.testing.assert_allclose(collector.goal_distances, left, rtol=1e-5)
-    assert collector.episodes[0]["primitive_return"] == pytest.approx(made["reward"].sum(), rel=1e-5)
-
-
-@pytest.mark.parametrize("scale", [1.0, 0.5])
-def test_an_interval_holds_what_its_steps_saw_did_and_earned(scale):
-    learner = algorithm(env="point-maze", reward_scale=scale)  # every step has a reward
-    rows, rewards, collector = collect(learner)
-    made, controller, size = rows["primitive"], rows["controller"], len(learner.design.half_range)
-    first = slice(0, INTERVAL)
-    np.testing.assert_array_equal(controller["view"][0], made["inputs"][first, size:])
-    np.testing.assert_array_equal(controller["actions"][0], made["action"][first])
-    np.testing.assert_array_equal(controller["is_step"], np.ones((2, INTERVAL)))
-    np.testing.assert_array_equal(controller["next_inputs"][0], controller["inputs"][1])
-    assert (controller["goes_on"] == 1).all()
-    assert (rewards < 0).all()
-    np.testing.assert_allclose(controller["reward"], scale * rewards[:8].reshape(2, INTERVAL).sum(axis=1), rtol=1e-6)
-    assert collector.episodes[0]["controller_return"] == pytest.approx(rewards.sum())  # unscaled
-    assert made["reward"].min() < -1  # that of the primitive is not scaled: goals are 10 m away
-
-
-def test_the_reward_of_a_flat_policy_is_scaled():
-    rows, rewards, _ = collect(algorithm("td3", "point-maze", reward_scale=0.5))
+def test_returns_are_of_unscaled_rewards():
+    rows, rewards, collector = collect(algorithm("td3", "point-maze", reward_scale=0.5))
     np.testing.assert_allclose(rows["policy"]["reward"], 0.5 * rewards[:, 0], rtol=1e-6)
+    assert collector.episodes[0]["policy_return"] == pytest.approx(rewards.sum())
+    rows, rewards, collector = collect(algorithm(env="point-maze", reward_scale=0.5))
+    assert len(rows["controller"]["reward"]) == len(collector.goal_distances) == 2  # the third is cut short
+    np.testing.assert_allclose(collector.goal_distances, -rows["primitive"]["reward"][[3, 7]], rtol=1e-6)
+    assert collector.episodes[0]["controller_return"] == pytest.approx(rewards.sum())
+    assert collector.episodes[0]["primitive_return"] == pytest.approx(rows["primitive"]["reward"].sum(), rel=1e-5)
 
 
 # The end of an episode.
@@ -168,31 +125,15 @@ def test_the_reward_of_a_flat_policy_is_scaled():
 FALLS = {"env": "ant-gather", "spec": "hiro", "horizon": 200}
 
 
-def until_a_fall(learner, fall):
-    """Yield the transitions of the steps until the ant falls in step `fall`."""
-    collector, batch, _ = collector_of(learner)
-    for step, block in enumerate(collector.run(1, count(), np.random.default_rng(0)), start=1):
-        yield block
-        if step == fall - 1:
-            batch.sim.qpos[0, 2] = 5.0
-        if step == fall:
-            return
-
-
-@pytest.mark.parametrize("bootstraps", [False, True])
-def test_a_fall_ends_return_and_interval_of_the_controller(bootstraps):
-    blocks = list(until_a_fall(algorithm(**FALLS, bootstrap_terminal=bootstraps), 7))  # the third of its interval
-    assert [block["primitive"]["goes_on"].tolist() for block in blocks] == [[1.0]] * 7  # it would learn to fall
-    passed, cut = (block["controller"] for block in blocks if len(block["controller"]["reward"]))
-    assert (passed["goes_on"], cut["goes_on"]) == ([1.0], [float(bootstraps)])
-    assert cut["is_step"].tolist() == [[1, 1, 1, 0]]
-    assert cut["reward"] == [-10.0]
-
-
 @pytest.mark.parametrize("bootstraps", [False, True])
 def test_a_fall_ends_the_return_of_a_flat_policy(bootstraps):
-    blocks = until_a_fall(algorithm("td3", **FALLS, bootstrap_terminal=bootstraps), 3)
-    assert [block["policy"]["goes_on"][0] for block in blocks] == [1.0, 1.0, float(bootstraps)]
+    collector, batch, _ = collector_of(algorithm("td3", **FALLS, bootstrap_terminal=bootstraps))
+    made = []
+    for block in collector.run(1, count(), np.random.default_rng(0)):
+        made.append(block["policy"]["goes_on"][0])
+        if len(made) == 2:
+            batch.sim.qpos[0, 2] = 5.0  # it falls in the next step, the last of the episode
+    assert made == [1.0, 1.0, float(bootstraps)]
 
 
 def test_steps_of_a_diverged_simulation_are_left_out():
@@ -214,39 +155,47 @@ def test_a_time_limit_of_the_environment_does_not_cut_the_return():
     assert [(each["steps"], each["terminated"]) for each in collector.episodes] == [(7, 0), (7, 0)]
 
 
-def test_intervals_of_several_environments_are_kept_apart():
-    """Every interval of the controller is the steps of its primitive, with falls that come at any time."""
-    num_envs, scale = 3, 0.5
-    learner = algorithm(**{**FALLS, "horizon": 61}, num_envs=num_envs, reward_scale=scale)
+@pytest.mark.parametrize("settings", [{"env": "point-maze"}, FALLS, {**FALLS, "bootstrap_terminal": True}])
+def test_intervals_are_the_steps_of_the_primitive(settings):
+    """Three environments at once, in one every step has a reward, in the others falls come at any time."""
+    num_envs, scale, horizon = 3, 0.5, 61
+    learner = algorithm(**{**settings, "horizon": horizon, "num_envs": num_envs, "reward_scale": scale})
     collector, batch, _ = collector_of(learner)
-    size, steps, played, ends = len(learner.design.half_range), np.zeros(num_envs, int), [[], [], []], []
+    size, steps, played, following, ends = len(learner.design.half_range), np.zeros(num_envs), [[], [], []], {}, []
     for number, block in enumerate(collector.run(400, count(), np.random.default_rng(0))):
-        primitive, controller = block["primitive"], block["controller"]
         running = np.flatnonzero(collector.steps != steps)
         steps, reward, fallen = collector.steps.copy(), batch.reward.copy(), batch.terminated.copy()
-        intervals = iter(range(len(controller["reward"])))
+        intervals = iter(range(len(block["controller"]["reward"])))
         for i, row in enumerate(running):
-            played[row].append((primitive["inputs"][i], primitive["action"][i], reward[row], primitive["reward"][i]))
+            step = {name: values[i] for name, values in block["primitive"].items()}
+            if steps[row] > 1:
+                np.testing.assert_array_equal(step["inputs"], following[row])
+            following[row] = step["next_inputs"]
+            assert step["goes_on"] == 1  # it would learn to fall
+            played[row].append({**step, "earned": reward[row]})
             if fallen[row] or steps[row] % INTERVAL == 0:
-                made = {name: values[k] for k in [next(intervals)] for name, values in controller.items()}
-                inputs, actions, earned, intrinsic = (np.array(each) for each in zip(*played[row], strict=True))
-                count_of = len(earned)
-                assert made["reward"] == pytest.approx(scale * earned.sum(), rel=1e-5, abs=1e-6)
-                assert made["is_step"].tolist() == [1] * count_of + [0] * (INTERVAL - count_of)
-                assert made["goes_on"] == (not fallen[row])
-                np.testing.assert_allclose(made["goal"], inputs[0, :size], rtol=1e-6)
-                np.testing.assert_array_equal(made["actions"][:count_of], actions)
-                np.testing.assert_array_equal(made["view"][:count_of], inputs[:, size:])
-                np.testing.assert_allclose(inputs[:, :size], made["goal"] - made["moved"][:count_of], atol=2e-4)
-                assert intrinsic[-1] == pytest.approx(-np.linalg.norm(made["goal"] - made["change"]), rel=1e-3)
-                ends.append(fallen[row])
+                made = {name: values[k] for k in [next(intervals)] for name, values in block["controller"].items()}
+                own = {name: np.array([each[name] for each in played[row]]) for name in played[row][0]}
+                length, goals = len(own["earned"]), own["inputs"][:, :size]
+                assert made["reward"] == pytest.approx(scale * own["earned"].sum(), rel=1e-5, abs=1e-6)
+                assert made["is_step"].tolist() == [1] * length + [0] * (INTERVAL - length)
+                assert made["goes_on"] == (not fallen[row] or "bootstrap_terminal" in settings)
+                np.testing.assert_array_equal(made["actions"][:length], own["action"])
+                np.testing.assert_array_equal(made["view"][:length], own["inputs"][:, size:])
+                # h(s, g, s') from the start of the interval; the reward is minus the distance that is left.
+                np.testing.assert_allclose(goals, made["goal"] - made["moved"][:length], atol=2e-4)
+                left = np.linalg.norm([*goals[1:], made["goal"] - made["change"]], axis=1)
+                np.testing.assert_allclose(own["reward"], -left, rtol=1e-3)
+                ends.append((fallen[row], own["earned"][:-1].any()))
                 played[row].clear()
-            if steps[row] == 61:  # cut short
+            if steps[row] == horizon:  # cut short
                 played[row].clear()
         assert next(intervals, None) is None
-        if number % 17 == 5:
+        if number % 17 == 5 and "spec" in settings:
             batch.sim.qpos[number % num_envs, 2] = 5.0  # it falls by the rule of the task
-    assert (len(ends) > 90, sum(ends) > 5) == (True, True)
+    falls, dense = np.sum(ends, axis=0)
+    assert len(ends) > 90
+    assert falls > 5 if "spec" in settings else dense == len(ends)
 
 
 # Exploration and numbers.

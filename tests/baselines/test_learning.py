@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("jax")
 
+
 from shes.baselines.learner_settings import LearnerSettings
 from shes.baselines.learning import (
     LOSSES,
