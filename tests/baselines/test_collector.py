@@ -113,11 +113,13 @@ def test_returns_are_of_unscaled_rewards():
     rows, rewards, collector = collect(algorithm("td3", "point-maze", reward_scale=0.5))
     np.testing.assert_allclose(rows["policy"]["reward"], 0.5 * rewards[:, 0], rtol=1e-6)
     assert collector.episodes[0]["policy_return"] == pytest.approx(rewards.sum())
-    rows, rewards, collector = collect(algorithm(env="point-maze", reward_scale=0.5))
-    assert len(rows["controller"]["reward"]) == len(collector.goal_distances) == 2  # the third is cut short
-    np.testing.assert_allclose(collector.goal_distances, -rows["primitive"]["reward"][[3, 7]], rtol=1e-6)
-    assert collector.episodes[0]["controller_return"] == pytest.approx(rewards.sum())
-    assert collector.episodes[0]["primitive_return"] == pytest.approx(rows["primitive"]["reward"].sum(), rel=1e-5)
+    rows, rewards, collector = collect(algorithm(env="point-maze", reward_scale=0.5), num_steps=15)
+    intrinsic = rows["primitive"]["reward"].reshape(2, HORIZON)
+    assert len(rows["controller"]["reward"]) == 4  # the third of each episode is cut short
+    np.testing.assert_allclose(collector.goal_distances, -intrinsic[:, [3, 7]].ravel(), rtol=1e-6)
+    for episode, own, earned in zip(collector.episodes, intrinsic, rewards.reshape(2, HORIZON), strict=True):
+        assert episode["controller_return"] == pytest.approx(earned.sum())
+        assert episode["primitive_return"] == pytest.approx(own.sum(), rel=1e-5)
 
 
 # The end of an episode.
@@ -158,7 +160,7 @@ def test_a_time_limit_of_the_environment_does_not_cut_the_return():
 @pytest.mark.parametrize("settings", [{"env": "point-maze"}, FALLS, {**FALLS, "bootstrap_terminal": True}])
 def test_intervals_are_the_steps_of_the_primitive(settings):
     """Three environments at once, in one every step has a reward, in the others falls come at any time."""
-    num_envs, scale, horizon = 3, 0.5, 61
+    num_envs, scale, horizon = 3, 0.5, 61 if "spec" in settings else 60
     learner = algorithm(**{**settings, "horizon": horizon, "num_envs": num_envs, "reward_scale": scale})
     collector, batch, _ = collector_of(learner)
     size, steps, played, following, ends = len(learner.design.half_range), np.zeros(num_envs), [[], [], []], {}, []
@@ -188,8 +190,9 @@ def test_intervals_are_the_steps_of_the_primitive(settings):
                 np.testing.assert_allclose(own["reward"], -left, rtol=1e-3)
                 ends.append((fallen[row], own["earned"][:-1].any()))
                 played[row].clear()
-            if steps[row] == horizon:  # cut short
+            if steps[row] == horizon:  # an interval is cut short; no new goal is set
                 played[row].clear()
+                assert np.linalg.norm(step["next_inputs"][:size]) == pytest.approx(-step["reward"], rel=1e-3)
         assert next(intervals, None) is None
         if number % 17 == 5 and "spec" in settings:
             batch.sim.qpos[number % num_envs, 2] = 5.0  # it falls by the rule of the task
