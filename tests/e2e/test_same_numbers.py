@@ -127,8 +127,8 @@ def companions(name, choice):
     return {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {}), **scheduled}
 
 
-OF_HIRO = {"algorithm": {"hiro", "td3"}, "critic_loss": {"huber", "mse"}, "noise_unit": {"range", "raw"}}
-"""Choices of algorithms that have no population, and tests of their own in tests/algorithms/hiro."""
+OF_HIRO = {"algorithm": {"hiro", "td3"}, "noise_unit": {"range", "raw"}}
+"""Choices of algorithms that have no population, and tests of their own in tests/baselines."""
 CHOICES = {
     name: tuple(choice for choice in each.choices if choice not in OF_HIRO.get(name, ()))
     for name, each in known_settings().items()

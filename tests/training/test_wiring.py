@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shes.algorithms.hiro.sections import HIRO_SECTIONS
+from shes.baselines.learner_settings import HIRO_SECTIONS
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
 from shes.errors import ConfigError, DivergenceError
@@ -507,7 +507,7 @@ def test_the_address_of_a_ray_cluster_arrives(monkeypatch):
 
 
 def test_every_setting_has_a_row():
-    of_hiro = {name for section in HIRO_SECTIONS.values() for name in setting_fields(section)}  # tests/algorithms/hiro
+    of_hiro = {name for section in HIRO_SECTIONS.values() for name in setting_fields(section)}  # tests/baselines
     rows = {setting_of(row) for row in ROWS} | SHOWN.keys() | {"ray_address"}
     assert rows | of_hiro == known_settings().keys()
 
