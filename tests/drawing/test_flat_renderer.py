@@ -1,5 +1,6 @@
 """Flat pictures: geoms and markers are drawn at their positions, and the outlines of worlds are to scale."""
 
+import itertools
 from collections import Counter
 
 import mujoco
@@ -65,8 +66,10 @@ def test_walls_are_at_the_rim_and_legs_reach_out_of_the_torso():
     assert renderer.extent == pytest.approx((-13, -13, 13, 13))
     picture = renderer.draw(task.sim.model.qpos0, (), "top")
     assert is_colored(picture, 12.5, 0, WALL, renderer)
-    for x, y in ((0.45, 0.45), (-0.45, 0.45), (0.45, -0.45), (-0.45, -0.45)):
-        assert is_colored(picture, x, y, ROBOT, renderer), (x, y)
+    for x, y in itertools.product((-1, 1), (-1, 1)):
+        assert all(
+            is_colored(picture, x * reach, y * reach, ROBOT, renderer) for reach in (0.25, 0.35, 0.45, 0.55, 0.7)
+        )
     assert not is_colored(picture, 0.6, 0, ROBOT, renderer)
 
 
