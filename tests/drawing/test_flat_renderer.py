@@ -54,7 +54,7 @@ def test_markers_lie_where_they_are_said_to():
     assert not is_colored(picture, -5, -7, GOAL, renderer)
 
 
-def test_the_robot_is_in_the_middle_of_the_picture_that_follows_it():
+def test_the_following_picture_has_the_robot_in_its_middle():
     task, renderer = make("point-gather")
     task.sim.qpos[0, :2] = (7, -3)
     picture = renderer.draw(task.sim.qpos[0], (), "follow")
