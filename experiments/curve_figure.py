@@ -22,8 +22,8 @@ from experiments.design import Measure
 from experiments.figures import WIDTH
 from experiments.results import PlacedResults
 from shes.types import F64Array
-from shes.viewing.curve_drawing import draw_mean_curve, legend_keys
 from shes.viewing.curves import MeanCurve, mean_curve
+from shes.viewing.plot import draw_mean_curve, legend_keys
 
 _PANEL_INCHES, _LINE_INCHES = 3.2, 0.19
 _UNITS = {"seconds": (60.0, "minutes"), "env_steps": (1e6, "million environment steps")}
