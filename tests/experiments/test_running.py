@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import sys
+from dataclasses import replace
 from functools import partial
 
 import psutil
@@ -120,9 +121,7 @@ def test_a_time_limit_of_a_run_counts_all_of_its_parts(tmp_path):
 
 def test_what_cannot_be_run_shows_before_anything_is(tmp_path, finished, monkeypatch):
     out = tmp_path / "out"
-    hiro = run(algorithm="hiro")
-    hiro.settings.clear()
-    hiro.settings.update(algorithm="hiro")
+    hiro = replace(run("hiro"), settings={"algorithm": "hiro"})
     cases = [
         (run("b", population_size=7), ConfigError, "population_size must be a positive multiple of 4", {}),
         (run(), UnknownNameError, "'rays'", {"backend": "rays"}),
@@ -132,6 +131,8 @@ def test_what_cannot_be_run_shows_before_anything_is(tmp_path, finished, monkeyp
     ]
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.setitem(sys.modules, "jax", None)
+    for name in [each for each in sys.modules if each.startswith("shes.algorithms.hiro.")]:
+        monkeypatch.delitem(sys.modules, name)  # else what another test has imported is there already
     for member, error, words, options in cases:
         if "SciPy" in words:
             monkeypatch.setitem(sys.modules, "scipy", None)
