@@ -131,7 +131,7 @@ def test_what_cannot_be_run_shows_before_anything_is(tmp_path, finished, monkeyp
     ]
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.setitem(sys.modules, "jax", None)
-    for name in [each for each in sys.modules if each.startswith("shes.algorithms.hiro.")]:
+    for name in [each for each in sys.modules if each.startswith("shes.baselines.")]:
         monkeypatch.delitem(sys.modules, name)  # else what another test has imported is there already
     for member, error, words, options in cases:
         if "SciPy" in words:
