@@ -61,7 +61,7 @@ class Playback:
         self.task = opened.algorithm.problem.make_task(is_evaluation=True)
         """The environment; whoever plays it closes it."""
         self._state, self._seed, self._has_sensors = state, seed, sensors
-        view = getattr(opened.algorithm.design, "controller_view", None)
+        view = opened.algorithm.design.controller_view
         self._sight = ControllerSight(view, self.task) if sensors and view is not None else None
 
     def seed_of(self, episode: int) -> int:

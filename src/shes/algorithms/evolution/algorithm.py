@@ -85,7 +85,7 @@ def evolve(
         start = perf_counter()
         # Not in the paper: a search by the mean primitive for a way to the target, which then guides the controllers.
         state = explore(state, settings.search, backend)
-        populations: tuple[Population, ...] = ()
+        populations = tuple[Population, ...]()
         for draw in settings.estimates:  # whole episodes; not in the paper: a primitive may be evaluated by intervals
             draws = draw(state, settings, table.size, populations)  # line 2: n perturbations, sigma * epsilon
             populations += (roll_out(draws, backend),)  # line 3: f = F(theta + sigma * epsilon), for every level

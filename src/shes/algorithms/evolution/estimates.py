@@ -163,7 +163,10 @@ class Population(Draws):
 
 
 def draw_episodes(
-    state: TrainState, settings: Hyperparameters, table_size: int, before: Sequence[Population] = ()
+    state: TrainState,
+    settings: Hyperparameters,
+    table_size: int,
+    before: Sequence[Population] = (),  # noqa: ARG001 - the signature of an `Estimate`
 ) -> Draws:
     """Return the members that whole episodes evaluate in the generation that follows `state`."""
     estimate, generation = settings.intervals, state.generation
@@ -209,7 +212,7 @@ def draw_episodes(
     )
 
 
-def _episode_tasks(  # noqa: PLR0917 - the draws of a generation
+def _episode_tasks(
     state: TrainState,
     signs: Signs,
     noise_index: IntArray,

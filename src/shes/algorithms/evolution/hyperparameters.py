@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from shes.algorithms.evolution.learned_levels import explores, is_branched, learns
 from shes.algorithms.evolution.estimates import Hyperparameters, IntervalEstimate
+from shes.algorithms.evolution.learned_levels import explores, is_branched, learns
 from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
 from shes.algorithms.evolution.way_search import SLICES, WaySearch
 from shes.algorithms.problem import Problem

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from shes.envs.bodies.symmetry import SYMMETRIES
 from shes.algorithms.evolution.estimates import COMMON_RANDOM_NUMBERS
+from shes.envs.bodies.symmetry import SYMMETRIES
 from shes.es.mirror import MIRRORINGS
 from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.optimizers import OPTIMIZERS
@@ -23,7 +23,7 @@ from shes.es.shaping import FITNESS_SHAPINGS
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
-from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
+from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown

@@ -8,7 +8,7 @@ Source: Nachum et al. 2018, section 3.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -24,11 +24,15 @@ from shes.types import CONTROLLER, F32Array, F64Array, IntArray
 class HiroDesign(AgentDesign):
     """Design of HIRO's agent. The primitive observes the goal, seen from the current state, and then its view."""
 
-    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
     controller: MLP
     primitive: MLP
     primitive_view: ColumnsView
     goals: GoalSpace
+
+    @property
+    def networks(self) -> dict[str, MLP]:
+        """The network of each level by name."""
+        return {"controller": self.controller, "primitive": self.primitive}
 
     @property
     def controller_view(self) -> ColumnsView:

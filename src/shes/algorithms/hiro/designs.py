@@ -17,7 +17,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import CheckpointError, ConfigError
 from shes.es.statistics import CLIP
 from shes.free_space import free_memory
-from shes.hierarchy.flat import FlatDesign
+from shes.hierarchy.agent import FlatDesign
 from shes.hierarchy.views import ColumnsView
 from shes.policies.mlp import MLP, RectifiedMLP
 from shes.types import ArrayHeader
