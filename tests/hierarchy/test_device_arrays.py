@@ -49,7 +49,7 @@ CHOICES = {
     ),
     "position": ("point-maze", {"controller_view": "position", "controller_output": "direction"}),
     "egocentric, alone": ("ant-flagrun", {**EGOCENTRIC, "symmetry": "rotation", "max_tilt": 20.0}),
-    "falls that end": ("ant-maze", {**WHOLE, "max_tilt": 5.0}),
+    "falls that end": ("ant-maze", {**WHOLE, "max_tilt": 12.0}),
     "few statistics": ("point-gather", {"statistics_fraction": 0.5}),
 }  # fmt: skip
 
