@@ -11,7 +11,7 @@ import pytest
 from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.cli import main
 from shes.errors import ConfigError, UnknownNameError
-from shes.hierarchy.hierarchical import HierarchicalAgent
+from shes.hierarchy.goal_agent import GoalAgent
 from shes.training.evaluate import evaluate, fresh_seeds
 from tests.e2e import runs
 from tests.training.recorder import recording
@@ -62,13 +62,15 @@ def ends(monkeypatch):
 def vectors(monkeypatch):
     """Return the list of vectors to the goals [K, 2] of all decisions."""
 
-    def choose(agent, due, rows, given, noise):
-        goals = original(agent, due, rows, given, noise)
-        found.append(goals - given.position[rows])
-        return goals
+    def act(agent, observation, position, heading, **noise):
+        is_due = np.repeat(agent.clock % agent.design.controller_interval == 0, agent.rows_per_lane)
+        controls = original(agent, observation, position, heading, **noise)
+        if is_due.any():
+            found.append((agent.goal - position)[is_due])
+        return controls
 
-    original, found = HierarchicalAgent.choose_goals, []
-    monkeypatch.setattr(HierarchicalAgent, "choose_goals", choose)
+    original, found = GoalAgent.act, []
+    monkeypatch.setattr(GoalAgent, "act", act)
     return found
 
 

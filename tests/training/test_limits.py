@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 import shes
-from shes.algorithms.evolution.populations import generation_work
+from shes.algorithms.evolution.estimates import draw_episodes
 from shes.backends.processes import ProcessesBackend
 from shes.cores import num_cores
 from shes.errors import ConfigError
@@ -104,8 +104,8 @@ def test_the_estimate_covers_what_tasks_and_results_take():
     estimate = Workload.of(config).memory(algorithm.design)
     state = algorithm.start(0)
     tracemalloc.start()
-    work = generation_work(state, algorithm.hyperparameters, 1_000_000)
-    results = PopulationResults.of_tasks(work.tasks, work.generation)
+    draws = draw_episodes(state, algorithm.hyperparameters, 1_000_000)
+    results = PopulationResults.of_tasks(draws.tasks, draws.generation)
     taken = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert results.outcomes.size == 20_000

@@ -23,8 +23,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.root import yaw
 from shes.errors import ConfigError
 from shes.es.level import LevelParameters
-from shes.hierarchy.goal_reaching import GoalReachingDesign
-from shes.hierarchy.hierarchical import MIN_COMPONENT_M, HierarchicalDesign
+from shes.hierarchy.goal_agent import MIN_COMPONENT_M, GoalDesign
 from shes.policies.mlp import MLP
 from shes.storage import write_atomically
 from shes.training.build import OpenedRun, open_run
@@ -101,7 +100,7 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         "clock": [] if clock is None else [{"frequency_hz": clock.frequency_hz, "step_s": clock.step_s}],
         **design.exported(),
     }
-    if isinstance(design, GoalReachingDesign):
+    if isinstance(design, GoalDesign):
         found |= {
             "controller_interval": design.controller_interval,
             "pose": None if task.robot is None else _pose(task.robot, task.proprioception.tolist()),
@@ -113,13 +112,14 @@ def describe(run: OpenedRun) -> dict[str, Any]:
                 ),
             },
         }
-    if isinstance(design, HierarchicalDesign):
+    if isinstance(design, GoalDesign) and design.controller is not None:
+        own = design.controller
         found["controller"] = {
-            "view": design.controller_view.to_dict(),
+            "view": own.view.to_dict(),
             "output": settings["controller_output"],
-            "num_sectors": design.controller_output.size if design.controller.is_tied else 0,
-            "goal_distance_m": design.goal_distance,
-            "min_component_m": float(MIN_COMPONENT_M) if design.has_minimum_goal_distance else 0.0,
+            "num_sectors": own.output.size if own.network.is_tied else 0,
+            "goal_distance_m": own.goal_distance,
+            "min_component_m": float(MIN_COMPONENT_M) if own.has_minimum_goal_distance else 0.0,
         }
     return found
 
