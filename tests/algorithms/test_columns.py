@@ -43,7 +43,9 @@ def row_of(*populations):
         LevelUpdate(level=levels[1]),
     )
     state = TrainState(seed=0, generation=9, env_steps=1000, levels=levels)
-    return columns(GenerationReport(state=state, populations=populations, updates=updates, rollout_s=1.25, update_s=0.5))
+    return columns(
+        GenerationReport(state=state, populations=populations, updates=updates, rollout_s=1.25, update_s=0.5)
+    )
 
 
 WHOLE = population(
