@@ -10,7 +10,6 @@ import pytest
 
 import shes.algorithms.worker
 from shes.algorithms.worker import RolloutWorker, lanes_in_memory, simulator_factory
-from shes.backends.backend import TaskList
 from shes.errors import ConfigError
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator

@@ -16,8 +16,7 @@ from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS, Mirroring
 from shes.es.schedules import SCHEDULES, ScheduleKind
-from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ViewChoice
-from shes.hierarchy.views import ColumnsView
+from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
 from shes.runs.config import TrainConfig
 from shes.runs.sections import known_settings
 from shes.settings import Ge, Settings
