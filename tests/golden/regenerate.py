@@ -78,7 +78,7 @@ def golden_run(folder, change=0.0):
     )
     settings = Hyperparameters(
         population_size=16,
-        episodes_per_policy=Schedule(start=2),
+        episodes_per_policy=2,
         sigma=Schedule(start=0.07),
         learning_rate=Schedule(start=0.02),
         updates=(UpdateRule(weight_decay=0.005),) * 2,

@@ -85,7 +85,7 @@ def _execution(folder: RunFolder) -> dict[str, Any]:
     """Return the settings of a run's workers, and its machine."""
     machine = folder.read_record().get("machine", {})
     facts = {name: machine.get(name) for name in ("processor", "cores")} if isinstance(machine, dict) else {}
-    return {**folder.read_config().workers.to_dict(), **facts}
+    return {**folder.read_config().to_dict()["workers"], **facts}
 
 
 def _has_seed_twice(folders: Sequence[RunFolder]) -> bool:

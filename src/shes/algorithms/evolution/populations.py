@@ -37,7 +37,7 @@ class Hyperparameters:
 
     population_size: int
     """Number of members per generation, including mirrored ones (n)."""
-    episodes_per_policy: Schedule
+    episodes_per_policy: int
     """Number of episodes per member (E). The fitness is their mean return."""
     sigma: Schedule
     """Standard deviation of the perturbations."""
@@ -72,10 +72,6 @@ class Hyperparameters:
     def signs(self, generation: int) -> Signs:
         """Return the signs [G, M, L] of the members that are evaluated by whole episodes."""
         return self.perturbation.signs(generation, self.population_size, self.mirrored, self.by_episodes)
-
-    def episodes(self, generation: int) -> int:
-        """Return the number of episodes per member in `generation`."""
-        return max(1, round(self.episodes_per_policy.value(generation)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +123,7 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
     estimate, snapshot_goals, noted = hyperparameters.intervals, 0, list[int]()
     if estimate is not None and len(state.levels) == 1:
         return branch_work(state, estimate, table_size)
-    signs, episodes = hyperparameters.signs(state.generation), hyperparameters.episodes(state.generation)
+    signs, episodes = hyperparameters.signs(state.generation), hyperparameters.episodes_per_policy
     levels = LevelParameters.of_all(state.levels)
     is_searching = state.archive is not None and not state.archive.way_steps
     if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
