@@ -17,10 +17,9 @@ import shes
 from shes.runs.tables import read_csv
 
 CASES: dict[str, dict[str, Any]] = {
-    "decay in the gradient (as published)": {"hold_tied": False},
-    "decoupled decay (AdamW)": {"hold_tied": False, "weight_decay_form": "decoupled"},
-    "no decay": {"hold_tied": False, "weight_decay": 0.0},
-    "held": {"hold_tied": True},
+    "ranked by index (as published)": {"rank_ties": "index"},
+    "ranked by index, no decay": {"rank_ties": "index", "weight_decay": 0.0},
+    "held": {"rank_ties": "average"},
 }
 SETTINGS: dict[str, Any] = {
     "population_size": 16,

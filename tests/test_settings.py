@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pytest
+from shes.field_texts import field_texts
 
 from shes.checked import checked
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
-from shes.field_texts import field_texts
 from shes.runs.sections import known_settings
 from shes.settings import Choices, Example, Ge, Gt, Le, Lt, Settings, Shown, out_of_range, setting_fields
 

@@ -184,12 +184,10 @@ def every_generation(tmp_path_factory):
     """
     path = tmp_path_factory.mktemp("every") / "run"
     changing = {
-        "sigma_schedule": "linear",
         "sigma_end": 0.2,
-        "learning_rate_schedule": "exponential",
         "learning_rate_end": 0.001,
     }
-    plain = {"optimizer": "sgd", "momentum": 0.0, "weight_decay": 0.0, "population_size": 16, "sigma": 0.1}
+    plain = {"optimizer": "sgd", "weight_decay": 0.0, "population_size": 16, "sigma": 0.1}
     return runs.train_tiny(path, "point-maze", keep_checkpoints=1, schedule_generations=2, **plain, **changing)
 
 

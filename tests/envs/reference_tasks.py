@@ -21,8 +21,7 @@ What these leave open about tasks, and how it is decided here (worlds: see refer
  8. Flagrun for the point: sin, cos, distance / 1000, qpos 2, qvel 2 (clipped in shes); yaw 0.
  9. hiro Gather: sensors span 2 pi around the yaw (as JR and SNN4HRL; rllab's own default is pi); the free radius of 2
     takes only (0, 0) from the lattice; the fall is looked at before pickups, so the objects stay and the episode ends.
-    With `fall_penalty=False` the step of a fall pays its pickups. Its success (not specified) is a score above 0.
-    Its point never falls.
+    Its success (not specified) is a score above 0. Its point never falls.
 10. Divergence: the step ends the episode with reward 0; score is 0 and success False from then on.
 11. The robot's noise is drawn for all of its qpos and qvel: for the point 2 and 2 numbers, in Fall 3 and 3. With
     noise 0 nothing is drawn.
@@ -402,7 +401,7 @@ class ReferenceFlagrun(ReferenceEpisode):
 class ReferenceHiroGather(ReferenceEpisode):
     """rllab's Gather: robot's qpos, unclipped qvel, t, 10 food readings, 10 poison readings; 50 or 25 numbers.
 
-    +1 food, -1 poison nearer than 1; the step of an ant's fall pays -10 in place of its pickups (`fall_penalty`). Ends
+    +1 food, -1 poison nearer than 1; the step of an ant's fall pays -10 in place of its pickups. Ends
     on a fall and when nothing is left. Score: the highest running return, at least 0.
 
     Draws of a reset, behind the robot's: `permutation(99)`. The first 8 are the food and the next 8 the poison, as
@@ -420,14 +419,11 @@ class ReferenceHiroGather(ReferenceEpisode):
         body: BodyName,
         spec: str = "hiro",
         model: mujoco.MjModel | None = None,
-        *,
-        fall_penalty: bool = True,
         **options: Any,
     ) -> None:
         if spec != "hiro":
             raise ValueError("reference_gather.py is the reference of the shes Gather")
         super().__init__(body, spec, model, **options)
-        self.fall_penalty = fall_penalty
         self.food: list[tuple[float, float]] = []
         self.poison: list[tuple[float, float]] = []
         self.food_count = 0
@@ -450,7 +446,7 @@ class ReferenceHiroGather(ReferenceEpisode):
 
     def play_task(self) -> float:
         """Fall or pickups."""
-        if self.has_fallen and self.fall_penalty:
+        if self.has_fallen:
             reward = self.penalty
         else:
             food, self.food = self._pick_up(self.food)

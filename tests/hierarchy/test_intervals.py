@@ -319,7 +319,7 @@ def beside():
 @pytest.fixture(scope="module")
 def alone():
     """A primitive whose episodes run from generation to generation."""
-    case = Case("ant-flagrun", {**ANT, "hold_tied": False})
+    case = Case("ant-flagrun", ANT)
     with case.backend:
         yield case
 

@@ -9,9 +9,8 @@ import pytest
 
 from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
-from shes.es.optimizers import OPTIMIZERS, SGD
+from shes.es.optimizers import SGD
 from shes.es.perturbation import PERTURBATIONS, OneToMany, OneToManyHalves
-from shes.es.shaping import ZScore
 from shes.types import CONTROLLER, PRIMITIVE
 from tests.hierarchy.formula import (
     DIMS,
@@ -21,7 +20,6 @@ from tests.hierarchy.formula import (
     check_against_textbook,
     formula_run,
     formula_state,
-    noise_of,
     same_level,
 )
 
@@ -37,15 +35,14 @@ def table():
 SCHEDULED = replace(
     SETTINGS,
     sigma=changing(0.1, 0.02, 4),
-    learning_rate=changing(0.02, 0.001, 3, "cosine"),
-    episodes_per_policy=changing(1, 4, 3),
+    learning_rate=changing(0.02, 0.001, 3),
 )
 
 
 def test_sigma_and_learning_rate_are_those_of_their_schedules(table):
     backend, reports = formula_run(table, 6, SCHEDULED)
-    sigmas = [0.1, 0.08, 0.06, 0.04, 0.02, 0.02]
-    rates = [0.001 + 0.019 * (1 + math.cos(math.pi * min(t, 3) / 3)) / 2 for t in range(6)]
+    sigmas = [0.1 * 5 ** (-min(t, 4) / 4) for t in range(6)]
+    rates = [0.02 * 20 ** (-min(t, 3) / 3) for t in range(6)]
     told = [report.population.work.generation.sigma for report in reports]
     assert told == pytest.approx(sigmas)
     assert [report.population.learning_rate for report in reports] == pytest.approx(rates)
@@ -60,27 +57,14 @@ def test_generations_with_schedules_are_the_textbooks(table):
 
 def test_the_learning_rate_of_a_schedule_is_that_of_the_step(table):
     rule = UpdateRule(optimizer=SGD(momentum=0.0))
-    settings = replace(SETTINGS, updates=(rule, rule), learning_rate=changing(0.5, 0.1, 2, "linear"))
+    settings = replace(SETTINGS, updates=(rule, rule), learning_rate=changing(0.5, 0.08, 2))
     state = formula_state(settings)
     _, reports = formula_run(table, 3, settings, state=state)
-    for report, rate in zip(reports, (0.5, 0.3, 0.1), strict=True):
+    for report, rate in zip(reports, (0.5, 0.2, 0.08), strict=True):
         for before, update in zip(state.levels, report.updates, strict=True):
             moved = np.linalg.norm(update.level.theta.astype(float) - before.theta)
             assert moved == pytest.approx(rate * update.gradient_norm, rel=1e-4)
         state = report.state
-
-
-def test_the_episodes_of_a_schedule_are_whole_and_one_at_least(table):
-    settings = replace(SETTINGS, episodes_per_policy=changing(4, 0, 8))
-    assert [settings.episodes(t) for t in (0, 1, 2, 6, 7, 8, 99)] == [4, 4, 3, 1, 1, 1, 1]  # 3.5 is rounded to even
-    backend, reports = formula_run(table, 5, SCHEDULED)
-    assert [generation.episodes_per_policy for generation in backend.generations] == [1, 2, 3, 4, 4]
-    steps = 0
-    for report, tasks, episodes in zip(reports, backend.tasks, (1, 2, 3, 4, 4), strict=True):
-        assert report.results.returns.shape == (2, 8, episodes)
-        assert len({(task.member, slot) for task in tasks for slot in task.slots}) == 8 * episodes
-        steps += 8 * sum(100 + slot for slot in range(episodes))
-        assert report.state.env_steps == steps
 
 
 # Levels that rest -----------------------------------------------------------------------------------------------------
@@ -139,7 +123,7 @@ def test_in_halves_both_levels_learn_in_every_generation(table):
 
 
 def test_every_level_has_its_own_rule(table):
-    rules = (UpdateRule(optimizer=OPTIMIZERS.find("clipup")()), UpdateRule(weight_decay=0.1, shaping=ZScore()))
+    rules = (UpdateRule(optimizer=SGD(momentum=0.0)), UpdateRule(weight_decay=0.1))
     settings = replace(SETTINGS, updates=rules)
     state = formula_state(settings)
     _, (report,) = formula_run(table, 1, settings, state=state)
@@ -147,14 +131,5 @@ def test_every_level_has_its_own_rule(table):
         np.linalg.norm(after.theta.astype(float) - before.theta)
         for before, after in zip(state.levels, report.state.levels, strict=True)
     ]
-    assert moved[0] == pytest.approx(0.02, rel=1e-5)  # the first step of ClipUp is as long as the learning rate
-    assert moved[1] == pytest.approx(0.02 * math.sqrt(5), rel=1e-3)  # and that of Adam so in every direction
-    fitness = report.results.fitness[1]
-    scores = (fitness - fitness.mean()) / fitness.std()
-    gradient = sum(
-        score * sign * noise.astype(float)
-        for score, (sign, noise) in zip(
-            scores, [(sign, noise) for noise in noise_of(report, table)[1] for sign in (1, -1, 1, -1)], strict=True
-        )
-    )
-    assert report.updates[1].gradient_norm == pytest.approx(np.linalg.norm(gradient) / 8, rel=1e-4)
+    assert moved[0] == pytest.approx(0.02 * report.updates[0].gradient_norm, rel=1e-4)
+    assert moved[1] == pytest.approx(0.02 * math.sqrt(5), rel=1e-3)  # the first step of Adam in every direction

@@ -157,13 +157,13 @@ def test_each_step_has_the_changes_of_those_before_it_and_the_last_differs_from_
         "point": {
             "views": views,
             "branches": branches - {"intervals"},
-            "ties": {"output_weights", "weight_decay", "hold_tied"},
+            "ties": {"output_weights", "weight_decay"},
         },
         "ant": {
             "views": views,
             "symmetry": {"symmetry"},
             "branches": branches,
-            "gait": {"clock_frequency", "fall_price", "output_weights", "weight_decay", "hold_tied"},
+            "gait": {"clock_frequency", "fall_price", "output_weights", "weight_decay"},
             "goals": {"controller_interval", "controller_output", "minimum_goal_distance"},
             "equivariant": {"controller_view", "controller_network", "hidden", "primitive_hidden"},
         },

@@ -776,7 +776,7 @@ def test_a_piece_left_out_changes_that_piece_alone():
     assert changed["base"] == set()
     assert changed["no-view"] == {"primitive_view", "symmetry"}
     assert changed["episodes"] == {"primitive_estimate", "population_size"}
-    assert changed["sigma-decay"] == {"sigma_schedule", "sigma_end", "schedule_generations"}
+    assert changed["sigma-decay"] == {"sigma_end", "schedule_generations"}
     single = [
         name for name in changed if name not in ("base", "no-view", "sigma-decay", *walker_study.variants()["grid"])
     ]

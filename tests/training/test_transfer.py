@@ -25,7 +25,7 @@ ANT = {
     "evaluation_episodes": 2,
 }
 POINT = {**ANT, "hidden": (3, 2)}
-BROUGHT = {"goal_encoding": "unit_vector", "clock_frequency": 1.5, "hide_position": True}
+BROUGHT = {"goal_encoding": "unit_vector", "clock_frequency": 1.5}
 ROBOT = {"ant": 29, "point": 4}
 
 
@@ -161,7 +161,6 @@ def test_a_primitive_brings_what_it_was_trained_with(point, tmp_path):
         ("goal_encoding", "angle"),
         ("clock_frequency", 2.0),
         ("clock_frequency", None),
-        ("hide_position", False),
         ("primitive_hidden", (3,)),
         ("primitive_hidden", None),
         ("primitive_view", "observation"),
@@ -403,7 +402,7 @@ def controller(path, checkpoint):
 
 
 def test_a_controller_brings_its_parameters_statistics_and_settings(steered, plain, tmp_path):
-    settings = {"controller": steered, "controller_checkpoint": "last", "primitive": plain, "goal_distance": 3.0}
+    settings = {"controller": steered, "primitive": plain, "goal_distance": 3.0}
     path = runs.train_tiny(tmp_path / "run", generations=1, **settings)
     assert same(controller(path, "0"), controller(steered, "last"))
     assert same(primitive(path, "0"), primitive(plain, "best"))

@@ -30,7 +30,7 @@ from tests.e2e import runs
 from tests.training.built import INTERVALS
 from tests.training.recorder import record_generations, recording
 
-STILL = {"reset_noise": 0.0, "evaluation_reset_noise": 0.0}
+STILL = {"reset_noise": 0.0}
 
 
 @dataclass(frozen=True)
@@ -204,74 +204,44 @@ ROWS: dict[str, Row] = {
     "sigma": Row(0.5, sigmas(), [0.5], [0.07]),
     "learning_rate": Row(0.5, learning_rates, [0.5], [0.01]),
     "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 3, [0.005] * 3, **BY_INTERVALS),
-    "weight_decay_form": Row("decoupled", rules("decouples_decay"), [True] * 3, [False] * 3, **BY_INTERVALS),
     "mirrored": Row("pair", lambda r: len(r.of("training")[0].tasks), 8, 4),
-    "fitness_shaping": Row("z_score", spreads, [1, 1], [0.31, 0.31], env="point-maze"),
-    "hold_tied": Row(False, stays, [False, False], [True, False], beside=UNPAID),
+    "fitness_shaping": Row(
+        "pair_rank", lambda r: [type(u.rule.shaping).__name__ for u in r.updates], ["PairRanks"] * 2,
+        ["CentredRanks"] * 2, beside={"mirrored": "pair"},
+    ),
     "rank_ties": Row(
         "index", lambda r: [bool(update.shaped.any()) for update in r.updates], [True, True], [False, True],
         beside=UNPAID,
     ),
-    "rank_ties of top_fraction": Row(
-        "index", lambda r: [bool(update.shaped.any()) for update in r.updates], [True, True], [False, True],
-        beside={"fitness_shaping": "top_fraction", **UNPAID},
-    ),
-    "top_fraction": Row(
-        0.5, num_selected, [8, 8], [4, 4], env="point-maze", beside={"fitness_shaping": "top_fraction"}
-    ),
     "optimizer": Row(
         "sgd", lambda r: [sorted(u.result.level.optimizer.slots) for u in r.updates],
         [["velocity"]] * 2, [["first", "second"]] * 2,
-    ),
-    "momentum": Row(
-        0.5, gradient_share, [0.5, 0.5], [0.1, 0.1], env="point-maze", beside={"optimizer": "sgd", "weight_decay": 0.0}
-    ),
-    "momentum of clipup": Row(
-        0.5, lambda r: [u.rule.optimizer.momentum for u in r.updates], [0.5, 0.5], [0.9, 0.9],
-        beside={"optimizer": "clipup"},
     ),
     "common_random_numbers": Row("population", lambda r: len(r.seeds("training")), 1, 4),
     "statistics_fraction": Row(
         0.25, lambda r: recorded_share(r) < 0.5, True, False, beside={"population_size": 40, "mirrored": "pair"}
     ),
     "noise_table_size": Row(2_000_000, lambda r: r.of("training")[0].table.size, 2_000_000, 1_000_000),
-    # schedules
-    "learning_rate_schedule": Row(
-        "cosine", learning_rates, [0.01, 0.005, 0.0], [0.01],
-        with_it={"learning_rate_end": 0.0, "schedule_generations": 4}, **START_MIDDLE_END,
-    ),
     "learning_rate_end": Row(
-        0.004, learning_rates, [0.01, 0.007, 0.004], [0.01],
-        with_it={"learning_rate_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
+        0.0025, learning_rates, [0.01, 0.005, 0.0025], [0.01],
+        with_it={"schedule_generations": 4}, **START_MIDDLE_END,
     ),
     "learning_rate_end in branches": Row(
-        0.02, learning_rates, [0.04, 0.03, 0.02], [0.04],
-        with_it={"learning_rate_schedule": "linear", "schedule_generations": 4},
+        0.01, learning_rates, [0.04, 0.02, 0.01], [0.04],
+        with_it={"schedule_generations": 4},
         **BY_INTERVALS, **START_MIDDLE_END,
     ),
-    "sigma_schedule": Row(
-        "linear", sigmas(), [0.07, 0.05, 0.03], [0.07] * 3,
-        with_it={"sigma_end": 0.03, "schedule_generations": 4}, **START_MIDDLE_END,
-    ),
     "sigma_end": Row(
-        0.01, sigmas(), [0.07, 0.04, 0.01], [0.07] * 3,
-        with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
+        0.28, sigmas(), [0.07, 0.14, 0.28], [0.07] * 3,
+        with_it={"schedule_generations": 4}, **START_MIDDLE_END,
     ),
     "sigma_end in branches": Row(
-        0.1, sigmas("branch"), [0.2, 0.15, 0.1], [0.2] * 3,
-        with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **BY_INTERVALS, **START_MIDDLE_END,
-    ),
-    "episodes_schedule": Row(
-        "linear", episodes, [1, 3, 5], [1] * 3,
-        with_it={"episodes_end": 5, "schedule_generations": 4}, **START_MIDDLE_END,
-    ),
-    "episodes_end": Row(
-        9, episodes, [1, 5, 9], [1] * 3,
-        with_it={"episodes_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
+        0.05, sigmas("branch"), [0.2, 0.1, 0.05], [0.2] * 3,
+        with_it={"schedule_generations": 4}, **BY_INTERVALS, **START_MIDDLE_END,
     ),
     "schedule_generations": Row(
-        8, sigmas(), [0.07, 0.06, 0.05], [0.07] * 3,
-        with_it={"sigma_schedule": "linear", "sigma_end": 0.03}, **START_MIDDLE_END,
+        8, sigmas(), [0.07, 0.14, 0.28], [0.07] * 3,
+        with_it={"sigma_end": 1.12}, **START_MIDDLE_END,
     ),
     # exploration
     "explore": Row(
@@ -318,7 +288,6 @@ ROWS: dict[str, Row] = {
         "rotation", design(lambda d: d.symmetry and d.symmetry.num_elements), [4, 4], [None, None],
         env="ant-gather", **BY_INTERVALS,
     ),
-    "hide_position": Row(True, design(lambda d: d.observation_sizes[1]), [26], [28]),
     "minimum_goal_distance": Row(False, design(lambda d: d.has_minimum_goal_distance), [False], [True]),
     "controller_output": Row("one_hot", designed("controller_output"), ["OneHotOutput"], ["VectorOutput"]),
     "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"], ["ColumnsView"]),
@@ -326,16 +295,12 @@ ROWS: dict[str, Row] = {
         "equivariant", designed("controller"), ["EquivariantMLP"], ["MLP"],
         beside={"controller_view": "sectors", "controller_output": "heading_direction"},
     ),
-    "controller_weight_decay": Row(
-        0.5, rules("weight_decay"), [0.5, 0.005, 0.005], [0.005] * 3, **BY_INTERVALS
-    ),
     "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]], [[1, 1]] * 2, generations=(0, 1)),
     "primitive_hidden": Row((5, 6), sizes, [[(16,), (5, 6)]], [[(16,)] * 2]),
     # estimate
     "primitive_estimate": Row(
         "interval", lambda r: len(kinds(r)), 2, 1, beside={"primitive_view": "egocentric"}
     ),
-    "primitive_fitness_shaping": Row("z_score", spreads, [0, 1], [0, 0.34], **BY_INTERVALS),
     "intervals": Row(
         1,
         lambda r: (
@@ -365,11 +330,10 @@ ROWS: dict[str, Row] = {
     "evaluation_horizon": Row(
         90, lambda r: (r.of("training")[0].steps, int(r.evaluation.steps.max())), (50, 90), (50, 50)
     ),
-    "evaluation_reset_noise": Row(0.5, batches(spread), [0, 5], [0, 0], beside=STILL),
     # options of tasks
     "spec": Row("hiro", batches(lambda b: b.options.spec), ["hiro"] * 2, ["shes"] * 2),
     "integrator": Row("rk4", batches(lambda b: b.sim.model.opt.integrator), [1] * 2, [0] * 2),
-    "reset_noise": Row(0.5, batches(spread), [5, 0], [0, 0], beside=STILL),
+    "reset_noise": Row(0.5, batches(spread), [5, 1], [0, 1], beside=STILL),
     "target_sampling": Row(
         "free_cells", lambda r: batches(lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0],
         True, False, env="point-maze",
@@ -391,9 +355,6 @@ ROWS: dict[str, Row] = {
         (-8.0, 8.0), batches(lambda b: b._num_waypoints), [1, 0], [0, 0], env="point-push"
     ),
     "observe_block": Row(False, batches(lambda b: b.observe().shape[1]), [7, 7], [11, 11], env="point-push"),
-    "fall_penalty": Row(
-        False, batches(fall_reward), [0.0] * 2, [-10.0] * 2, env="ant-gather", beside={"spec": "hiro", "horizon": 2}
-    ),
     # workers
     "num_workers": Row(2, lambda r: r.num_processes, 2, 1, beside={"backend": "processes"}),
     "worker_warning_s": Row(5.0, limit("worker_warning_s"), 5.0, 60.0, beside={"backend": "processes"}),
@@ -406,7 +367,6 @@ ROWS: dict[str, Row] = {
     "nconmax": Row(40, buffers("nconmax"), {40}, {None}, beside={"device": "warp-cpu"}),
     "njmax": Row(40, buffers("njmax"), {40}, {None}, beside={"device": "warp-cpu"}),
     # run
-    "max_diverged_generations": Row(2, diverged_limit, 2, 10),
     "seed": Row(9, lambda r: r.of("training")[0].tasks[0].seeds[0], first_seed(9), first_seed(1)),
 }  # fmt: skip
 """A row for every setting, by its name. Words after the name tell several places apart."""
@@ -476,10 +436,6 @@ SHOWN: dict[str, tuple[dict[str, Any], Callable[..., Any], Any]] = {
     ),
     "controller": (
         {"controller": "SOURCE"}, lambda path, s: theta(path, "0", "controller") == theta(s, "best", "controller"), True
-    ),
-    "controller_checkpoint": (
-        {"controller": "SOURCE", "controller_checkpoint": "0"},
-        lambda path, s: theta(path, "0", "controller") == theta(s, "0", "controller"), True,
     ),
     "preset": ({}, lambda path, _: RunFolder.open(path).read_config().run.preset, "smoke"),
     "algorithm": (

@@ -62,7 +62,9 @@ def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
 
 def print_completion(shell: str) -> int:
     """Print tyro's script by which `shell` completes commands, flags and choices."""
-    commands = {name: _command(name, find_command(name), DEFAULT_ENV, [_HELP_ALL], shows_help=True) for name in COMMANDS}
+    commands = {
+        name: _command(name, find_command(name), DEFAULT_ENV, [_HELP_ALL], shows_help=True) for name in COMMANDS
+    }
     words = ["--tyro-write-completion", shell, "-"]
     try:
         tyro.extras.subcommand_cli_from_dict(commands, prog="shes", args=words, config=_CONFIG, registry=_VALUES)
@@ -177,7 +179,9 @@ def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequen
     here = by_name(sections) if takes_env else resumable_settings()
     offered = {**(known_settings() if asking is None else {}), **here}
     offered = {name: each for name, each in offered.items() if name not in {*named, "env"}}
-    values = {name: config.values.get(name, each.default) if takes_env else "as before" for name, each in offered.items()}
+    values = dict.fromkeys(offered, "as before")
+    if takes_env:
+        values = {name: config.values.get(name, each.default) for name, each in offered.items()}
     if asking is None:
         return _group("", offered, values)
     if not takes_env:
@@ -202,15 +206,22 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
         kind: Any = Literal[each.choices] if each.choices else each.kind
         metavar = "none|RUN" if name in transferred_levels() else None
         if each.kind is tuple:
-            kind = tuple[each.item, ...] | _Empty if each.can_be_empty and not each.is_optional else tuple[each.item, ...]
+            kind = tuple[each.item, ...]
+            kind = kind | _Empty if each.can_be_empty and not each.is_optional else kind
             metavar = f"{'none|' * (each.can_be_empty or each.is_optional)}{each.item.__name__.upper()} ..."
+        text = each.text
+        if is_brief:
+            text = re.split(r"(?<=\.)\s", text, maxsplit=1)[0]
+            if each.choices:
+                metavar = "NAME"
+                text = text if each.choices[0] in text else f"{text.rstrip('.')}: {', '.join(each.choices)}."
         value = values[name]
         if isinstance(value, tuple):  # the only one that may be empty has the sizes of hidden layers
             value = " ".join(map(str, value)) or "none (linear)"
         shown = tyro.conf.arg(
             name=each.flag[2:],
             aliases=None if is_brief or each.flag == flag(name) else (flag(name),),
-            help=re.split(r"(?<=\.)\s", each.text, maxsplit=1)[0] if is_brief else each.text,
+            help=text,
             help_behavior_hint=f"(default: {'none' if value is None else value})",
             metavar=metavar,
         )

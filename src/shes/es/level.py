@@ -104,7 +104,7 @@ class UpdateRule:
     holds_when_tied: bool = False
     """Whether a level stays unchanged, its optimizer state included, if all its members have the same fitness."""
     fall_price: Annotated[float, Ge(0)] = 0.0
-    """Subtracted from a member's shaped fitness for a fall, zero or positive. The penalty of Gather (`--spec hiro`) is a reward."""
+    """Subtracted from a member's shaped fitness for a fall, zero or positive. It is no part of the return."""
     shaping: FitnessShaping = CentredRanks()
     optimizer: Optimizer = Adam()
 

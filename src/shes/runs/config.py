@@ -108,7 +108,8 @@ class TrainConfig:
         """The values of all settings by name."""
         values = {name: value for own in self.options.values() for name, value in own.items()}
         for own in self.sections.values():
-            values |= {name: getattr(own, name) for name, each in setting_fields(type(own)).items() if not each.has(Unasked)}
+            asked = (each.name for each in setting_fields(type(own)).values() if not each.has(Unasked))
+            values |= {name: getattr(own, name) for name in asked}
         return values
 
     def setting(self, name: str) -> Setting:

@@ -25,7 +25,6 @@ from shes.runs.sections import algorithm_of
 from shes.settings import setting_fields
 from shes.sim.warp_device import is_out_of_memory
 
-
 EVALUATION_RESET_NOISE = 0.1
 """Reset noise of evaluation episodes, whatever that of training is; see `TaskOptions.reset_noise`."""
 

@@ -9,7 +9,6 @@ from typing import Any
 from shes.errors import DivergenceError
 from shes.runs.config import TrainConfig
 
-
 _MOST_GENERATIONS = 10
 """Generations in a row in which every episode diverges, after which a run ends."""
 

@@ -19,7 +19,6 @@ from shes.settings import Needs, setting_fields
 from shes.training.transfer import brought_settings, transferred_levels
 
 
-
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
     """Return the settings of `preset` for `env`, with `overrides` by name.
 

@@ -27,6 +27,7 @@ from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown
 
+
 def _registered(registry: Registry[Any], kind: str) -> Choices:
     """Return the choices of `registry`, to which users can add their own."""
     fix = f"Register your own first: shes.register_{kind}, or --import MODULE."
