@@ -236,7 +236,7 @@ def described(name: str, hint: Any, owner: Any, default: Any = MISSING) -> Setti
         notes += inner
     item, length = kind, None
     if get_origin(kind) is tuple:
-        first, *others = get_args(kind)
+        first, *others = get_args(kind) or (None,)
         item, inner = _unwrapped(first)
         if others != [...]:
             length = 1 + len(others)

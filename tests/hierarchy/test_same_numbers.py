@@ -16,7 +16,7 @@ from shes.es.level import UpdateRule
 from shes.es.noise import NoiseTable
 from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, OneToMany
-from shes.es.shaping import FITNESS_SHAPINGS, CentredRanks, PairRanks
+from shes.es.shaping import FITNESS_SHAPINGS, PairRanks
 from shes.hierarchy.flat import FlatDesign
 from shes.hierarchy.goals import AngleEncoding, MetreAngleEncoding
 from shes.hierarchy.hierarchical import HierarchicalDesign
@@ -55,7 +55,6 @@ SINGLE = replace(SETTINGS, updates=SETTINGS.updates[:1], learns=(True,))
 """Settings for one level."""
 RULES = {
     **{name: UpdateRule(shaping=make(FITNESS_SHAPINGS, name, {})) for name in FITNESS_SHAPINGS},
-    "ranks by index": UpdateRule(shaping=CentredRanks(rank_ties="index")),
     **{name: UpdateRule(optimizer=OPTIMIZERS.find(name)(), weight_decay=0.01) for name in OPTIMIZERS},
 }
 OPTIONS = {
@@ -75,7 +74,7 @@ OPTIONS = {
     "everything": {
         "sigma": changing(0.1, 0.05, 3),
         "episodes_per_policy": 3,
-        "updates": (RULES["ranks by index"], RULES["sgd"]),
+        "updates": (RULES["centred_rank"], RULES["sgd"]),
         "perturbation": OneToMany(),
         "common_random_numbers": "population",
         "statistics_fraction": 0.5,

@@ -28,7 +28,7 @@ from shes.cores import core_numbers, on_one_core
 from shes.errors import ConfigError
 from shes.es.level import TrainState
 from shes.runs.config import TrainConfig
-from shes.runs.sections import RunSettings, by_name, settings_of
+from shes.runs.sections import RunSettings, by_name, settings_by_section
 from shes.runs.tables import csv_text
 from shes.storage import write_atomically
 from shes.training.build import build_backend
@@ -108,7 +108,7 @@ def measure_speedup(
 
 def settings_of(env: str, algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return those of `settings` that `algorithm` has on `env`."""
-    own = by_name(settings_of(RunSettings.of({"env": env, "algorithm": algorithm})))
+    own = by_name(settings_by_section(RunSettings.of({"env": env, "algorithm": algorithm})))
     return {name: value for name, value in settings.items() if name in own}
 
 

@@ -28,7 +28,7 @@ from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError, UnknownNameError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
-from shes.runs.sections import RunSettings, by_name, known_settings, settings_of
+from shes.runs.sections import RunSettings, by_name, known_settings, settings_by_section
 from shes.settings import Setting, flag
 from shes.training.make_config import make_config
 from shes.training.train import resumable_settings
@@ -175,7 +175,7 @@ def _settings_type(named: Mapping[str, Any], config: TrainConfig, asking: Sequen
     With the words `asking` for help, it has a group for each section, or the everyday one. Otherwise it includes every
     known setting; the configuration rejects those that do not apply.
     """
-    takes_env, sections = "env" in named, settings_of(config.run)
+    takes_env, sections = "env" in named, settings_by_section(config.run)
     here = by_name(sections) if takes_env else resumable_settings()
     offered = {**(known_settings() if asking is None else {}), **here}
     offered = {name: each for name, each in offered.items() if name not in {*named, "env"}}

@@ -20,7 +20,7 @@ from shes.runs.sections import (
     by_name,
     check_names,
     sections_of,
-    settings_of,
+    settings_by_section,
     unknown_setting,
 )
 from shes.settings import Execution, Setting, Settings, Unasked, setting_fields
@@ -114,18 +114,18 @@ class TrainConfig:
 
     def setting(self, name: str) -> Setting:
         """Return the description of setting `name`."""
-        return by_name(settings_of(self.run))[name]
+        return by_name(settings_by_section(self.run))[name]
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Return the settings as JSON types, by section."""
         return {
             section: {name: _as_json(self.values[name]) for name in settings}
-            for section, settings in settings_of(self.run).items()
+            for section, settings in settings_by_section(self.run).items()
         }
 
     def numbers(self) -> dict[str, Any]:
         """Return the settings that change the numbers of a run, by name, as JSON types."""
-        settings = by_name(settings_of(self.run))
+        settings = by_name(settings_by_section(self.run))
         return {name: _as_json(self.values[name]) for name, each in settings.items() if not each.has(Execution)}
 
     @property

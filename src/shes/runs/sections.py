@@ -125,7 +125,7 @@ def sections_of(run: RunSettings) -> dict[str, type[Settings]]:
     return {**first, **algorithm_of(run).sections, "environment": env.options, **body, **of_episodes}
 
 
-def settings_of(run: RunSettings) -> dict[str, dict[str, Setting]]:
+def settings_by_section(run: RunSettings) -> dict[str, dict[str, Setting]]:
     """Return the settings of a run by section and name.
 
     Raises:
@@ -167,7 +167,7 @@ def check_names(values: Mapping[str, Any]) -> dict[str, dict[str, Setting]]:
     """Return the settings of a run with `values`; raise ConfigError unless all names in `values` are among them."""
     if "env" not in values:
         raise ConfigError("the configuration names no environment (key 'env').")
-    sections = settings_of(RunSettings.of(values))
+    sections = settings_by_section(RunSettings.of(values))
     here = by_name(sections)
     for name, setting in here.items():
         if name in values and setting.has(Choices):

@@ -13,7 +13,7 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
-from shes.runs.sections import RunSettings, algorithm_of, by_name, check_names, settings_of
+from shes.runs.sections import RunSettings, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.shipped import run_text
 from shes.settings import Needs, setting_fields
 from shes.training.transfer import brought_settings, transferred_levels
@@ -59,7 +59,7 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
     known = [name for name, cls in ALGORITHMS.items() if preset in PRESETS or preset in cls.presets]
     default = RunSettings.algorithm if RunSettings.algorithm in known else known[0]
     run = RunSettings.of({"env": env, "algorithm": asked.get("algorithm", default)})
-    settings = by_name(settings_of(run))
+    settings = by_name(settings_by_section(run))
     if run.algorithm not in known:
         raise ConfigError(
             f"preset {preset!r} is for algorithm {' or '.join(known)}, got algorithm {run.algorithm!r}. "
