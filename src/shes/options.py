@@ -1,20 +1,8 @@
 """Options: settings that a registered class brings, such as how ranks treat ties.
 
-A class brings settings by being a subclass of `Settings`, or by an attribute `Options` that is one:
-
-```python
-@dataclass(frozen=True, kw_only=True)
-class CentredRanks(FitnessShaping, Settings):
-    rank_ties: Annotated[str, Choices(TIES)] = "average"
-    "How equal fitness values are ranked."
-```
-
-The first is for classes that are nothing but their values, such as rewards and optimizers; the second for classes whose
-objects have a state and are made with other arguments: tasks, bodies and backends. An algorithm, which has many, sorts
-its settings into `sections`.
-
-Registering the class is enough: its options become settings of the section in which the class can be chosen. An option
-has a name of its own; classes of one registry may share an option if its type, default and range are the same.
+A class that is nothing but its values, such as a reward, is itself a `Settings` dataclass. A class whose objects have a
+state, such as a task, a body or a backend, has an attribute `Options` that is one. Registering the class is enough: its
+options become settings of the section in which it can be chosen. Classes of one registry may share an option.
 """
 
 from __future__ import annotations
@@ -25,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from shes.errors import ConfigError
 from shes.registry import Registry, check_class, full_name
-from shes.settings import Choices, Needs, Setting, Settings, Unasked, registered, setting_fields
+from shes.settings import Choices, Needs, Setting, Settings, Unasked, setting_fields
 
 T = TypeVar("T")
 
@@ -119,14 +107,12 @@ class _Option(NamedTuple):
     def check_same(self, other: _Option) -> None:
         """Raise ConfigError if `other`, of the same name, is a different option."""
         mine, theirs = ((each.registry.kind, each.setting.hint, each.setting.default) for each in (self, other))
-        if mine == theirs:
-            return
-        is_near = self.registry is other.registry
-        fix = "Give both the same type, default and range, or choose" if is_near else "Choose"
-        raise ConfigError(
-            f"{self.setting.name!r} is an option of {self.registry.kind} {self.choice!r} and a different one of "
-            f"{other.registry.kind} {other.choice!r}. {fix} another name for one of them."
-        )
+        if mine != theirs:
+            raise ConfigError(
+                f"{self.setting.name!r} is an option of {self.registry.kind} {self.choice!r} and a different one of "
+                f"{other.registry.kind} {other.choice!r}. Choose another name for one of them. Only classes of one "
+                "kind may share an option, of the same type, default and range."
+            )
 
 
 def _options_in(settings: Mapping[str, Mapping[str, Setting]]) -> Iterator[_Option]:
@@ -134,7 +120,9 @@ def _options_in(settings: Mapping[str, Mapping[str, Setting]]) -> Iterator[_Opti
     for section, own in settings.items():
         for chooser in own.values():
             for note in chooser.all_of(Choices):
-                for choice, cls in registered(note.names).items():
+                if not isinstance(note.names, Registry):
+                    continue
+                for choice, cls in note.names.items():
                     for option in options_of(cls).values():
                         if not option.has(Unasked):
                             yield _Option(section, chooser.name, note.names, choice, option)

@@ -67,11 +67,11 @@ class Setting:
     is_optional: bool
     """Whether the value may be None."""
     default: Any
-    """Default value; `dataclasses.MISSING` if the setting is required."""
+    """`dataclasses.MISSING` if the setting is required."""
     notes: tuple[Any, ...]
-    """Annotations."""
+    """The annotations inside `hint`."""
     owner: Any
-    """The class of which it is a field, or the function of which it is a parameter."""
+    """The class of the field, or the function of the parameter."""
 
     @property
     def text(self) -> str:
@@ -126,9 +126,11 @@ class Setting:
             ConfigError: The value is not allowed.
             UnknownNameError: The value is an unknown name.
         """
-        value = _plain(value)
-        if value is None and self.is_optional:
-            return None
+        plain = _plain(value)
+        return None if plain is None and self.is_optional else self._checked(plain)
+
+    def _checked(self, value: Any) -> Any:
+        """Return `value`, which is plain and not None by choice."""
         if known := next(self.all_of(Choices), None):
             return self._checked_name(value, known)
         if self.kind is not tuple:
@@ -137,8 +139,9 @@ class Setting:
             return float(value) if self.item is float else value
         if self.length is None and isinstance(value, int | float):
             value = (value,)
-        is_full = isinstance(value, tuple) and self.length in (None, len(value)) and (value or self.can_be_empty)
-        if not is_full or not all(map(self._is_item, value)):
+        if not isinstance(value, tuple) or self.length not in (None, len(value)) or not (value or self.can_be_empty):
+            raise out_of_range(self.name, value, self.allowed, self.flag)
+        if not all(map(self._is_item, value)):
             raise out_of_range(self.name, value, self.allowed, self.flag)
         return tuple(map(float, value)) if self.item is float else value
 
@@ -281,30 +284,21 @@ def field_texts(cls: type) -> dict[str, str]:
     texts: dict[str, str] = {}
     for ancestor in reversed(cls.__mro__[:-1]):
         try:
-            body = _class_bodies(inspect.getsourcefile(ancestor) or "").get(ancestor.__qualname__, [])
+            file = _syntax_tree(inspect.getsourcefile(ancestor) or "")
         except (OSError, TypeError, SyntaxError):
             continue  # a class defined in a console has no source
-        for field, below in pairwise(body):
-            is_text = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
-            if is_text and isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
-                texts[field.target.id] = " ".join(str(below.value.value).split())
+        own = (each for each in ast.walk(file) if isinstance(each, ast.ClassDef) and each.name == ancestor.__name__)
+        for field, below in (pair for each in own for pair in pairwise(each.body)):
+            text = below.value if isinstance(below, ast.Expr) else None
+            if (
+                isinstance(field, ast.AnnAssign)
+                and isinstance(field.target, ast.Name)
+                and isinstance(text, ast.Constant)
+            ):
+                texts[field.target.id] = " ".join(str(text.value).split())
     return texts
 
 
 @cache
-def _class_bodies(file: str) -> dict[str, list[ast.stmt]]:
-    """Return the bodies of the classes in a file by qualified name. `inspect.getsource` would parse it for each."""
-    found: dict[str, list[ast.stmt]] = {}
-
-    def visit(node: ast.AST, prefix: str) -> None:
-        for child in ast.iter_child_nodes(node):
-            if isinstance(child, ast.ClassDef):
-                found[prefix + child.name] = child.body
-                visit(child, f"{prefix}{child.name}.")
-            elif isinstance(child, ast.FunctionDef):
-                visit(child, f"{prefix}{child.name}.<locals>.")
-            elif isinstance(child, ast.stmt):
-                visit(child, prefix)
-
-    visit(ast.parse("".join(linecache.getlines(file))), "")
-    return found
+def _syntax_tree(file: str) -> ast.Module:
+    return ast.parse("".join(linecache.getlines(file)))

@@ -69,7 +69,7 @@ def resume(run: str, settings: dict[str, Any]) -> Run | Listing:
     return folder.train_shown(list(folder.configs))
 
 
-def completion(shell: Literal["bash", "zsh", "fish", "tcsh"]) -> int:
+def completion(shell: Literal["bash", "zsh", "fish"]) -> int:
     """Print a script by which a shell completes commands, flags and choices.
 
     For bash: shes completion bash > ~/.local/share/bash-completion/completions/shes

@@ -25,7 +25,7 @@ from shes.cli.command_table import COMMANDS, find_command
 from shes.cli.output import show, show_steps
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
-from shes.errors import ConfigError, UnknownNameError
+from shes.errors import ConfigError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.sections import RunSettings, by_name, known_settings, settings_by_section
@@ -50,14 +50,11 @@ def call(name: str, function: Callable[..., Any], words: Sequence[str]) -> int:
         env, words = _environment_first(words)
     shows_help = not {"-h", "--help", _HELP_ALL}.isdisjoint(words)
     command = _command(name, function, env, words, shows_help=shows_help)
-    if not shows_help:
+    if shows_help:
+        words = ["--help"]
+    else:
         _check_repeated(words, command)
-        words = list(words)
-    try:
-        arguments = ["--help"] if shows_help else words
-        return tyro.cli(command, prog=f"shes {name}", args=arguments, config=_CONFIG, registry=_VALUES)
-    except SystemExit as end:  # help was shown, or an error was printed
-        return end.code if isinstance(end.code, int) else 2
+    return _exit_code(lambda: tyro.cli(command, prog=f"shes {name}", args=words, config=_CONFIG, registry=_VALUES))
 
 
 def print_completion(shell: str) -> int:
@@ -65,12 +62,16 @@ def print_completion(shell: str) -> int:
     commands = {
         name: _command(name, find_command(name), DEFAULT_ENV, [_HELP_ALL], shows_help=True) for name in COMMANDS
     }
-    words = ["--tyro-write-completion", shell, "-"]
+    given = {"prog": "shes", "args": ["--tyro-write-completion", shell, "-"], "config": _CONFIG, "registry": _VALUES}
+    return _exit_code(lambda: tyro.extras.subcommand_cli_from_dict(commands, **given))
+
+
+def _exit_code(parse: Callable[[], int]) -> int:
+    """Return the exit code of a command, or of tyro, which has printed a help or an error."""
     try:
-        tyro.extras.subcommand_cli_from_dict(commands, prog="shes", args=words, config=_CONFIG, registry=_VALUES)
+        return parse()
     except SystemExit as end:
-        return end.code if isinstance(end.code, int) else 0
-    return 0
+        return end.code if isinstance(end.code, int) else 0 if end.code is None else 2
 
 
 def _command(
@@ -209,7 +210,7 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
             kind = tuple[each.item, ...]
             kind = kind | _Empty if each.can_be_empty and not each.is_optional else kind
             metavar = f"{'none|' * (each.can_be_empty or each.is_optional)}{each.item.__name__.upper()} ..."
-        text = each.text
+        text = each.text.replace("`", "")
         if is_brief:
             text = re.split(r"(?<=\.)\s", text, maxsplit=1)[0]
             if each.choices:
@@ -233,23 +234,6 @@ def _group(title: str, settings: Mapping[str, Setting], values: Mapping[str, Any
 
 class _Empty:
     """Type of the empty tuple, written `none`."""
-
-
-@_VALUES.primitive_rule
-def _name_spec(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[str] | None:
-    """Read one of several names; the error for an unknown one suggests the nearest."""
-    if get_origin(info.type) is not Literal:
-        return None
-    known: tuple[str, ...] = get_args(info.type)
-
-    def read(words: list[str]) -> str:
-        if words[0] not in known:
-            raise ValueError(str(UnknownNameError("name", words[0], known)))  # tyro adds the flag
-        return words[0]
-
-    return PrimitiveConstructorSpec(
-        1, f"{{{','.join(known)}}}", read, known.__contains__, lambda name: [name], choices=known
-    )
 
 
 @_VALUES.primitive_rule
