@@ -116,6 +116,10 @@ def test_the_reward_is_the_way_left_through_the_waypoints_and_evaluation_ignores
     assert task.distance.tolist() == [0, 10]
     task.reset(both[:1], [3])
     assert reward_at((0, 0), (6, 0)) == [-14, -8]
+    # Between 3 and 6 m of a waypoint it is passed where the next one is nearer.
+    task.reset(both, [3, 4])
+    assert reward_at((10, 2.1), (1, 4)) == pytest.approx([-(np.hypot(4, 1.9) + 4), -(np.hypot(5, 4) + 8)])
+    assert reward_at((2, 6.1), (1, 1.9)) == pytest.approx([-np.hypot(4, 1.9), -(np.hypot(5, 1.9) + 8)])
     evaluated = make_task("point-maze", 1, MazeOptions(**options, evaluation_target=(0.0, 5.0), evaluation=True))
     evaluated.reset(both[:1], [1])
     assert evaluated.update_features().tolist() == [-5]
