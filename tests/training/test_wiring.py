@@ -15,7 +15,7 @@ import pytest
 from shes.algorithms.hiro.sections import HIRO_SECTIONS
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
-from shes.errors import ConfigError, DivergenceError
+from shes.errors import ConfigError
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.intervals import branch_work
 from shes.runs.folder import RunFolder
@@ -23,7 +23,6 @@ from shes.runs.sections import known_settings
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
 from shes.training.build import build_algorithm, build_backend
-from shes.training.divergence import Divergence
 from shes.training.evaluate import evaluate
 from shes.training.make_config import make_config
 from tests.e2e import runs
@@ -86,40 +85,14 @@ def spread(batch):
     return round(float(np.abs(batch.sim.qpos).max()) / 0.1)
 
 
-def fall_reward(batch):
-    """Return what an ant is paid that has fallen."""
-    batch.sim.qpos[:, 2] = 5.0
-    batch.step(np.array([0]), np.zeros((len(batch.position), 8)))
-    return float(batch.reward[0])
-
-
 def rules(name):
     """Return what reads an attribute of the rule of every update."""
     return lambda r: [getattr(update.rule, name) for update in r.updates]
 
 
-def spreads(record):
-    """Return the standard deviation of the shaped fitness of every update in which a level was perturbed."""
-    return [round(float(np.std(update.shaped)), 2) for update in record.updates if len(update.shaped)]
-
-
-def num_selected(record):
-    """Return how many members have a positive weight in every update."""
-    return [int((update.shaped > 0).sum()) for update in record.updates]
-
-
 def stays(record):
     """Tell of every update whether the parameters stayed the same."""
     return [np.array_equal(each.before.theta, each.result.level.theta) for each in record.updates]
-
-
-def gradient_share(record):
-    """Return the length of every step, in learning rates and gradients."""
-    return [
-        round(float(np.linalg.norm(each.result.level.theta - each.before.theta)) / each.learning_rate
-              / each.result.gradient_norm, 3)
-        for each in record.updates
-    ]  # fmt: skip
 
 
 def learning_rates(record):
@@ -136,18 +109,6 @@ def sigmas(kind="training"):
 def limit(name):
     """Return what reads a limit of worker processes that give no answer."""
     return lambda r: r.limits[name]
-
-
-def diverged_limit(record):
-    """Return after how many generations in which every episode diverges a run ends."""
-    count, generation = Divergence(record.algorithm.problem.settings), 0
-    while True:
-        generation += 1
-        count.add({"generation": generation, "diverged_rate": 1.0})
-        try:
-            count.check(is_over=False)
-        except DivergenceError:
-            return generation
 
 
 def episodes(record):
@@ -213,6 +174,7 @@ ROWS: dict[str, Row] = {
         "index", lambda r: [bool(update.shaped.any()) for update in r.updates], [True, True], [False, True],
         beside=UNPAID,
     ),
+    "rank_ties of a level that ties": Row("index", stays, [False, False], [True, False], beside=UNPAID),
     "optimizer": Row(
         "sgd", lambda r: [sorted(u.result.level.optimizer.slots) for u in r.updates],
         [["velocity"]] * 2, [["first", "second"]] * 2,
