@@ -147,8 +147,8 @@ def test_names_registered_later_are_allowed_and_suggested(monkeypatch):
 @pytest.mark.parametrize("env", ["point-gather", "point-flagrun", "robotics-ant-maze"])
 def test_a_configuration_can_be_recorded_pickled_and_copied(env):
     config = TrainConfig.of(env=env, hidden=(16, 8), sigma=0.1 + 0.2, minutes=1.5, seed=2**62, rank_ties="index")
+    assert (config.to_dict()["networks"]["hidden"], config.numbers()["hidden"]) == ([16, 8], [16, 8])
     kept = json.loads(json.dumps(config.to_dict()))
-    assert kept["networks"]["hidden"] == [16, 8]
     arrived = pickle.loads(pickle.dumps(config))  # noqa: S301 - our own bytes
     assert TrainConfig.from_dict(kept) == arrived == copy.deepcopy(config) == config
     assert arrived.run.seed == 2**62
