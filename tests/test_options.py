@@ -113,8 +113,8 @@ class Egg(Shape, Settings):
 @pytest.mark.parametrize(
     ("cls", "message"),
     [
-        (Sphere, r"'radius' is an option of shape 'ball' and a different one of shape 'new'\. Choose another name for one"),
-        (Marble, r"'radius' is an option of shape 'ball' and a different one of shape 'new'\. Choose another name for one"),
+        (Sphere, r"'radius' is an option of shape 'ball' and a different one of shape 'new'\. Choose another name"),
+        (Marble, r"'radius' is an option of shape 'ball' and a different one of shape 'new'\. Choose another name"),
         (Egg, r"'other_shape' is an option of shape 'new', but already a setting of section 'other'\. Choose another"),
     ],
 )

@@ -178,7 +178,7 @@ def generation_by_hand(path, config, number):
 
 @pytest.fixture(scope="module")
 def every_generation(tmp_path_factory):
-    """A run that keeps every checkpoint, with plain SGD: its step is the learning rate times the gradient.
+    """A run that keeps every checkpoint, with SGD: its step is the learning rate times the velocity.
 
     Its rewards are dense: of a sparse one, half a population may have no gradient at all.
     """
@@ -198,21 +198,23 @@ def test_gradient_and_update_columns_are_what_the_checkpoints_say(every_generati
         rate = table["learning_rate"][generation - 1]
         for old, new in zip(before, after, strict=True):
             step = new.theta.astype(np.float64) - old.theta
+            velocities = [each.optimizer.slots["velocity"].astype(np.float64) for each in (old, new)]
+            gradient = (velocities[1] - 0.9 * velocities[0]) / 0.1
             assert table[f"{old.name}_gradient_norm"][generation - 1] == pytest.approx(
-                np.linalg.norm(new.optimizer.slots["velocity"].astype(np.float64)), rel=1e-5
+                np.linalg.norm(gradient), rel=1e-4
             )
-            assert table[f"{old.name}_gradient_norm"][generation - 1] == pytest.approx(
-                np.linalg.norm(step) / rate, rel=1e-3
-            )
+            assert np.linalg.norm(step) == pytest.approx(
+                rate * np.linalg.norm(velocities[1]), rel=1e-2
+            )  # theta is float32
             assert table[f"{old.name}_update_ratio"][generation - 1] == pytest.approx(
-                np.linalg.norm(step) / np.linalg.norm(old.theta.astype(np.float64)), rel=1e-3
+                np.linalg.norm(step) / np.linalg.norm(old.theta.astype(np.float64)), rel=1e-2
             )
             assert table[f"{old.name}_theta_norm"][generation - 1] == pytest.approx(np.linalg.norm(new.theta), rel=1e-6)
 
 
 def test_schedules_are_in_the_table(every_generation):
     table = read_csv(every_generation / "progress.csv")
-    np.testing.assert_allclose(table["sigma"], [0.1, 0.15, 0.2, 0.2])
+    np.testing.assert_allclose(table["sigma"], [0.1, math.sqrt(0.1 * 0.2), 0.2, 0.2])
     np.testing.assert_allclose(table["learning_rate"], [0.01, math.sqrt(0.01 * 0.001), 0.001, 0.001])
     assert table["episodes_per_policy"] == [1, 1, 1, 1]
 

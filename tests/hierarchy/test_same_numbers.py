@@ -83,7 +83,7 @@ OPTIONS = {
 ONE_LEVEL = {
     "plain": {},
     "no mirroring, own episodes": {"mirrored": "none", "common_random_numbers": "off"},
-    "schedule": {"sigma": changing(0.1, 0.05, 2)},
+    "schedule": {"sigma": changing(0.2, 0.05, 2)},
 }
 CASES = {
     **{name: ("both", replace(FAKE, **options)) for name, options in OPTIONS.items()},
