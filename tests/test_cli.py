@@ -290,23 +290,6 @@ def test_plot_says_where_the_picture_is(shes, tiny_run, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"curves.png", "b.pdf"}
 
 
-def test_bench_speedup_passes_settings_folder_and_network(shes, monkeypatch, tmp_path):
-    heard = []
-    monkeypatch.setattr("shes.bench.bench.speedup_of", lambda *told: heard.append(told) or {"shes_error": 0.5})
-    words = ("--workers", "2", "--out", str(tmp_path), "--latency-us", "20", "--gigabits-per-s", "100", "--json")
-    assert json.loads(shes("bench", "speedup", "point-gather", *words)) == {"shes_error": 0.5}
-    assert heard == [("point-gather", {"num_workers": 2}, tmp_path, 20.0, 100.0, 0.0)]
-    assert f"{tmp_path}/speedup.csv" in shes("bench", "speedup", "point-gather", *words[:-1])
-
-
-def test_bench_prints_a_table_or_json(shes, monkeypatch):
-    monkeypatch.setattr("shes.bench.measure._REPLAY_S", 0.02)  # how exact it is does not matter here
-    small = ["point-gather", *TINY, "--population-size", 4, "--horizon", 5]
-    found = json.loads(shes("bench", "update", *small, "--json"))
-    assert found["total_ms"] > 0
-    assert re.search(r"ratio +│ +[\d.]+ ", shes("bench", "rollout", *small))
-
-
 # Ctrl-C.
 
 
@@ -333,18 +316,18 @@ def test_ctrl_c_says_how_to_go_on_if_there_is_a_run(capsys, tmp_path, tiny_run, 
 HANDED_ON = {
     "render": (
         ["--checkpoint", "0", "last", "--out=x.mp4", "a run", "b", "--camera", "top", "--episode", 3, "--seed", 7,
-         "--size", 240, "--steps", 50, "--out", "b.mp4", "--labels", "A", "B", "--speed", 2, "--sensors"],
-        {"runs": ("a run", "b"), "checkpoints": ("0", "last"), "labels": ("A", "B"), "camera": "top", "episode": 3,
+         "--size", 240, "--steps", 50, "--out", "b.mp4", "--speed", 2, "--sensors"],
+        {"runs": ("a run", "b"), "checkpoints": ("0", "last"), "camera": "top", "episode": 3,
          "seed": 7, "size": 240, "steps": 50, "speed": 2.0, "sensors": True, "out": "b.mp4"},
     ),
     "watch": (
-        ["a run", "--checkpoint", "12", "--seed", 3, "--no-sensors"],
-        {"run": "a run", "checkpoint": "12", "seed": 3, "sensors": False},
+        ["a run", "--checkpoint", "12", "--seed", 3],
+        {"run": "a run", "checkpoint": "12", "seed": 3},
     ),
     "report": (
-        ["a run", "b", "--out", "a.html", "--labels", "A", "B", "--episodes", 7, "--seed", 3, "--workers", 2,
+        ["a run", "b", "--out", "a.html", "--episodes", 7, "--seed", 3, "--workers", 2,
          "--no-video"],
-        {"runs": ("a run", "b"), "labels": ("A", "B"), "episodes": 7, "seed": 3, "num_workers": 2, "video": False,
+        {"runs": ("a run", "b"), "episodes": 7, "seed": 3, "num_workers": 2, "video": False,
          "out": "a.html"},
     ),
 }  # fmt: skip

@@ -122,7 +122,7 @@ WORDS = {
         r"primitive_hidden must be positive whole numbers, e\.g\. --primitive-hidden 64 64, got \(0,\)",
     ),
     "seconds": (
-        ["bench", "update", "point-gather", "--preset", "smoke", "--seconds", "-1"],
+        ["bench", "rollout", "point-gather", "--preset", "smoke", "--seconds", "-1"],
         r"seconds must be zero or a positive number, got -1\.0\. Set --seconds",
     ),
     # Settings of what is not there.
