@@ -90,7 +90,6 @@ def test_the_choices_are_those_there_are():
     [
         ("render", ["--camera {both,follow,top} Camera. (default: both)", "Checkpoints: best, last or numbers of gen"]),
         ("plot", ["left out if others have one. (required)"]),
-        ("report", ["are a group. (default: none)"]),
     ],
 )
 def test_a_command_has_the_help_of_the_function_behind_it(shes, command, texts):
