@@ -146,7 +146,7 @@ WORDS = {
     "no run to resume": (["resume"], r"Missing from shes resume: RUN The run folder"),
     "no run to plot": (["plot"], r"plot needs at least one run folder: shes plot RUN"),
     "no run to report": (["report"], r"report needs at least one run folder: shes report RUN"),
-    "no run to render": (["render"], r"render needs at least one run: shes render RUN"),
+    "no run to render": (["render"], r"render needs at least one run and one checkpoint: shes render RUN"),
     **{
         f"missing run to {command}": ([command, "gone"], r"gone does not exist\. Give the folder")
         for command in ("resume", "plot", "report")
