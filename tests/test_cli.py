@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.ship import ship
 from shes.cli import main
 from shes.cli.command_table import find_command
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
@@ -24,7 +25,6 @@ from shes.errors import ConfigError
 from shes.runs import shipped
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent
-from shes.training.ship import ship
 from tests.e2e import runs
 
 TINY = runs.flags(**runs.TINY)

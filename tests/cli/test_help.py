@@ -16,8 +16,7 @@ from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
 from shes.runs.sections import execution_settings
-from shes.studies import run_comparison
-from shes.training import export
+from shes.training import comparison, export
 from shes.training.make_config import make_config
 from shes.viewing import plot, render
 
@@ -80,7 +79,7 @@ def test_the_choices_are_those_there_are():
         (plot.plot, "x", plot.X_AXES),
         (render.render, "camera", ("both", *CAMERAS)),
         (export.export, "format", export.FORMATS),
-        (run_comparison.compare_runs, "measure", run_comparison.MEASURES),
+        (comparison.compare_runs, "measure", comparison.MEASURES),
     ):
         assert set(get_args(get_type_hints(function)[name])) == set(known)
 

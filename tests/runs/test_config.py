@@ -27,7 +27,7 @@ from shes.training.build import build_algorithm, build_task
 from shes.training.make_config import make_config
 from tests.e2e import own_classes, runs
 
-OF_BACKENDS = {"worker_warning_s", "ray_address", "worker_timeout_s"}
+OF_BACKENDS = {"ray_address", "worker_timeout_s"}
 EXECUTION = {
     "preset", "backend", "num_workers", "chunk_size", "device", "nconmax", "njmax", "generations", "env_steps",
     "minutes", "keep_checkpoints",
