@@ -102,7 +102,7 @@ def test_a_loaded_agent_plays_as_evaluation_does(run):
     [
         ("point-gather", {"algorithm": "es", "clock_frequency": 1.0}),
         ("point-flagrun", {"goal_encoding": "unit_vector", "clock_frequency": 2.0, "controller_interval": 7}),
-        ("point-gather", {"controller_output": "one_hot", "goal_encoding": "vector", "hide_position": True}),
+        ("point-gather", {"controller_output": "one_hot", "goal_encoding": "vector"}),
     ],
     ids=["flat", "primitive alone", "one hot"],
 )

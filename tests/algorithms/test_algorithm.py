@@ -103,7 +103,7 @@ def test_both_levels_learn(table):
 
 
 def test_every_level_has_its_own_rule(table):
-    rules = (UpdateRule(optimizer=OPTIMIZERS.find("clipup")()), UpdateRule(weight_decay=0.1, shaping=ZScore()))
+    rules = (UpdateRule(optimizer=OPTIMIZERS.find("sgd")()), UpdateRule(weight_decay=0.1, shaping=ZScore()))
     settings = replace(SETTINGS, updates=rules)
     state = formula_state(settings)
     _, (report,) = formula_run(table, 1, settings, state)

@@ -115,16 +115,17 @@ class Events:
 def test_a_reward_that_is_nan_is_told_at_once_and_ends_the_run_with_its_likely_cause(tmp_path, algorithm):
     events = Events()
     message = (
-        r"every episode of the last 3 generations diverged\. Likely cause: a reward or an observation of fog is NaN .*"
-        r"Everything up to the last checkpoint is kept; --max-diverged-generations sets"
+        r"every episode of the last 10 generations diverged\. Likely cause: a reward or an observation of fog is NaN .*"
+        r"Everything up to the last checkpoint is kept\."
     )
-    settings = {**TINY, "generations": 9, "evaluation_interval": 9, "algorithm": algorithm}
+    settings = {**TINY, "generations": 12, "evaluation_interval": 12, "algorithm": algorithm}
     with pytest.raises(DivergenceError, match=message) as caught:
-        runs.train_tiny(tmp_path / "run", "fog", **settings, max_diverged_generations=3, listener=events)
+        runs.train_tiny(tmp_path / "run", "fog", **settings, listener=events)
     assert caught.value.exit_code == 1
-    assert [generation for generation, event in events.seen if event.startswith("all 8 episodes of gen")] == [1, 2, 3]
+    warned = [generation for generation, event in events.seen if event.startswith("all 8 episodes of gen")]
+    assert warned == [*range(1, 11)]
     assert (2, "all 3 episodes of the evaluation diverged: its score does not count") in events.seen
-    assert RunFolder.open(tmp_path / "run").load("last").generation == 3
+    assert RunFolder.open(tmp_path / "run").load("last").generation == 10
     assert any("all 8 episodes of generation 2 diverged" in line for line in runs.log_lines(tmp_path / "run"))
 
 
@@ -138,20 +139,23 @@ def row(generation, rate, **columns):
 
 
 def test_one_sound_generation_begins_the_count_anew():
-    count = Divergence(make_config("point-gather", "smoke", {"max_diverged_generations": 2}))
-    for generation, rate in enumerate([1, 0.9, 1, 0, 1], 1):
+    count = Divergence(make_config("point-gather", "smoke", {}))
+    for generation, rate in enumerate([1] * 9 + [0.9] + [1] * 9 + [0] + [1] * 9, 1):
         assert (count.add(row(generation, rate)) is not None) == (rate == 1)
         count.check(is_over=False)
     count.check(is_over=True)  # not all was in vain
-    count.add(row(6, 1))
-    with pytest.raises(DivergenceError, match="last 2 generations"):
+    count.add(row(30, 1))
+    with pytest.raises(DivergenceError, match="last 10 generations"):
         count.check(is_over=False)
 
 
 def test_returns_of_another_algorithm_that_are_nan_count_too():
-    count = Divergence(make_config("point-gather", "smoke", {"max_diverged_generations": 1}))
+    count = Divergence(make_config("point-gather", "smoke", {}))
     assert count.add({"generation": 7, "policy_return_mean": 0.0}) is None
     assert "no return of generation 8 is finite" in count.add({"generation": 8, "policy_return_mean": float("nan")})
+    for generation in range(9, 18):
+        count.check(is_over=False)
+        count.add({"generation": generation, "policy_return_mean": float("nan")})
     with pytest.raises(DivergenceError):
         count.check(is_over=False)
 

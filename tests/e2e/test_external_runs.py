@@ -192,7 +192,6 @@ def test_the_view_of_the_primitive_may_be_registered(tmp_path):
             {},
             r"the position of the robot of gymnasium:tests/Car-v0 is unknown.*--algorithm es",
         ),
-        ("car", {"hide_position": True}, r"observes no absolute position.*Omit --hide-position"),
     ],
 )
 def test_what_does_not_go_is_one_line_and_leaves_no_folder(tmp_path, env, settings, message):

@@ -383,7 +383,7 @@ def test_what_does_not_fit_is_refused(make, settings, message):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("integrator", "rk4"), ("spec", "shes"), ("reset_noise", 0.1), ("evaluation_reset_noise", 0.3)],
+    [("integrator", "rk4"), ("spec", "shes"), ("reset_noise", 0.1)],
 )
 def test_settings_of_our_own_physics_are_refused(name, value):
     flag = f"--{name.replace('_', '-')}"

@@ -28,7 +28,7 @@ EVERY = {
     "sigma": 0.07,
     "learning_rate": 0.02,
     "weight_decay": 0.005,
-    "hold_tied": False,
+    "rank_ties": "index",
     "controller_interval": 10,
     "noise_table_size": 20_000,
 }

@@ -33,7 +33,6 @@ CHOICES = {
     "unit vector": ("point-maze", {"goal_encoding": "unit_vector", "primitive_reward": "cosine"}),
     "vector": ("point-maze", {"goal_encoding": "vector", "primitive_reward": "negative_distance"}),
     "metres": ("point-fall", {"goal_encoding": "angle_metres", "minimum_goal_distance": True}),
-    "hidden position": ("point-gather", {"hide_position": True}),
     "primitive alone": ("point-flagrun", {}),
     "flat": ("point-gather", {"algorithm": "es"}),
     "flat with a clock": ("point-gather", {"algorithm": "es", "clock_frequency": 1.5}),

@@ -41,7 +41,7 @@ def test_an_environment_that_observes_other_values_than_its_spec_names_is_refuse
         build_algorithm(make_config("point-corner", "smoke"))
 
 
-SCHEDULE = {"sigma_schedule": "linear", "sigma_end": 0.1, "schedule_generations": 2}
+SCHEDULE = {"sigma_end": 0.05, "schedule_generations": 2}
 
 
 @pytest.fixture(scope="module")
@@ -67,17 +67,17 @@ def test_a_primitive_alone_acts_in_branches_as_everywhere_and_has_the_runs_own_r
     assert built.plan.branch_design is None
     estimate = built.intervals
     assert (estimate.population_size, built.rules[0].fall_price) == (8, 2)
-    assert [estimate.sigma.value(g) for g in range(4)] == pytest.approx([0.2, 0.15, 0.1, 0.1])
+    assert [estimate.sigma.value(g) for g in range(4)] == pytest.approx([0.2, 0.1, 0.05, 0.05])
     assert [estimate.sigma.value(g) for g in range(4)] == [built.settings.sigma.value(g) for g in range(4)]
     assert estimate.learning_rate.value(0) == 0.04
 
 
 def test_without_rates_of_its_own_a_primitive_beside_a_controller_has_the_runs():
     built = Built.of("ant-gather", **INTERVALS, **SCHEDULE)
-    assert [built.intervals.sigma.value(g) for g in range(3)] == pytest.approx([0.2, 0.15, 0.1])
+    assert [built.intervals.sigma.value(g) for g in range(3)] == pytest.approx([0.2, 0.1, 0.05])
     own = Built.of("ant-gather", **INTERVALS, **SCHEDULE, primitive_sigma=0.3)
     assert [own.intervals.sigma.value(g) for g in range(3)] == [0.3] * 3
-    assert [own.settings.sigma.value(g) for g in range(3)] == pytest.approx([0.2, 0.15, 0.1])
+    assert [own.settings.sigma.value(g) for g in range(3)] == pytest.approx([0.2, 0.1, 0.05])
 
 
 def test_by_whole_episodes_there_is_nothing_of_the_estimate():

@@ -26,7 +26,7 @@ EGOCENTRIC = {"primitive_view": "egocentric", "goal_encoding": "angle_metres"}
 KINDS = {
     "flat": ("point-gather", {"algorithm": "es"}),
     "flat with a clock": ("ant-maze", {"algorithm": "es", "clock_frequency": 0.8}),
-    "primitive": ("point-flagrun", {"controller_interval": 7, "goal_encoding": "unit_vector", "hide_position": True}),
+    "primitive": ("point-flagrun", {"controller_interval": 7, "goal_encoding": "unit_vector"}),
     "primitive with symmetry": (
         "ant-flagrun",
         {**EGOCENTRIC, "symmetry": "dihedral", "clock_frequency": 1.6, "controller_interval": 7},

@@ -168,7 +168,6 @@ BRANCHES = {"primitive_estimate": "interval", "primitive_view": "egocentric", "p
     ("settings", "policies", "episodes"),
     [
         ({"episodes_per_policy": 2}, 16, 2),
-        ({"episodes_schedule": "linear", "episodes_end": 3}, 16, 3),
         (BRANCHES, 16 + 30, 1),
         ({"algorithm": "td3"}, 0, 1),
     ],

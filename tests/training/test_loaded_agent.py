@@ -179,7 +179,7 @@ PLAYED = {
     "primitive alone": ("point-flagrun", {"controller_interval": 7, "goal_distance": 2.5}),
     "primitive with clock": (
         "point-flagrun",
-        {"clock_frequency": 0.8, "hide_position": True, "goal_encoding": "unit_vector"},
+        {"clock_frequency": 0.8, "primitive_view": "proprioception", "goal_encoding": "unit_vector"},
     ),
     "ant's primitive": ("ant-flagrun", {"controller_interval": 7, "population_size": 4}),
     "one-hot controller": ("point-maze", {"controller_output": "one_hot", "primitive_view": "proprioception"}),

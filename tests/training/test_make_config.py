@@ -16,6 +16,8 @@ PAPER = {
     "controller_interval": 25,
     "goal_distance": 4.0,
     "learning_rate": 0.01,
+    "sigma_end": None,
+    "learning_rate_end": None,
     "sigma": 0.02,
     "generations": 3000,
     # Where Table I is silent: the authors' code (docs/differences.md).
@@ -40,16 +42,11 @@ PAPER = {
     "clock_frequency": None,
     "primitive_estimate": "episode",
     "output_weights": "glorot_normal",
-    "weight_decay_form": "gradient",
-    "hold_tied": False,
-    "learning_rate_schedule": "constant",
-    "sigma_schedule": "constant",
     "max_tilt": None,
     "waypoints": None,
     "explore": "none",
     "freeze_primitive": True,
     "reset_noise": 0.0,
-    "evaluation_reset_noise": 0.1,
     "evaluation_episodes": 10,
     "noise_table_size": 250_000_000,
 }
@@ -62,15 +59,12 @@ def test_the_paper_preset_has_the_numbers_of_table_one(env, name):
     assert make_config(env, "paper").values.get(name, PAPER[name]) == (256 if is_pretraining else PAPER[name])
 
 
-@pytest.mark.parametrize("env", ENVIRONMENTS)
-def test_the_paper_preset_steps_by_euler(env):
-    config = make_config(env, "paper")
-    assert build_options(config, is_evaluation=False).integrator == "euler"
-
-
-def test_the_paper_preset_evaluates_over_the_horizon_of_table_one():
+def test_the_paper_preset_evaluates_as_it_trains():
     config = make_config("ant-gather", "paper")
-    assert (config.episodes.evaluation_horizon or config.episodes.horizon) == 500
+    assert config.evaluation_steps == 500
+    for is_evaluation, noise in ((False, 0.0), (True, 0.1)):
+        options = build_options(config, is_evaluation=is_evaluation)
+        assert (options.integrator, options.reset_noise) == ("euler", noise)
 
 
 @pytest.mark.parametrize("preset", PRESET_NAMES)
@@ -84,19 +78,21 @@ def test_every_preset_suits_every_environment(env, preset):
     assert (config.run.env, config.run.preset) == (env, preset)
 
 
-def test_the_preset_of_table_one_is_for_evolution_alone():
-    """For HIRO it would be a mixture that nobody published."""
-    fix = r"Set --preset laptop, smoke, hiro-paper, hiro-table1, or omit --algorithm"
-    with pytest.raises(ConfigError, match=rf"preset 'paper' is for algorithm shes or es, got algorithm 'hiro'\. {fix}"):
-        make_config("ant-maze", "paper", {"algorithm": "hiro"})
+@pytest.mark.parametrize(
+    ("preset", "algorithm", "message"),
+    [
+        ("paper", "hiro", r"for algorithm shes or es, got algorithm 'hiro'\. Set --preset laptop, smoke, hiro-paper, "),
+        ("hiro-paper", "es", r"for algorithm hiro or td3, got algorithm 'es'\. Set --preset"),
+    ],
+)
+def test_a_preset_is_for_the_algorithms_that_have_it(preset, algorithm, message):
+    with pytest.raises(ConfigError, match=rf"preset '{preset}' is {message}"):
+        make_config("ant-maze", preset, {"algorithm": algorithm})
 
 
 def test_a_preset_of_hiro_brings_its_algorithm():
     assert make_config("ant-maze", "hiro-paper").run.algorithm == "hiro"
     assert make_config("ant-maze", "hiro-paper", {"algorithm": "td3"}).learner.hidden == (300, 300)
-    message = r"preset 'hiro-paper' is for algorithm hiro or td3, got algorithm 'es'\. Set --preset"
-    with pytest.raises(ConfigError, match=message):
-        make_config("ant-maze", "hiro-paper", {"algorithm": "es"})
 
 
 def test_the_presets_of_hiro_have_the_published_numbers():
@@ -155,81 +151,73 @@ def test_wrong_names_are_refused():
         make_config("ant-gather", "smoke", {"lerning_rate": 1})
 
 
-@pytest.mark.parametrize(
-    ("settings", "fix"),
-    [
-        ({"momentum": 0.5}, "momentum has no effect with optimizer 'adam'.*Set --optimizer to sgd or clipup"),
-        ({"top_fraction": 0.5}, "top_fraction has no effect with fitness_shaping 'centred_rank'.*--fitness-shaping"),
-        (
-            {"rank_ties": "index", "fitness_shaping": "z_score"},
-            "rank_ties has no effect with fitness_shaping 'z_score'",
-        ),
-        (
-            {"schedule_generations": 50},
-            "schedule_generations has no effect with learning_rate_end None, .*, got 50.*omit --sched",
-        ),
-        (
-            {"perturbation": "one_to_many", "algorithm": "es"},
-            "perturbation is not a setting of a run of point-gather with algorithm 'es', got 'one_to_many'. Omit --",
-        ),
-    ],
-)
-def test_a_setting_that_would_do_nothing_beside_another_is_refused(settings, fix):
-    with pytest.raises(ConfigError, match=fix):
-        make_config("point-gather", "laptop", settings)
-    helped = {
-        "momentum": {"optimizer": "sgd"},
-        "schedule_generations": {"sigma_schedule": "linear", "sigma_end": 0.01},
-        "perturbation": {"algorithm": "shes"},
-    }.get(next(iter(settings)))
-    if helped is not None:
-        make_config("point-gather", "laptop", {**settings, **helped})
+OF_INTERVALS = r"is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"
+IDLE = {
+    # A setting that has no effect: the environment, all settings, the message, what helps.
+    "rank_ties": (
+        "point-gather", {"fitness_shaping": "pair_rank", "mirrored": "pair", "rank_ties": "index"},
+        "rank_ties has no effect with fitness_shaping 'pair_rank', got 'index'. Set --fitness-shaping to centred_rank",
+        {"fitness_shaping": "centred_rank"},
+    ),
+    "schedule_generations": (
+        "point-gather", {"schedule_generations": 50},
+        "schedule_generations has no effect with sigma_end None, learning_rate_end None, got 50.*omit --schedule-gen",
+        {"sigma_end": 0.01},
+    ),
+    "freeze_primitive": (
+        "ant-gather", {"freeze_primitive": False},
+        r"freeze_primitive has no effect with primitive None, got False\. Set --primitive, or omit --freeze-primitive",
+        {"primitive": "ant-walker"},
+    ),
+    "explore_horizon": (
+        "ant-maze", {"explore": "none", "explore_horizon": 900},
+        "explore_horizon has no effect with explore 'none', got 900", {"explore": "archive"},
+    ),
+    **{
+        name: ("ant-flagrun", {name: value}, rf"{name} .* {OF_INTERVALS}", {"primitive_estimate": "episode"})
+        for name, value in {
+            "fitness_shaping": "centred_rank", "mirrored": "none", "episodes_per_policy": 5,
+            "common_random_numbers": "off", "statistics_fraction": 0.0,
+        }.items()
+    },
+    "perturbation": (
+        "ant-gather", {"perturbation": "one_to_many"},
+        "needs two levels evaluated by whole episodes; in this run only the controller is; got 'one_to_many'",
+        {"primitive_estimate": "episode"},
+    ),
+    "perturbation with a frozen level": (
+        "ant-gather", {"perturbation": "one_to_many", "primitive": "ant-walker"},
+        "--perturbation needs two learning levels; in this run only the controller learns", None,
+    ),
+    **{
+        name: (
+            "ant-gather", {"primitive": "ant-walker", name: value},
+            f"{name} has no effect on a frozen primitive; got {value}", {"freeze_primitive": False},
+        )
+        for name, value in {
+            "intervals": 5, "fall_price": 0.0, "primitive_sigma": 0.3, "primitive_population_size": 6,
+        }.items()
+    },
+    **{
+        name: (
+            "gymnasium:shes/PointMaze-v0", {name: value}, f"{name} has no effect on gymnasium:.* its own physics", None,
+        )
+        for name, value in {"reset_noise": 0.0, "spec": "shes"}.items()
+    },
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("fitness_shaping", "z_score"),
-        ("mirrored", "none"),
-        ("episodes_per_policy", 5),
-        ("common_random_numbers", "off"),
-        ("statistics_fraction", 0.1),
-    ],
-)
-def test_what_concerns_whole_episodes_is_refused_where_there_are_none(name, value):
-    message = rf"{name} .* is evaluated by intervals: it applies to whole episodes only; .*--primitive-estimate episode"
+@pytest.mark.parametrize("case", IDLE)
+def test_a_setting_without_effect_is_refused_with_what_helps(case):
+    env, settings, message, helps = IDLE[case]
     with pytest.raises(ConfigError, match=message):
-        make_config("ant-flagrun", "laptop", {name: value})
-    chosen = make_config("ant-flagrun", "laptop", {name: value, "primitive_estimate": "episode"})
-    assert chosen.values[name] == value
+        make_config(env, "laptop", settings)
+    if helps is not None:
+        helped = {**settings, **helps}
+        assert {name: make_config(env, "laptop", helped).values[name] for name in helped} == helped
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({}, "needs two levels evaluated by whole episodes; in this run only the controller is; got 'one_to_many'"),
-        (
-            {"primitive": "ant-walker"},
-            "--perturbation needs two learning levels; in this run only the controller l",
-        ),
-    ],
-)
-def test_two_levels_that_do_not_both_learn_from_whole_episodes_do_not_share_the_population(settings, message):
-    with pytest.raises(ConfigError, match=message):
-        make_config("ant-gather", "laptop", {"perturbation": "one_to_many", **settings})
-
-
-def test_options_of_a_shaping_may_concern_the_primitives():
-    own = {"primitive_fitness_shaping": "top_fraction", "top_fraction": 0.3}
-    assert make_config("ant-gather", "laptop", own).evolution.top_fraction == 0.3
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("intervals", 5), ("fall_price", 5.0), ("primitive_sigma", 0.3), ("primitive_population_size", 6)],
-)
-def test_what_concerns_branches_is_refused_where_the_primitive_stays_as_it_is(name, value):
-    with pytest.raises(ConfigError, match=rf"{name} has no effect on a frozen primitive; got {value}"):
-        make_config("ant-gather", "laptop", {"primitive": "ant-walker", name: value})
-    learns_on = make_config("ant-gather", "laptop", {"primitive": "ant-walker", "freeze_primitive": False, name: value})
-    assert learns_on.values[name] == value
+def test_a_preset_may_set_what_has_no_effect():
+    for settings in ({"algorithm": "es"}, {}):
+        for preset in ("paper", "laptop", "smoke"):
+            assert make_config("point-flagrun", preset, settings).run.preset == preset

@@ -196,9 +196,9 @@ def test_values_are_read_as_their_setting_needs():
         "num_workers": {"1": 1, "2": 2},
         "primitive_sigma": {"none": None, "0.1": 0.1},
     }
-    assert read_sweep(["hidden=none,64x32", "hide_position=true,false", "algorithm=es,shes"]) == {
+    assert read_sweep(["hidden=none,64x32", "freeze_primitive=true,false", "algorithm=es,shes"]) == {
         "hidden": {"none": (), "64x32": (64, 32)},
-        "hide_position": {"true": True, "false": False},
+        "freeze_primitive": {"true": True, "false": False},
         "algorithm": {"es": "es", "shes": "shes"},
     }
 

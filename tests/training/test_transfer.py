@@ -25,7 +25,7 @@ ANT = {
     "evaluation_episodes": 2,
 }
 POINT = {**ANT, "hidden": (3, 2)}
-BROUGHT = {"goal_encoding": "unit_vector", "clock_frequency": 1.5, "hide_position": True}
+BROUGHT = {"goal_encoding": "unit_vector", "clock_frequency": 1.5}
 ROBOT = {"ant": 29, "point": 4}
 
 
@@ -152,7 +152,7 @@ def test_a_primitive_brings_what_it_was_trained_with(point, tmp_path):
     }  # fmt: skip
     assert best > 0
     # Goal 3, clock 2, robot 4 without x and y.
-    assert len(primitive(path, "last").statistics.total) == 3 + 2 + ROBOT["point"] - 2
+    assert len(primitive(path, "last").statistics.total) == 3 + 2 + ROBOT["point"]
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,6 @@ def test_a_primitive_brings_what_it_was_trained_with(point, tmp_path):
         ("goal_encoding", "angle"),
         ("clock_frequency", 2.0),
         ("clock_frequency", None),
-        ("hide_position", False),
         ("primitive_hidden", (3,)),
         ("primitive_hidden", None),
         ("primitive_view", "observation"),
@@ -321,7 +320,7 @@ def test_a_primitive_that_does_not_fit_is_refused_with_both_layouts(point, tmp_p
         runs.train_tiny(tmp_path / "run", "point-fall", primitive=str(point))
     first, theirs, ours, fix = str(error.value).splitlines()
     assert first == f"the primitive of {point} does not fit point-fall."
-    assert theirs.startswith("It was trained on point-flagrun: 7 inputs (")
+    assert theirs.startswith("It was trained on point-flagrun: 9 inputs (")
     assert theirs.endswith(") of specification shes and 2 controls of up to 1.")
     assert ours.startswith("Here there is: ")
     assert ours.endswith(") of specification shes and 2 controls of up to 1.")
@@ -403,16 +402,16 @@ def controller(path, checkpoint):
 
 
 def test_a_controller_brings_its_parameters_statistics_and_settings(steered, plain, tmp_path):
-    settings = {"controller": steered, "controller_checkpoint": "last", "primitive": plain, "goal_distance": 3.0}
+    settings = {"controller": steered, "primitive": plain, "goal_distance": 3.0}
     path = runs.train_tiny(tmp_path / "run", generations=1, **settings)
-    assert same(controller(path, "0"), controller(steered, "last"))
+    assert same(controller(path, "0"), controller(steered, "best"))
     assert same(primitive(path, "0"), primitive(plain, "best"))
-    assert not same(controller(path, "last"), controller(steered, "last"))  # it learns on
+    assert not same(controller(path, "last"), controller(steered, "best"))  # it learns on
     config = RunFolder.open(path).read_config()
     expected = {**BY_CONTROLLER, **FROM_CONTROLLER, "goal_distance": 3.0}
     assert {name: config.values[name] for name in expected} == expected
     record = json.loads((path / "config.json").read_text())
-    origin = {"run": str(steered), "env": "point-gather", "checkpoint": "last", "generation": 2}
+    origin = {"run": str(steered), "env": "point-gather", "checkpoint": "best"}
     assert record["controller"].items() >= origin.items()
     assert record["primitive"]["run"] == str(plain)
 

@@ -16,21 +16,20 @@ from shes.algorithms.evolution.estimates import draw_pairs
 from shes.baselines.learner_settings import HIRO_SECTIONS
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
-from shes.errors import ConfigError, DivergenceError
+from shes.errors import ConfigError
 from shes.es.streams import Purpose, stream
 from shes.runs.folder import RunFolder
 from shes.runs.sections import known_settings
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
 from shes.training.build import build_algorithm, build_backend
-from shes.training.divergence import Divergence
 from shes.training.evaluate import evaluate
 from shes.training.make_config import make_config
 from tests.e2e import runs
 from tests.training.built import INTERVALS
 from tests.training.recorder import record_generations, recording
 
-STILL = {"reset_noise": 0.0, "evaluation_reset_noise": 0.0}
+STILL = {"reset_noise": 0.0}
 
 
 @dataclass(frozen=True)
@@ -86,40 +85,14 @@ def spread(batch):
     return round(float(np.abs(batch.sim.qpos).max()) / 0.1)
 
 
-def fall_reward(batch):
-    """Return what an ant is paid that has fallen."""
-    batch.sim.qpos[:, 2] = 5.0
-    batch.step(np.array([0]), np.zeros((len(batch.position), 8)))
-    return float(batch.reward[0])
-
-
 def rules(name):
     """Return what reads an attribute of the rule of every update."""
     return lambda r: [getattr(update.rule, name) for update in r.updates]
 
 
-def spreads(record):
-    """Return the standard deviation of the shaped fitness of every update in which a level was perturbed."""
-    return [round(float(np.std(update.shaped)), 2) for update in record.updates if len(update.shaped)]
-
-
-def num_selected(record):
-    """Return how many members have a positive weight in every update."""
-    return [int((update.shaped > 0).sum()) for update in record.updates]
-
-
 def stays(record):
     """Tell of every update whether the parameters stayed the same."""
     return [np.array_equal(each.before.theta, each.result.level.theta) for each in record.updates]
-
-
-def gradient_share(record):
-    """Return the length of every step, in learning rates and gradients."""
-    return [
-        round(float(np.linalg.norm(each.result.level.theta - each.before.theta)) / each.learning_rate
-              / each.result.gradient_norm, 3)
-        for each in record.updates
-    ]  # fmt: skip
 
 
 def learning_rates(record):
@@ -136,18 +109,6 @@ def sigmas(kind="training"):
 def limit(name):
     """Return what reads a limit of worker processes that give no answer."""
     return lambda r: r.limits[name]
-
-
-def diverged_limit(record):
-    """Return after how many generations in which every episode diverges a run ends."""
-    count, generation = Divergence(record.algorithm.problem.settings), 0
-    while True:
-        generation += 1
-        count.add({"generation": generation, "diverged_rate": 1.0})
-        try:
-            count.check(is_over=False)
-        except DivergenceError:
-            return generation
 
 
 def episodes(record):
@@ -205,74 +166,45 @@ ROWS: dict[str, Row] = {
     "sigma": Row(0.5, sigmas(), [0.5], [0.07]),
     "learning_rate": Row(0.5, learning_rates, [0.5], [0.01]),
     "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2, [0.005] * 2, **BY_INTERVALS),
-    "weight_decay_form": Row("decoupled", rules("decouples_decay"), [True] * 2, [False] * 2, **BY_INTERVALS),
     "mirrored": Row("pair", lambda r: len(r.of("training")[0].tasks), 8, 4),
-    "fitness_shaping": Row("z_score", spreads, [1, 1], [0.31, 0.31], env="point-maze"),
-    "hold_tied": Row(False, stays, [False, False], [True, False], beside=UNPAID),
+    "fitness_shaping": Row(
+        "pair_rank", lambda r: [type(u.rule.shaping).__name__ for u in r.updates], ["PairRanks"] * 2,
+        ["CentredRanks"] * 2, beside={"mirrored": "pair"},
+    ),
     "rank_ties": Row(
         "index", lambda r: [bool(update.shaped.any()) for update in r.updates], [True, True], [False, True],
         beside=UNPAID,
     ),
-    "rank_ties of top_fraction": Row(
-        "index", lambda r: [bool(update.shaped.any()) for update in r.updates], [True, True], [False, True],
-        beside={"fitness_shaping": "top_fraction", **UNPAID},
-    ),
-    "top_fraction": Row(
-        0.5, num_selected, [8, 8], [4, 4], env="point-maze", beside={"fitness_shaping": "top_fraction"}
-    ),
+    "rank_ties of a level that ties": Row("index", stays, [False, False], [True, False], beside=UNPAID),
     "optimizer": Row(
         "sgd", lambda r: [sorted(u.result.level.optimizer.slots) for u in r.updates],
         [["velocity"]] * 2, [["first", "second"]] * 2,
-    ),
-    "momentum": Row(
-        0.5, gradient_share, [0.5, 0.5], [0.1, 0.1], env="point-maze", beside={"optimizer": "sgd", "weight_decay": 0.0}
-    ),
-    "momentum of clipup": Row(
-        0.5, lambda r: [u.rule.optimizer.momentum for u in r.updates], [0.5, 0.5], [0.9, 0.9],
-        beside={"optimizer": "clipup"},
     ),
     "common_random_numbers": Row("population", lambda r: len(r.seeds("training")), 1, 4),
     "statistics_fraction": Row(
         0.25, lambda r: recorded_share(r) < 0.5, True, False, beside={"population_size": 40, "mirrored": "pair"}
     ),
     "noise_table_size": Row(2_000_000, lambda r: r.of("training")[0].table.size, 2_000_000, 1_000_000),
-    # schedules
-    "learning_rate_schedule": Row(
-        "cosine", learning_rates, [0.01, 0.005, 0.0], [0.01],
-        with_it={"learning_rate_end": 0.0, "schedule_generations": 4}, **START_MIDDLE_END,
-    ),
     "learning_rate_end": Row(
-        0.004, learning_rates, [0.01, 0.007, 0.004], [0.01],
-        with_it={"learning_rate_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
+        0.0025, learning_rates, [0.01, 0.005, 0.0025], [0.01],
+        with_it={"schedule_generations": 4}, **START_MIDDLE_END,
     ),
     "learning_rate_end in branches": Row(
-        0.02, learning_rates, [0.04, 0.03, 0.02], [0.04],
-        with_it={"learning_rate_schedule": "linear", "schedule_generations": 4},
+        0.01, learning_rates, [0.04, 0.02, 0.01], [0.04],
+        with_it={"schedule_generations": 4},
         **BY_INTERVALS, **START_MIDDLE_END,
     ),
-    "sigma_schedule": Row(
-        "linear", sigmas(), [0.07, 0.05, 0.03], [0.07] * 3,
-        with_it={"sigma_end": 0.03, "schedule_generations": 4}, **START_MIDDLE_END,
-    ),
     "sigma_end": Row(
-        0.01, sigmas(), [0.07, 0.04, 0.01], [0.07] * 3,
-        with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
+        0.28, sigmas(), [0.07, 0.14, 0.28], [0.07] * 3,
+        with_it={"schedule_generations": 4}, **START_MIDDLE_END,
     ),
     "sigma_end in branches": Row(
-        0.1, sigmas("branch"), [0.2, 0.15, 0.1], [0.2] * 3,
-        with_it={"sigma_schedule": "linear", "schedule_generations": 4}, **BY_INTERVALS, **START_MIDDLE_END,
-    ),
-    "episodes_schedule": Row(
-        "linear", episodes, [1, 3, 5], [1] * 3,
-        with_it={"episodes_end": 5, "schedule_generations": 4}, **START_MIDDLE_END,
-    ),
-    "episodes_end": Row(
-        9, episodes, [1, 5, 9], [1] * 3,
-        with_it={"episodes_schedule": "linear", "schedule_generations": 4}, **START_MIDDLE_END,
+        0.05, sigmas("branch"), [0.2, 0.1, 0.05], [0.2] * 3,
+        with_it={"schedule_generations": 4}, **BY_INTERVALS, **START_MIDDLE_END,
     ),
     "schedule_generations": Row(
-        8, sigmas(), [0.07, 0.06, 0.05], [0.07] * 3,
-        with_it={"sigma_schedule": "linear", "sigma_end": 0.03}, **START_MIDDLE_END,
+        8, sigmas(), [0.07, 0.14, 0.28], [0.07] * 3,
+        with_it={"sigma_end": 1.12}, **START_MIDDLE_END,
     ),
     # exploration
     "explore": Row(
@@ -319,16 +251,14 @@ ROWS: dict[str, Row] = {
         "rotation", design(lambda d: d.symmetry and d.symmetry.num_elements), [4, 4], [None, None],
         env="ant-gather", **BY_INTERVALS,
     ),
-    "hide_position": Row(True, design(lambda d: d.observation_sizes[1]), [26], [28]),
     "minimum_goal_distance": Row(False, design(lambda d: d.controller.has_minimum_goal_distance), [False], [True]),
-    "controller_output": Row("one_hot", design(lambda d: type(d.controller.output).__name__), ["OneHotOutput"], ["VectorOutput"]),
+    "controller_output": Row(
+        "one_hot", design(lambda d: type(d.controller.output).__name__), ["OneHotOutput"], ["VectorOutput"]
+    ),
     "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"], ["ColumnsView"]),
     "controller_network": Row(
         "equivariant", design(lambda d: type(d.controller.network).__name__), ["EquivariantMLP"], ["MLP"],
         beside={"controller_view": "sectors", "controller_output": "heading_direction"},
-    ),
-    "controller_weight_decay": Row(
-        0.5, rules("weight_decay"), [0.5, 0.005], [0.005] * 2, **BY_INTERVALS
     ),
     "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]], [[1, 1]] * 2, generations=(0, 1)),
     "primitive_hidden": Row((5, 6), sizes, [[(16,), (5, 6)]], [[(16,)] * 2]),
@@ -336,7 +266,6 @@ ROWS: dict[str, Row] = {
     "primitive_estimate": Row(
         "interval", lambda r: len(kinds(r)), 2, 1, beside={"primitive_view": "egocentric"}
     ),
-    "primitive_fitness_shaping": Row("z_score", spreads, [0, 1], [0, 0.34], **BY_INTERVALS),
     "intervals": Row(
         1,
         lambda r: (
@@ -366,11 +295,10 @@ ROWS: dict[str, Row] = {
     "evaluation_horizon": Row(
         90, lambda r: (r.of("training")[0].steps, int(r.evaluation.steps.max())), (50, 90), (50, 50)
     ),
-    "evaluation_reset_noise": Row(0.5, batches(spread), [0, 5], [0, 0], beside=STILL),
     # options of tasks
     "spec": Row("hiro", batches(lambda b: b.options.spec), ["hiro"] * 2, ["shes"] * 2),
     "integrator": Row("rk4", batches(lambda b: b.sim.model.opt.integrator), [1] * 2, [0] * 2),
-    "reset_noise": Row(0.5, batches(spread), [5, 0], [0, 0], beside=STILL),
+    "reset_noise": Row(0.5, batches(spread), [5, 1], [0, 1], beside=STILL),
     "target_sampling": Row(
         "free_cells", lambda r: batches(lambda b: all(is_free(Maze.grid, *each) for each in b.target))(r)[0],
         True, False, env="point-maze",
@@ -392,9 +320,6 @@ ROWS: dict[str, Row] = {
         (-8.0, 8.0), batches(lambda b: b._num_waypoints), [1, 0], [0, 0], env="point-push"
     ),
     "observe_block": Row(False, batches(lambda b: b.observe().shape[1]), [7, 7], [11, 11], env="point-push"),
-    "fall_penalty": Row(
-        False, batches(fall_reward), [0.0] * 2, [-10.0] * 2, env="ant-gather", beside={"spec": "hiro", "horizon": 2}
-    ),
     # workers
     "num_workers": Row(2, lambda r: r.num_processes, 2, 1, beside={"backend": "processes"}),
     "worker_timeout_s": Row(None, limit("worker_timeout_s"), None, 600.0, beside={"backend": "processes"}),
@@ -406,7 +331,6 @@ ROWS: dict[str, Row] = {
     "nconmax": Row(40, buffers("nconmax"), {40}, {None}, beside={"device": "warp-cpu"}),
     "njmax": Row(40, buffers("njmax"), {40}, {None}, beside={"device": "warp-cpu"}),
     # run
-    "max_diverged_generations": Row(2, diverged_limit, 2, 10),
     "seed": Row(9, lambda r: r.of("training")[0].tasks[0].seeds[0], first_seed(9), first_seed(1)),
 }  # fmt: skip
 """A row for every setting, by its name. Words after the name tell several places apart."""
@@ -476,10 +400,6 @@ SHOWN: dict[str, tuple[dict[str, Any], Callable[..., Any], Any]] = {
     ),
     "controller": (
         {"controller": "SOURCE"}, lambda path, s: theta(path, "0", "controller") == theta(s, "best", "controller"), True
-    ),
-    "controller_checkpoint": (
-        {"controller": "SOURCE", "controller_checkpoint": "0"},
-        lambda path, s: theta(path, "0", "controller") == theta(s, "0", "controller"), True,
     ),
     "preset": ({}, lambda path, _: RunFolder.open(path).read_config().run.preset, "smoke"),
     "algorithm": (

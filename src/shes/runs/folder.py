@@ -254,16 +254,14 @@ class RunFolder:
         checkpoint, config = load_checkpoint(path, check, with_state=with_state), self.read_config()
         mine, seed = config.numbers(), int(checkpoint.arrays["seed"])
         # Settings that are newer than the checkpoint have their defaults, which change nothing.
-        missing = {name: config.setting(name).default for name in mine if name not in checkpoint.numbers}
-        checkpoint = replace(checkpoint, numbers={**missing, **checkpoint.numbers})
-        if checkpoint.numbers != mine:
-            keys = sorted(mine.keys() | checkpoint.numbers.keys())
-            other = [key for key in keys if checkpoint.numbers.get(key) != mine.get(key)]
-            shown = ", ".join(f"{key} is {checkpoint.numbers.get(key)!r}, not {mine.get(key)!r}" for key in other[:3])
+        theirs = {key: checkpoint.numbers.get(key, config.setting(key).default) for key in mine}
+        if theirs != mine:
+            other = [key for key in sorted(mine) if theirs[key] != mine[key]]
+            shown = ", ".join(f"{key} is {theirs[key]!r}, not {mine[key]!r}" for key in other[:3])
             raise CheckpointError(f"{path} is of another run: {shown}. Put back the checkpoint of this run.")
         if seed != config.run.seed:
             raise CheckpointError(f"{path} is damaged: its seed is {seed}, not {config.run.seed}. Take another one.")
-        return checkpoint
+        return replace(checkpoint, numbers=mine)
 
     def read_record(self) -> dict[str, Any]:
         """Return the content of `config.json`, settings and provenance; raise RunFolderError if it is damaged."""

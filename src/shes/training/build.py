@@ -25,6 +25,9 @@ from shes.runs.sections import algorithm_of
 from shes.settings import setting_fields
 from shes.sim.warp_device import is_out_of_memory
 
+EVALUATION_RESET_NOISE = 0.1
+"""Reset noise of evaluation episodes, whatever that of training is; see `TaskOptions.reset_noise`."""
+
 
 def build_environment(config: TrainConfig) -> EnvironmentMaker:
     """Return the environment of `config`."""
@@ -34,7 +37,7 @@ def build_environment(config: TrainConfig) -> EnvironmentMaker:
 
 def build_options(config: TrainConfig, *, is_evaluation: bool) -> TaskOptions:
     """Return the options of the environment for training or evaluation."""
-    noise = config.episodes.evaluation_reset_noise if is_evaluation else config.environment.reset_noise
+    noise = EVALUATION_RESET_NOISE if is_evaluation else config.environment.reset_noise
     return replace(config.environment, reset_noise=noise, evaluation=is_evaluation)
 
 

@@ -9,12 +9,15 @@ from typing import Any
 from shes.errors import DivergenceError
 from shes.runs.config import TrainConfig
 
+_MOST_GENERATIONS = 10
+"""Generations in a row in which every episode diverges, after which a run ends."""
+
 
 class Divergence:
     """The diverged generations of a run during one call."""
 
     def __init__(self, config: TrainConfig) -> None:
-        self._env, self._limit = config.run.env, config.run.max_diverged_generations
+        self._env = config.run.env
         self._in_a_row = 0
         self._is_any_sound = False
 
@@ -35,16 +38,15 @@ class Divergence:
         )
 
     def check(self, *, is_over: bool) -> None:
-        """Raise DivergenceError if every episode of the last `max_diverged_generations` has diverged.
+        """Raise DivergenceError if every episode of the last ten generations has diverged.
 
         If the run ends here, also if every episode since its start has.
         """
         is_never_sound = is_over and self._in_a_row > 0 and not self._is_any_sound
-        if self._in_a_row < self._limit and not is_never_sound:
+        if self._in_a_row < _MOST_GENERATIONS and not is_never_sound:
             return
         raise DivergenceError(
             f"every episode of the last {self._in_a_row} generation{'s' * (self._in_a_row > 1)} diverged. Likely "
             f"cause: a reward or an observation of {self._env} is NaN or infinite, or its physics is unstable. Check "
-            "what its reset and step return. Everything up to the last checkpoint is kept; "
-            "--max-diverged-generations sets after how many such generations a run ends."
+            "what its reset and step return. Everything up to the last checkpoint is kept."
         )

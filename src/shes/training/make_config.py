@@ -13,13 +13,10 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import ConfigError, UnknownNameError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
-from shes.runs.sections import RunSettings, algorithm_of, check_names, sections_of, settings_in
+from shes.runs.sections import RunSettings, algorithm_of, by_name, check_names, settings_by_section
 from shes.runs.shipped import run_text
 from shes.settings import Needs, setting_fields
 from shes.training.transfer import brought_settings, transferred_levels
-
-_OF_OUR_PHYSICS = (*setting_fields(TaskOptions), "evaluation_reset_noise")
-"""Settings that an environment with its own physics ignores."""
 
 
 def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] | None = None) -> TrainConfig:
@@ -40,14 +37,14 @@ def make_config(env: str, preset: str = "laptop", overrides: Mapping[str, Any] |
             asked[name] = run_text(asked[name])
     identity = {"env": env, "preset": preset}
     values = {**identity, **preset_values(env, preset, asked), **asked}
-    known = settings_in(check_names(values).values())
+    known = by_name(check_names(values))
     asked = {name: known[name].checked(value) for name, value in asked.items()}
     values |= asked
     for level in algorithm_of(RunSettings.of(values)).transfers:
         if values.get(level) is not None:
             checkpoint = values.get(f"{level}_checkpoint", "best")
             values.update(brought_settings(level, values[level], checkpoint, values, asked))
-    config = TrainConfig(values)
+    config = TrainConfig.of(**values)
     check_asked_device(config, asked)
     _check_effects(config, asked)
     return config
@@ -62,7 +59,7 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
     known = [name for name, cls in ALGORITHMS.items() if preset in PRESETS or preset in cls.presets]
     default = RunSettings.algorithm if RunSettings.algorithm in known else known[0]
     run = RunSettings.of({"env": env, "algorithm": asked.get("algorithm", default)})
-    settings = settings_in(sections_of(run).values())
+    settings = by_name(settings_by_section(run))
     if run.algorithm not in known:
         raise ConfigError(
             f"preset {preset!r} is for algorithm {' or '.join(known)}, got algorithm {run.algorithm!r}. "
@@ -76,11 +73,11 @@ def preset_values(env: str, preset: str, asked: Mapping[str, Any]) -> dict[str, 
 
 
 def _check_effects(config: TrainConfig, asked: Mapping[str, Any]) -> None:
-    """Raise ConfigError if a setting in `asked` has no effect beside the others."""
+    """Raise ConfigError if a setting in `asked` has no effect with the others."""
     is_ours = not find_environment(config.run.env).has_own_physics
     for name in asked:
         setting = config.setting(name)
-        if name in _OF_OUR_PHYSICS and not is_ours:
+        if name in setting_fields(TaskOptions) and not is_ours:
             raise ConfigError(
                 f"{name} has no effect on {config.run.env}, which has its own physics, got {asked[name]!r}. "
                 f"Omit {setting.flag}."

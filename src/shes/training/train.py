@@ -108,7 +108,7 @@ def train(
         StorageError: A file cannot be written.
         WorkerError: A worker failed, or workers keep dying.
         PolicyError: A policy returned NaN.
-        DivergenceError: Every episode of `max_diverged_generations` generations in a row diverged.
+        DivergenceError: Every episode of ten generations in a row diverged.
     """
     with shown_beside(listener, progress) as heard:
         return start_run(make_config(env, preset, settings), out, heard)

@@ -119,7 +119,7 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
         path = config.values.get(level)
         if path is None:
             continue
-        source, origins[level] = _read(level, own, path, config.values[f"{level}_checkpoint"])
+        source, origins[level] = _read(level, own, path, config.values.get(f"{level}_checkpoint", "best"))
         theirs, ours = own.interface(source.algorithm.problem), own.interface(algorithm.problem)
         if theirs != ours:
             raise ConfigError(
