@@ -96,7 +96,7 @@ def test_the_learning_rate_of_a_schedule_is_that_of_the_step(table):
 
 def test_both_levels_learn(table):
     settings = replace(SETTINGS, population_size=24, updates=(UpdateRule(),) * 2, learning_rate=constant(0.08),
-                       episodes_per_policy=constant(1))  # fmt: skip
+                       episodes_per_policy=1)  # fmt: skip
     controller, primitive = formula_run(table, 100, settings)[1][-1].state.levels
     assert primitive.theta == pytest.approx(np.full(5, 2), abs=0.15)
     assert controller.theta == pytest.approx(np.full(3, 3), abs=0.2)
