@@ -20,7 +20,7 @@ from run import write_csv
 
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.bench.evolution import evolution_strategy, evolve, generation_work
-from shes.training.build import build_backend
+from shes.runs.build import build_backend
 from shes.training.make_config import make_config
 
 BACKENDS = ("processes", "ray", "mpi")

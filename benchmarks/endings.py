@@ -16,10 +16,10 @@ from play import play
 from run import write_csv
 from walker_ideas import speed_ahead
 
+from shes.runs.build import open_run
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import shipped_names
 from shes.runs.tables import read_csv, read_wall_time
-from shes.training.build import open_run
 
 EPISODES = 200
 STEPS = 500

@@ -25,8 +25,8 @@ import shes
 from shes.errors import DivergenceError
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv, read_wall_time
+from shes.runs.train import finish_run
 from shes.training.make_config import make_config
-from shes.training.train import finish_run
 
 EPISODES = 50
 """Fresh episodes on which the best checkpoint of a run is evaluated."""

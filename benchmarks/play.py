@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import shes
-from shes.training.build import open_run
+from shes.runs.build import open_run
 
 
 def play(

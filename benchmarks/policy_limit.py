@@ -36,7 +36,7 @@ from shes.algorithms.worker import lanes_that_fit
 from shes.bench.evolution import evolution_strategy, evolve
 from shes.cores import on_one_core
 from shes.policies.mlp import MLP, Layers, aligned_rows
-from shes.training.build import build_backend
+from shes.runs.build import build_backend
 from shes.training.make_config import make_config
 
 INPUTS, OUTPUTS, HIDDEN = 53, 8, (256, 256, 256)

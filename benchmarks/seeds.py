@@ -19,8 +19,8 @@ from run import write_csv
 
 import shes
 from shes.runs.tables import read_csv
+from shes.runs.train import finish_run
 from shes.training.make_config import make_config
-from shes.training.train import finish_run
 
 EPISODES = 200
 """Fresh episodes on which the best checkpoint of a run is evaluated."""

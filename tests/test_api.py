@@ -12,8 +12,8 @@ import pytest
 import shes
 from shes.errors import ConfigError, RunFolderError, ShesError, UnknownNameError
 from shes.es.streams import Purpose
-from shes.training.build import build_task
-from shes.training.evaluate import evaluation_seeds
+from shes.runs.build import build_task
+from shes.runs.evaluate import evaluation_seeds
 from tests.e2e import runs
 
 

@@ -337,7 +337,7 @@ def test_ctrl_c_before_the_first_generation_says_how_to_go_on(capsys, tmp_path, 
     def interrupted(*arguments, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.training.train._go_on", interrupted)
+    monkeypatch.setattr("shes.runs.train._go_on", interrupted)
     path, more = tmp_path / "a run", ["--out", str(tmp_path / "a run")]
     words = ["point-gather", *TINY, *more] if command == "train" else [str(tiny_run), "--generations", "9"]
     assert main([command, *words]) == 130
@@ -351,7 +351,7 @@ def test_ctrl_c_before_there_is_a_run_promises_nothing(capsys, tmp_path, monkeyp
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.training.train.build_algorithm", interrupted)
+    monkeypatch.setattr("shes.runs.train.build_algorithm", interrupted)
     assert main(["train", "point-gather", *TINY, "--out", str(tmp_path / "run")]) == 130
     assert capsys.readouterr() == ("", "Interrupted.\n")
 

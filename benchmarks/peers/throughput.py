@@ -54,7 +54,7 @@ def make_env() -> Any:
 def shes_speeds(cores: int, seconds: float) -> list[float]:
     """Return the steps per second of generations of SHES."""
     from shes.bench.evolution import evolution_strategy, evolve
-    from shes.training.build import build_backend
+    from shes.runs.build import build_backend
     from shes.training.make_config import make_config
 
     settings = {"algorithm": "es", "hidden": (HIDDEN, HIDDEN), "population_size": POPULATION, "horizon": STEPS}

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import shes
-from shes.training.build import build_algorithm
+from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 
 ENV, NAME, HORIZON = "shes/AntFlagrun-v0", "ant-flagrun", 500

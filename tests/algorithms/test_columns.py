@@ -20,9 +20,9 @@ from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.episodes import Generation
 from shes.hierarchy.population_tasks import Work
 from shes.hierarchy.results import PopulationResults
+from shes.runs.build import build_algorithm
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training.build import build_algorithm
 from tests.e2e import runs
 
 

@@ -13,12 +13,12 @@ from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.es.archive import PATIENCE, wander
 from shes.hierarchy.episodes import EpisodeResults, Snapshot
 from shes.hierarchy.exploration import Exploration
+from shes.runs.build import build_algorithm
 from shes.runs.tables import read_csv
-from shes.training.build import build_algorithm
 from shes.training.make_config import make_config
 from tests.e2e import runs
 from tests.hierarchy.made_up import outcomes
-from tests.training.recorder import recording
+from tests.runs.recorder import recording
 
 SEARCH = {
     "explore": "archive", "primitive_view": "egocentric", "controller_interval": 4, "evaluation_target": (5.5, 0.0),

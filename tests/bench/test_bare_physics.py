@@ -5,7 +5,7 @@ import pytest
 
 from shes.algorithms.evolution.algorithm import evolve
 from shes.bench.bare_physics import record_generation
-from shes.training.build import build_algorithm, build_backend
+from shes.runs.build import build_algorithm, build_backend
 from shes.training.make_config import make_config
 
 TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "backend": "serial"}

@@ -7,7 +7,7 @@ import pytest
 
 from shes.bench.measure import bench_rollout, bench_update
 from shes.errors import ConfigError
-from shes.training.build import build_algorithm
+from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 
 BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 3}

@@ -16,9 +16,9 @@ from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
+from shes.runs import export
 from shes.runs.sections import execution_settings
 from shes.studies import run_comparison
-from shes.training import export
 from shes.training.make_config import make_config
 from shes.viewing import plot, render
 

@@ -18,13 +18,13 @@ from shes.es.mirror import MIRRORINGS, Mirroring
 from shes.es.schedules import SCHEDULES, ScheduleKind
 from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ViewChoice
 from shes.hierarchy.views import ColumnsView
+from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
 from shes.runs.sections import known_settings
+from shes.runs.transfer import transferred_levels
 from shes.settings import Ge, Settings
 from shes.studies.study import generation_steps
-from shes.training.build import build_algorithm
 from shes.training.make_config import make_config
-from shes.training.transfer import transferred_levels
 
 SRC = Path(shes.__file__).parent
 ABOVE = ("bench", "cli", "gymnasium", "runs", "studies", "training", "viewing")

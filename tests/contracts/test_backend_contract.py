@@ -13,8 +13,8 @@ from shes.backends.backend import Backend
 from shes.backends.registry import BACKENDS
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, WorkerError
+from shes.runs.build import build_algorithm, build_backend
 from shes.settings import Execution, Settings, setting_fields
-from shes.training.build import build_algorithm, build_backend
 from shes.training.make_config import make_config
 from tests.backends.clusters import ray_cluster
 from tests.backends.workers import ERRORS, Letters, Worker

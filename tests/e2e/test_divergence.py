@@ -11,10 +11,10 @@ import shes
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.errors import DivergenceError
 from shes.hierarchy.results import lower_diverged
+from shes.runs.divergence import Divergence
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training.divergence import Divergence
-from shes.training.evaluate import evaluate
 from shes.training.make_config import make_config
 from tests.e2e import runs
 

@@ -6,9 +6,9 @@ import pytest
 import shes
 from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.errors import WorkerError
+from shes.runs import session
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.tables import read_csv
-from shes.training import session
 from tests.e2e import runs
 
 PROCESSES = {"backend": "processes", "num_workers": 2, "evaluation_interval": 1}

@@ -8,12 +8,12 @@ import pytest
 
 from shes.errors import ShesError
 from shes.hierarchy.results import PopulationResults
+from shes.runs import session
+from shes.runs import train as training
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training import session
-from shes.training import train as training
-from shes.training.train import resume
+from shes.runs.train import resume
 from tests.e2e import runs
 from tests.e2e.conftest import KILLED
 

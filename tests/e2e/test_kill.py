@@ -9,7 +9,7 @@ import pytest
 
 import shes
 from shes.backends.processes import ProcessesBackend
-from shes.training import session
+from shes.runs import session
 from tests.e2e import runs
 from tests.e2e.conftest import BRANCHED
 

@@ -14,7 +14,7 @@ from shes.hierarchy.outputs import OneHotOutput, VectorOutput
 from shes.hierarchy.rewards import ProgressReward
 from shes.hierarchy.views import ColumnsView
 from shes.policies.mlp import MLP
-from shes.training.build import build_algorithm
+from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 from shes.types import CONTROLLER, PRIMITIVE
 

@@ -10,7 +10,7 @@ import pytest
 
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
-from shes.training.build import build_algorithm, build_task
+from shes.runs.build import build_algorithm, build_task
 from shes.training.make_config import make_config
 
 INTERVAL = 4

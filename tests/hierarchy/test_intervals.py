@@ -16,7 +16,7 @@ from shes.hierarchy.episodes import Snapshot
 from shes.hierarchy.intervals import IntervalEstimate, branch_work, draw_snapshot_steps, next_running
 from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.results import PopulationResults
-from shes.training.build import build_algorithm
+from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 from tests.hierarchy import designs
 from tests.hierarchy.formula import SETTINGS, changing, constant, formula_state, start_state

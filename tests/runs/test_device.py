@@ -8,19 +8,19 @@ import pytest
 import shes
 import shes.algorithms.problem
 import shes.algorithms.worker
+import shes.runs.build
 import shes.runs.device
-import shes.training.build
 from shes.backends.serial import SerialBackend
 from shes.bench.measure import bench_update
 from shes.errors import ConfigError
+from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device, device_changes, device_facts
+from shes.runs.evaluate import evaluate
 from shes.runs.sections import WorkerSettings, execution_settings
 from shes.settings import setting_fields
 from shes.sim.cpu import CpuSimulator
 from shes.sim.warp_device import DEVICES
-from shes.training.build import build_algorithm, build_backend
-from shes.training.evaluate import evaluate
 from shes.training.make_config import make_config
 from tests.e2e import runs
 
@@ -30,7 +30,7 @@ NO_CARD = ConfigError("device cuda needs an NVIDIA card. Use --device cpu.")
 @pytest.fixture
 def stand_in(monkeypatch):
     """Let devices be there whose physics is that of the CPU."""
-    monkeypatch.setattr(shes.training.build, "simulator_factory", lambda *_: CpuSimulator)
+    monkeypatch.setattr(shes.runs.build, "simulator_factory", lambda *_: CpuSimulator)
     monkeypatch.setattr(shes.algorithms.worker, "simulator_factory", lambda *_: CpuSimulator)
     monkeypatch.setattr(shes.algorithms.worker.RolloutWorker, "_chunk", lambda *_: 8)
     monkeypatch.setattr(shes.algorithms.worker.WarpDevice, "__init__", lambda *_: None)
@@ -46,7 +46,7 @@ def no_card(monkeypatch):
     def refuse(*_):
         raise NO_CARD
 
-    monkeypatch.setattr(shes.training.build, "simulator_factory", lambda *_: refuse)
+    monkeypatch.setattr(shes.runs.build, "simulator_factory", lambda *_: refuse)
 
 
 def record(path):
@@ -191,7 +191,7 @@ def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy, monkeypatch
         plans.append(plan)
         return build_backend(config, plan, *rest)
 
-    monkeypatch.setattr("shes.training.evaluate.build_backend", noted)
+    monkeypatch.setattr("shes.runs.evaluate.build_backend", noted)
     on_cpu = evaluate(run_copy, episodes=2, num_workers=1)
     on_device = evaluate(run_copy, episodes=2, device="warp-cpu")
     evaluate(run_copy, episodes=2, device="warp-cpu", nconmax=5, njmax=4)
@@ -215,7 +215,7 @@ def test_too_little_memory_for_one_episode_is_an_error_before_there_is_a_folder(
     def full(*_):
         raise RuntimeError("Failed to allocate 10800000000 bytes on device 'cuda:0'")
 
-    monkeypatch.setattr(shes.training.build, "simulator_factory", lambda *_: full)
+    monkeypatch.setattr(shes.runs.build, "simulator_factory", lambda *_: full)
     with pytest.raises(ConfigError, match=r"cuda has too little memory for a single episode .*--nconmax or --njmax"):
         shes.train("point-gather", out=tmp_path / "run", preset="smoke", device="cuda")
     assert not (tmp_path / "run").exists()

@@ -12,8 +12,8 @@ import pytest
 import shes
 from shes.errors import CheckpointError
 from shes.runs import checkpoint as checkpoints
+from shes.runs.build import open_run
 from shes.runs.checkpoint import load_checkpoint
-from shes.training.build import open_run
 from tests.e2e import runs
 
 THETA = "controller/theta.npy"

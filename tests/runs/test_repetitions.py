@@ -8,8 +8,8 @@ import pytest
 from shes.errors import ConfigError
 from shes.runs.folder import RunFolder
 from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
+from shes.runs.train import resume
 from shes.studies.run_comparison import compare_runs
-from shes.training.train import resume
 from shes.viewing.groups import group_runs
 from shes.viewing.plot import plot
 from shes.viewing.report.reading import read_runs

@@ -16,13 +16,13 @@ import shes
 from shes import cli
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs import shipped
+from shes.runs.build import build_task
 from shes.runs.checkpoint import load_checkpoint, save_checkpoint
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import find_run, read_agent, shipped_name, shipped_names, shipped_path
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
-from shes.training.build import build_task
-from shes.training.evaluate import evaluate
 from shes.training.make_config import make_config
 from shes.training.ship import main, ship
 from shes.viewing.plot import plot
@@ -386,7 +386,7 @@ def test_the_last_command_of_a_shipped_agent_still_gives_the_settings_it_was_tra
         raise ConfigError(f"{env} is not trained here")
 
     asked: dict[str, object] = {}
-    monkeypatch.setattr("shes.training.train.train", train)
+    monkeypatch.setattr("shes.runs.train.train", train)
     assert cli.main(shlex.split(read_agent(name).commands[-1])[1:]) == 2
     trained = RunFolder.open(shipped_path(name)).read_config()
     levels = asked.keys() & trained.algorithm.transfers.keys()

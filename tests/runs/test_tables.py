@@ -15,8 +15,8 @@ from tensorboardX.proto.plugin_hparams_pb2 import HParamsPluginData
 
 from shes.errors import RunFolderError, StorageError
 from shes.runs.folder import RunFolder
+from shes.runs.session import Session
 from shes.runs.tables import CsvTable, Records, check_tables, read_csv, read_process_time, trained_minutes
-from shes.training.session import Session
 from tests.e2e import runs
 
 VALUES = [0.1 + 0.2, 1e-310, -0.0, 1.7976931348623157e308, math.inf, math.nan, 2.0**53 + 2]

@@ -9,8 +9,8 @@ from scipy import stats
 
 from shes.cli import main
 from shes.errors import ConfigError
+from shes.runs.evaluate import evaluate
 from shes.studies.run_comparison import compare_runs, mean_difference_interval
-from shes.training.evaluate import evaluate
 from tests.e2e import runs
 
 

@@ -18,7 +18,10 @@ from shes.algorithms.presets import PRESETS, Preset
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
+from shes.runs import session
+from shes.runs import train as training
 from shes.runs.checkpoint import save_checkpoint
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.studies import ablation as ablations
 from shes.studies import paper_scales as papers
@@ -39,9 +42,6 @@ from shes.studies.significance import (
 from shes.studies.study import Study, cell_config, cell_steps, choose, generation_steps
 from shes.studies.study_tables import Cell, CellResults, read_tables, write_tables
 from shes.studies.summaries import cells_left, read_summaries, read_summary, write_summary
-from shes.training import session
-from shes.training import train as training
-from shes.training.evaluate import evaluate
 from shes.training.make_config import make_config
 from tests.e2e import runs
 from tests.studies.workers import MortalWorker

@@ -5,7 +5,7 @@ import pytest
 from shes.algorithms.registry import PRESET_NAMES
 from shes.envs.registry import ENVIRONMENTS
 from shes.errors import ConfigError, UnknownNameError
-from shes.training.build import build_options
+from shes.runs.build import build_options
 from shes.training.make_config import make_config
 
 PAPER = {

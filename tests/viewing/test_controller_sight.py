@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shes.hierarchy.view_choices import CONTROLLER_VIEWS
-from shes.training.build import build_algorithm
+from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 from shes.viewing.controller_sight import ControllerSight
 from shes.viewing.playback import Playback

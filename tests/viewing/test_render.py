@@ -10,7 +10,7 @@ from PIL import Image, ImageSequence
 
 from shes.drawing import opengl
 from shes.errors import CheckpointError, ConfigError, RunFolderError, StorageError
-from shes.training.evaluate import evaluate
+from shes.runs.evaluate import evaluate
 from shes.viewing.playback import Playback
 from shes.viewing.render import _shown, _stacked, render
 from shes.viewing.video import FRAMES_PER_SECOND, write_video

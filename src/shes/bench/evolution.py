@@ -10,9 +10,9 @@ from shes.algorithms.evolution.populations import Hyperparameters, Population, g
 from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.algorithms.registry import ALGORITHMS
 from shes.errors import ConfigError
+from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
-from shes.training.build import build_algorithm
-from shes.training.limits import Workload, check_limits
+from shes.runs.limits import Workload, check_limits
 
 __all__ = ["EvolutionAlgorithm", "GenerationReport", "Hyperparameters", "Population", "evolution_strategy", "evolve"]
 __all__ += ["generation_work"]

@@ -24,9 +24,9 @@ from shes.cores import on_one_core
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.es.perturbation import ManyToMany
+from shes.runs.build import build_backend, build_task
 from shes.runs.checkpoint import Best, Checkpoint, save_checkpoint
 from shes.runs.config import TrainConfig
-from shes.training.build import build_backend, build_task
 
 _REPLAY_S = 1.0
 

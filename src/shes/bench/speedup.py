@@ -27,11 +27,11 @@ from shes.bench.speedup_figure import draw_speedup
 from shes.cores import core_numbers, on_one_core
 from shes.errors import ConfigError
 from shes.es.level import TrainState
+from shes.runs.build import build_backend
 from shes.runs.config import TrainConfig
 from shes.runs.sections import RunSettings, sections_of, settings_in
 from shes.runs.tables import csv_text
 from shes.storage import write_atomically
-from shes.training.build import build_backend
 from shes.training.make_config import make_config
 
 CORES = (1, 2, 24, 48, 96, 120, 240, 360, 480, 600, 1000)

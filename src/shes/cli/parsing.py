@@ -28,10 +28,10 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.sections import RunSettings, known_settings, settings_in
+from shes.runs.train import resumable_settings
+from shes.runs.transfer import transferred_levels
 from shes.settings import Setting, flag
 from shes.training.make_config import make_config
-from shes.training.train import resumable_settings
-from shes.training.transfer import transferred_levels
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""

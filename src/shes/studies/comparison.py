@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from shes.runs.progress_display import format_duration
 from shes.runs.tables import Row
 from shes.studies.design import StudyDesign
 from shes.studies.equal_budget import compare_curves
@@ -15,7 +16,6 @@ from shes.studies.provenance_columns import PROVENANCE, joined
 from shes.studies.significance import holm, interquartile_mean, mann_whitney, permutation_test, superiority
 from shes.studies.study import Study
 from shes.studies.study_tables import CellResults
-from shes.training.progress_display import format_duration
 from shes.types import F64Array
 from shes.viewing.curves import confidence_interval
 

@@ -16,6 +16,7 @@ from shes.checked import checked
 from shes.console import LineConsole
 from shes.errors import ConfigError, RunFolderError
 from shes.listing import Listing, Table
+from shes.runs.progress_display import format_duration
 from shes.runs.sections import WorkerSettings
 from shes.settings import Gt
 from shes.studies.comparison import Comparison, compare
@@ -28,7 +29,6 @@ from shes.studies.study import Study, cell_steps, choose
 from shes.studies.study_tables import Cell, CellResults, read_tables, write_csv, write_tables
 from shes.studies.summaries import cells_left, read_summaries
 from shes.studies.table1 import settings_beside
-from shes.training.progress_display import format_duration
 from shes.viewing.report.experiment_design import read_design
 
 _OF_THE_PAPER = ("table1", "fig3", "fig4", "fig5", "fig6")

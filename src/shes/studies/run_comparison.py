@@ -11,12 +11,12 @@ import numpy as np
 from shes.checked import checked
 from shes.errors import ConfigError
 from shes.listing import Listing, Table
+from shes.runs.evaluate import Evaluation, evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
+from shes.runs.runs_folder import find_runs
 from shes.settings import Ge
 from shes.studies.significance import check_scipy, permutation_test
-from shes.training.evaluate import Evaluation, evaluate
-from shes.training.runs_folder import find_runs
 from shes.types import F64Array
 
 MEASURES = {"score": "scores", "return": "returns", "success": "successes"}

@@ -8,13 +8,13 @@ from typing import Literal
 import numpy as np
 
 from shes.errors import RunFolderError
+from shes.runs.build import open_run
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.tables import Row, read_csv
 from shes.studies.provenance_columns import provenance_columns
 from shes.studies.study import CHECKPOINTS
 from shes.studies.study_tables import Cell, CellResults
-from shes.training.build import open_run
-from shes.training.evaluate import evaluate
 
 _COLUMNS = ("env_steps", "score_mean", "return_mean", "success_rate", "primitive_return_mean", "episode_steps_mean")
 

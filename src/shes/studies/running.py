@@ -25,6 +25,7 @@ from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
 from shes.runs.sections import WorkerSettings
 from shes.runs.tables import trained_minutes
+from shes.runs.train import differing, resume_run, start_run
 from shes.storage import storage_errors
 from shes.studies.one_core_backend import OneCoreBackend
 from shes.studies.run_summary import summarise
@@ -32,7 +33,6 @@ from shes.studies.significance import check_scipy
 from shes.studies.study import ALONE, Study, cell_config, cell_workers, planned_config
 from shes.studies.study_tables import Cell, CellResults
 from shes.studies.summaries import cells_left, read_summary, write_summary
-from shes.training.train import differing, resume_run, start_run
 
 _SHORTEST = 1e-6
 """Minutes in which no generation begins."""

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from shes.runs.folder import RunFolder
 from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
-from shes.training.transfer import transferred_levels
+from shes.runs.transfer import transferred_levels
 
 _T = TypeVar("_T")
 

@@ -20,9 +20,9 @@ from matplotlib.ticker import MaxNLocator
 from shes.checked import checked
 from shes.errors import ConfigError, RunFolderError
 from shes.runs.folder import RunFolder
+from shes.runs.runs_folder import find_runs
 from shes.runs.tables import read_csv
 from shes.storage import write_atomically
-from shes.training.runs_folder import find_runs
 from shes.types import F64Array
 from shes.viewing.curve_drawing import draw_mean_curve, legend_keys
 from shes.viewing.curves import MeanCurve, mean_curve

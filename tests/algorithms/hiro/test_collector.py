@@ -9,7 +9,7 @@ import pytest
 from shes.algorithms.hiro.collector import Actor
 from shes.envs.registry import register_external
 from shes.errors import DivergenceError
-from shes.training.build import build_algorithm
+from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 
 INTERVAL, HORIZON = 4, 10

@@ -13,7 +13,7 @@ from shes.algorithms.hiro.goal_space import candidates
 from shes.algorithms.hiro.level_learner import ControllerLearner, LevelLearner, network
 from shes.es.statistics import normalise
 from shes.policies.mlp import RectifiedMLP
-from shes.training.build import build_algorithm
+from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 
 pytestmark = pytest.mark.hiro

@@ -7,8 +7,8 @@ import pytest
 
 from shes.algorithms.hiro import algorithm
 from shes.algorithms.hiro.sections import HIRO_SECTIONS
+from shes.runs.build import build_algorithm
 from shes.settings import setting_fields
-from shes.training.build import build_algorithm
 from shes.training.make_config import make_config
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from shes.algorithms.contract import Explored
 from shes.errors import ConfigError
-from shes.training.evaluate import evaluate
+from shes.runs.evaluate import evaluate
 from shes.viewing.playback import Playback
 from shes.viewing.report.maps import MOST_EPISODES, episode_names, map_figure, play_episodes, search_figure
 from tests.e2e import runs

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from shes.training.evaluate import evaluate
+from shes.runs.evaluate import evaluate
 from shes.viewing.report.configuration import changed_settings, differing_settings
 from shes.viewing.report.fresh_episodes import HEADINGS, estimate, evaluate_runs, result_rows, wilson
 from shes.viewing.report.reading import read_runs

@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 
 from shes.errors import ShesError
-from shes.training.evaluate import Evaluation, evaluate
+from shes.runs.evaluate import Evaluation, evaluate
 from shes.types import F64Array
 from shes.viewing.curves import confidence_interval
 from shes.viewing.report.reading import ReportedGroup, ReportedRun

@@ -13,9 +13,9 @@ from shes.algorithms.contract import Explored
 from shes.drawing.plan import Outline, Plan, plan_of
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import Marker
-from shes.training.build import build_task, open_run
-from shes.training.evaluate import fresh_seeds
-from shes.training.loaded_agent import Agent
+from shes.runs.build import build_task, open_run
+from shes.runs.evaluate import fresh_seeds
+from shes.runs.loaded_agent import Agent
 from shes.types import F64Array, IntArray
 from shes.viewing.report.curve_charts import Figure, numbers
 

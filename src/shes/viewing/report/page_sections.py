@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 from shes.drawing.opengl import find_opengl
 from shes.errors import ShesError
+from shes.runs.evaluate import Evaluation
 from shes.runs.shipped import read_agent, shipped_name
-from shes.training.evaluate import Evaluation
 from shes.viewing.report.configuration import changed_settings, differing_settings
 from shes.viewing.report.curve_charts import SECTIONS, X_AXES, Figure, constants, curve_figure, panels_of
 from shes.viewing.report.experiment_page import experiment_section

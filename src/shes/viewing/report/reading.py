@@ -12,10 +12,10 @@ import numpy as np
 from shes.errors import ConfigError, RunFolderError, ShesError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
+from shes.runs.runs_folder import find_runs
 from shes.runs.shipped import shipped_name
 from shes.runs.state import RunState, run_state
 from shes.runs.tables import read_csv
-from shes.training.runs_folder import find_runs
 from shes.types import F64Array
 from shes.viewing.groups import Group, group_runs, name_groups
 from shes.viewing.report.experiment_runs import RunPlace, group_places, place_runs

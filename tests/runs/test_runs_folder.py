@@ -7,11 +7,11 @@ import pytest
 
 from shes.cli import main
 from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderError, UnknownNameError, WorkerError
+from shes.runs import runs_folder
 from shes.runs.folder import RunFolder
-from shes.training import runs_folder
-from shes.training.progress_display import ProgressDisplay
-from shes.training.runs_folder import RunsFolder, find_runs
-from shes.training.variations import read_sweep, vary
+from shes.runs.progress_display import ProgressDisplay
+from shes.runs.runs_folder import RunsFolder, find_runs
+from shes.runs.variations import read_sweep, vary
 from tests.e2e import runs
 
 SEVERAL = {name: value for name, value in runs.TINY.items() if name != "seed"}

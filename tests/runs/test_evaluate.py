@@ -10,9 +10,9 @@ import pytest
 from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.errors import CheckpointError, PolicyError, RunFolderError, UnknownNameError
 from shes.es.streams import Purpose
+from shes.runs.evaluate import Evaluation, evaluate, evaluation_seeds, fresh_seeds
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training.evaluate import Evaluation, evaluate, evaluation_seeds, fresh_seeds
 from tests.e2e import runs
 
 ARRAYS = ("scores", "returns", "primitive_returns", "goals_reached", "successes", "steps", "diverged")
@@ -55,7 +55,7 @@ def test_what_the_workers_tell_is_a_warning(tiny_run, monkeypatch, caplog):
         )
         return backend
 
-    module = importlib.import_module("shes.training.evaluate")
+    module = importlib.import_module("shes.runs.evaluate")
     original = module.build_backend
     monkeypatch.setattr(module, "build_backend", build)
     evaluate(tiny_run, episodes=2, num_workers=1)

@@ -10,11 +10,11 @@ from typing import Any
 
 from shes.errors import ConfigError
 from shes.es.noise import NoiseTable
+from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
+from shes.runs.limits import Workload, check_limits
 from shes.runs.sections import check_names, known_settings
 from shes.settings import Setting, out_of_range
-from shes.training.build import build_algorithm
-from shes.training.limits import Workload, check_limits
 from shes.training.make_config import make_config
 
 _MOST_RUNS = 1_000

@@ -10,11 +10,11 @@ import pytest
 import shes
 from shes.cli import main
 from shes.errors import CheckpointError, ConfigError, RunFolderError
+from shes.runs.build import build_algorithm
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training.build import build_algorithm
+from shes.runs.transfer import check_robot
 from shes.training.make_config import make_config
-from shes.training.transfer import check_robot
 from tests.e2e import runs
 
 ANT = {

@@ -9,9 +9,9 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from shes.training import progress_display as module
+from shes.runs import progress_display as module
+from shes.runs.progress_display import ProgressDisplay, format_duration
 from shes.training.make_config import make_config
-from shes.training.progress_display import ProgressDisplay, format_duration
 
 CONFIG = make_config("point-gather", "smoke", {"generations": 40})
 

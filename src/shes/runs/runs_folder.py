@@ -20,13 +20,13 @@ from shes.errors import DivergenceError, PolicyError, RunFolderError, ShesError,
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder, check_folder_of_runs
+from shes.runs.interruption import resumable
+from shes.runs.listening import AnyListener
+from shes.runs.progress_display import ProgressDisplay
 from shes.runs.shipped import find_run
 from shes.runs.tables import trained_minutes
+from shes.runs.train import Run, check_resumable, differing, finish_run
 from shes.storage import storage_errors, write_atomically
-from shes.training.interruption import resumable
-from shes.training.listening import AnyListener
-from shes.training.progress_display import ProgressDisplay
-from shes.training.train import Run, check_resumable, differing, finish_run
 
 _RECORD = "runs.json"
 _FORMAT = 1

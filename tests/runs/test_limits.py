@@ -12,9 +12,9 @@ from shes.cores import num_cores
 from shes.errors import ConfigError
 from shes.es.noise import NoiseTable
 from shes.hierarchy.results import PopulationResults
-from shes.training import limits
-from shes.training.build import build_algorithm
-from shes.training.limits import Workload, check_limits, max_workers
+from shes.runs import limits
+from shes.runs.build import build_algorithm
+from shes.runs.limits import Workload, check_limits, max_workers
 from shes.training.make_config import make_config
 from tests.e2e import runs
 

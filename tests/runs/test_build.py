@@ -13,10 +13,10 @@ from shes.envs.bodies.point import Point
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.errors import ShapeError
 from shes.hierarchy.primitive import PrimitiveDesign
-from shes.training.build import build_algorithm
+from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 from tests.e2e.own_classes import Corner
-from tests.training.built import INTERVALS, Built
+from tests.runs.built import INTERVALS, Built
 
 
 def test_the_plan_carries_the_environment_and_not_its_name(monkeypatch):

@@ -20,9 +20,9 @@ from shes.es.noise import NoiseTable
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.hierarchy.exploration import Exploration
 from shes.hierarchy.rollout import Rollout
+from shes.runs.build import build_algorithm, build_backend
+from shes.runs.evaluate import Evaluation, evaluate_state
 from shes.sim.cpu import CpuSimulator
-from shes.training.build import build_algorithm, build_backend
-from shes.training.evaluate import Evaluation, evaluate_state
 from shes.training.make_config import make_config
 
 __all__ = ["Record", "RolledOut", "Update", "record_generations", "recording"]

@@ -13,14 +13,14 @@ from shes.algorithms.contract import Algorithm, Report
 from shes.backends.backend import Backend
 from shes.runs.checkpoint import Best, Checkpoint
 from shes.runs.config import TrainConfig
+from shes.runs.divergence import Divergence
+from shes.runs.evaluate import EvaluationBeside, evaluation_seeds
 from shes.runs.folder import RunFolder
+from shes.runs.interruption import Interruption
+from shes.runs.listening import Audience
 from shes.runs.log import logger
 from shes.runs.tables import Row, read_process_time, read_wall_time
 from shes.runs.writer import RunWriter
-from shes.training.divergence import Divergence
-from shes.training.evaluate import EvaluationBeside, evaluation_seeds
-from shes.training.interruption import Interruption
-from shes.training.listening import Audience
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,12 +20,12 @@ from shes.es.streams import Purpose, stream
 from shes.hierarchy.episodes import Decisions, EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.listing import Listing, facts_listing
+from shes.runs.build import build_backend, open_run
 from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder
+from shes.runs.limits import Workload, check_limits
 from shes.runs.log import logger
 from shes.settings import Ge
-from shes.training.build import build_backend, open_run
-from shes.training.limits import Workload, check_limits
 from shes.types import F64Array
 
 StateT = TypeVar("StateT", bound=AnyState)

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from shes.console import LineConsole
 from shes.runs.config import TrainConfig
-from shes.training.listening import AnyListener
+from shes.runs.listening import AnyListener
 
 __all__ = ["ProgressDisplay", "drawing_progress", "format_duration", "shown_beside"]
 

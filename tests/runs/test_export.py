@@ -13,7 +13,7 @@ import shes
 from shes.cli import main
 from shes.envs.gymnasium_ids import gymnasium_id
 from shes.errors import CheckpointError, ConfigError, MissingExtraError, RunFolderError, StorageError, UnknownNameError
-from shes.training.export import FORMATS
+from shes.runs.export import FORMATS
 from tests.e2e import runs
 
 _SPEC = importlib.util.spec_from_file_location(

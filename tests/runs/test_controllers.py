@@ -12,12 +12,12 @@ from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.cli import main
 from shes.errors import ConfigError, UnknownNameError
 from shes.hierarchy.hierarchical import HierarchicalAgent
-from shes.training.evaluate import evaluate, fresh_seeds
+from shes.runs.evaluate import evaluate, fresh_seeds
 from tests.e2e import runs
-from tests.training.recorder import recording
-from tests.training.test_evaluate import ARRAYS, same
+from tests.runs.recorder import recording
+from tests.runs.test_evaluate import ARRAYS, same
 
-MODULE = importlib.import_module("shes.training.evaluate")
+MODULE = importlib.import_module("shes.runs.evaluate")
 NAMES = ["weights at zero", *(f"{degrees} degrees" for degrees in (0, 45, 90, 135, 180, -135, -90, -45))]
 MAZE = {
     "evaluation_target": (0.0, 3.0),

@@ -16,23 +16,23 @@ from shes.algorithms.contract import Algorithm
 from shes.backends.backend import Backend
 from shes.errors import ConfigError, RunFolderError
 from shes.listing import Listing
+from shes.runs.build import build_algorithm, build_backend, check_device
 from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device
 from shes.runs.folder import RunFolder, new_folder
+from shes.runs.interruption import Interruption, resumable
+from shes.runs.limits import Workload, check_limits
+from shes.runs.listening import AnyListener, Audience
 from shes.runs.log import logger, run_log
+from shes.runs.progress_display import shown_beside
 from shes.runs.sections import execution_settings, known_settings
+from shes.runs.session import Session
 from shes.runs.tables import Records, check_tables, read_csv
+from shes.runs.transfer import check_robot, transfer
 from shes.runs.writer import RunWriter
 from shes.settings import Setting
-from shes.training.build import build_algorithm, build_backend, check_device
-from shes.training.interruption import Interruption, resumable
-from shes.training.limits import Workload, check_limits
-from shes.training.listening import AnyListener, Audience
 from shes.training.make_config import make_config
-from shes.training.progress_display import shown_beside
-from shes.training.session import Session
-from shes.training.transfer import check_robot, transfer
 from shes.types import F64Array
 
 

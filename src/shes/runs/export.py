@@ -26,9 +26,9 @@ from shes.es.level import LevelParameters
 from shes.hierarchy.goal_reaching import GoalReachingDesign
 from shes.hierarchy.hierarchical import MIN_COMPONENT_M, HierarchicalDesign
 from shes.policies.mlp import MLP
+from shes.runs.build import OpenedRun, open_run
+from shes.runs.onnx_graph import onnx_model
 from shes.storage import write_atomically
-from shes.training.build import OpenedRun, open_run
-from shes.training.onnx_graph import onnx_model
 from shes.types import F64Array
 
 _FORMAT = 1  # of the description

@@ -13,9 +13,9 @@ from shes.checked import checked
 from shes.errors import ConfigError, PolicyError, ShapeError
 from shes.es.level import LevelParameters
 from shes.hierarchy.frames import Frames
+from shes.runs.build import OpenedRun, build_algorithm, open_run
 from shes.runs.config import TrainConfig
 from shes.settings import Ge
-from shes.training.build import OpenedRun, build_algorithm, open_run
 from shes.types import F32Array, F64Array, FloatArray
 
 

@@ -18,17 +18,17 @@ from shes.envs.worlds import is_free
 from shes.errors import ConfigError, DivergenceError
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.intervals import branch_work
+from shes.runs.build import build_algorithm, build_backend
+from shes.runs.divergence import Divergence
+from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.runs.sections import known_settings
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
-from shes.training.build import build_algorithm, build_backend
-from shes.training.divergence import Divergence
-from shes.training.evaluate import evaluate
 from shes.training.make_config import make_config
 from tests.e2e import runs
-from tests.training.built import INTERVALS
-from tests.training.recorder import record_generations, recording
+from tests.runs.built import INTERVALS
+from tests.runs.recorder import record_generations, recording
 
 STILL = {"reset_noise": 0.0, "evaluation_reset_noise": 0.0}
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from shes.errors import ConfigError
+from shes.runs import session
+from shes.runs.evaluate import Evaluation
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training import session
-from shes.training.evaluate import Evaluation
-from shes.training.train import resume
+from shes.runs.train import resume
 from tests.e2e import runs
 
 
@@ -166,7 +166,7 @@ def test_a_run_whose_workers_cannot_start_leaves_nothing(tmp_path, monkeypatch):
 
     old = runs.train_tiny(tmp_path / "old", generations=1)
     record = RunFolder(old).config.read_bytes()
-    monkeypatch.setattr("shes.training.train.build_backend", refuse)
+    monkeypatch.setattr("shes.runs.train.build_backend", refuse)
     with pytest.raises(ConfigError, match="no cluster"):
         runs.train_tiny(tmp_path / "new")
     with pytest.raises(ConfigError, match="no cluster"):

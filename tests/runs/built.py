@@ -6,7 +6,7 @@ from typing import Any
 from shes.algorithms.evolution.populations import Hyperparameters
 from shes.algorithms.worker import WorkerPlan
 from shes.hierarchy.agent import AgentDesign
-from shes.training.build import build_algorithm
+from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 
 INTERVALS = {
