@@ -119,7 +119,7 @@ def test_list_tells_of_runs_that_are_stopped_running_or_damaged(shes, tiny_run, 
     with RunFolder(tmp_path / "runs" / "b").lock():
         found = json.loads(shes("list", tmp_path / "runs", "--json"))["runs"]
     assert [(Path(run["run"]).name, run["state"]) for run in found] == [
-        ("a", "stopped"), ("b", "running"), ("c", "damaged"), ("d", "unreadable"),
+        ("a", "stopped"), ("b", "running"), ("c", "unreadable"), ("d", "unreadable"),
     ]  # fmt: skip
     assert "cannot be read" in found[-1]["problem"]
 
@@ -144,18 +144,16 @@ def test_list_shows_the_runs_that_cannot_be_read_with_the_reason(shes, tiny_run,
     (tmp_path / "another" / "config.json").write_text("{}")
 
     found = {Path(run["run"]).name: run for run in json.loads(shes("list", tmp_path, "--json"))["runs"]}
-    assert {name: run["state"] in ("unregistered", "damaged") for name, run in found.items()} == {
-        "huge": True, "theirs": True, "whole": False,
-    }  # fmt: skip
+    states = {"huge": "unreadable", "theirs": "unreadable", "whole": "finished"}
+    assert {name: run["state"] for name, run in found.items()} == states
     theirs = found["theirs"]
     assert (theirs["env"], theirs["algorithm"]) == ("point-gather", "their-own")
     reached = ("generation", "generations", "env_steps", "best_score")
     assert [theirs[name] for name in reached] == [found["whole"][name] for name in reached]
     assert "unknown algorithm 'their-own'" in theirs["problem"]
     text = shes("list", tmp_path)
-    assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unregistered", text)
-    assert "theirs is unregistered: " in text
-    assert json.loads(shes("info", tmp_path / "theirs", "--json")) == theirs
+    assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unreadable", text)
+    assert "theirs is unreadable: " in text
     assert "--import MODULE" in text
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from shes.hierarchy.rewards import register_primitive_reward
     from shes.runs.evaluate import Evaluation, evaluate
     from shes.runs.export import export
-    from shes.runs.listening import StopTraining
+    from shes.runs.listeners import StopTraining
     from shes.runs.loaded_agent import Agent, load
     from shes.runs.train import Run, resume, train
     from shes.viewing.plot import plot
@@ -62,7 +62,7 @@ _HOMES = {
     "Agent": "shes.runs.loaded_agent",
     "Evaluation": "shes.runs.evaluate",
     "Run": "shes.runs.train",
-    "StopTraining": "shes.runs.listening",
+    "StopTraining": "shes.runs.listeners",
     "evaluate": "shes.runs.evaluate",
     "export": "shes.runs.export",
     "load": "shes.runs.loaded_agent",

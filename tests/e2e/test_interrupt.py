@@ -8,8 +8,7 @@ import pytest
 
 from shes.errors import ShesError
 from shes.hierarchy.results import PopulationResults
-from shes.runs import session
-from shes.runs import train as training
+from shes.runs import recorder
 from shes.runs.checkpoint import load_checkpoint
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
@@ -144,8 +143,8 @@ def test_ctrl_c_in_an_evaluation_does_the_generation_again(tmp_path, tiny_run, m
             raise AssertionError("the evaluation went on")
         return original(*arguments)
 
-    original = session.EvaluationBeside
-    monkeypatch.setattr(session, "EvaluationBeside", evaluate)
+    original = recorder.evaluate_state
+    monkeypatch.setattr(recorder, "evaluate_state", evaluate)
     interrupted(tmp_path / "run")
     assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
     monkeypatch.undo()
@@ -181,12 +180,11 @@ def test_ctrl_c_waits_for_the_checkpoint_being_written(tmp_path, monkeypatch):
     def save(path, checkpoint):
         if checkpoint.generation == 1 and not sent:
             sent.append(path)
-            os.kill(os.getpid(), signal.SIGINT)  # this is another thread: the main one gets the signal
-            time.sleep(0.3)
+            signal.raise_signal(signal.SIGINT)
         return original(path, checkpoint)
 
-    sent, original = [], training.save_checkpoint
-    monkeypatch.setattr("shes.runs.writer.save_checkpoint", save)
+    sent, original = [], recorder.save_checkpoint
+    monkeypatch.setattr(recorder, "save_checkpoint", save)
     interrupted(tmp_path / "run", generations=1000)
     done = load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation
     assert 1 <= done == len(read_csv(tmp_path / "run" / "progress.csv")["generation"])

@@ -47,28 +47,17 @@ def evaluation(score):
     return {"score_mean": score, "score_std": 0.5}
 
 
-def play(console, clock, config=CONFIG, generations=12):
-    """Show the beginning of a run, two seconds a generation; return what was printed."""
-    display = ProgressDisplay(console)
-    with display:
-        display.on_start(Path("runs/a"), config, 0, 2)
+def play(console, clock, config=CONFIG, generations=12, after=0):
+    """Show the beginning of a run, two seconds a generation."""
+    with ProgressDisplay(console) as display:
+        display.on_start(Path("runs/a"), config, after, 2)
         for generation in range(1, generations + 1):
             clock.now += 2
+            display.on_generation(row(generation))
             if generation == 1 or generation % 5 == 0:
                 display.on_evaluation(evaluation(generation / 2))
             if generation == 7:
                 display.on_event("worker 123 died (exit code -9); 4 tasks are done again")
-            display.on_generation(row(generation))
-    return display
-
-
-def test_a_score_that_is_no_number_ends_no_run(clock):
-    display = ProgressDisplay(terminal(100))
-    with display:
-        display.on_start(Path("runs/a"), CONFIG, 0, 2)
-        display.on_generation(row(1))
-        for score in (math.nan, 1.0, math.inf, 2.0):
-            display.on_evaluation(evaluation(score))
 
 
 def terminal(width):
@@ -105,18 +94,9 @@ def test_a_terminal_shows_everything_within_its_width(clock, width):
         "worker 123 died (exit code -9); 4 tasks",
     ):
         assert fact in last
-    assert cell_len(lines[-10 if width == 40 else -9]) == min(width, 100)  # the bar
-    assert set(lines[-10 if width == 40 else -9]) <= set("━╸╺")
-
-
-def test_a_warning_is_shown_at_once_even_before_the_first_generation(clock):
-    console = terminal(80)
-    with ProgressDisplay(console) as display:
-        for generation in (0, 1):
-            if generation:
-                display.on_generation(row(generation))
-            display.on_event(f"worker {generation} has given no answer for 60 s")
-            assert lines_of(console)[-1] == f"worker {generation} has given no answer for 60 s"
+    bar = lines[-10 if width == 40 else -9]
+    assert cell_len(bar) == min(width, 100)
+    assert set(bar) <= set("━╸╺")
 
 
 def test_lines_without_a_terminal_come_first_last_and_every_ten_seconds(clock):
@@ -128,7 +108,7 @@ def test_lines_without_a_terminal_come_first_last_and_every_ten_seconds(clock):
     assert shown == [1, 6, 11, 16, 21, 26, 31, 36, 40]
     assert lines[0] == (
         "generation 1 / 40  controller return -1.23 (best 3.00)  primitive return -12.34 (best 98.76)  "
-        "evaluation score 0.50 ± 0.50  env steps/s 23,457 (0.0 M so far)  time left -"
+        "evaluation score -  env steps/s 23,457 (0.0 M so far)  time left -"
     )
     assert lines[-1].endswith("time left 0 s")
     assert "worker 123 died (exit code -9); 4 tasks are done again" in lines
@@ -152,62 +132,44 @@ def test_a_terminal_without_plus_minus_and_blocks_shows_ascii(clock):
     assert "_:#" in text  # the score so far
 
 
-def test_time_left_is_the_pace_times_what_is_left_but_no_more_than_the_minutes(clock):
+@pytest.mark.parametrize(
+    ("limit", "left"),
+    [({"minutes": 1.0}, "38 s"), ({"env_steps": 15 * row(1)["env_steps"]}, "8 s")],
+    ids=["60 - 22 seconds", "15 - 11 generations"],
+)
+def test_time_left_is_that_to_the_limit_that_is_reached_first(clock, limit, left):
     console = plain()
-    config = make_config("point-gather", "smoke", {"generations": 40, "minutes": 1.0})
-    play(console, clock, config, generations=11)
+    play(console, clock, make_config("point-gather", "smoke", {"generations": 40, **limit}), generations=11)
     last = console.export_text().splitlines()[-1]
     assert last.startswith("generation 11 / 40 at most  ")
-    assert last.endswith("time left 38 s")  # 60 - 22, not 2 * 29
+    assert last.endswith(f"time left {left}")
 
 
-def test_time_left_is_judged_by_environment_steps_where_they_end_the_run(clock):
+@pytest.mark.parametrize(
+    ("settings", "where"),
+    [({"backend": "serial"}, "this process"), ({"device": "warp-cpu"}, "device warp-cpu"), ({}, "2 workers")],
+)
+def test_the_first_line_tells_where_and_after_which_generation_it_trains(clock, settings, where):
     console = plain()
-    config = make_config("point-gather", "smoke", {"generations": 40, "env_steps": 15 * row(1)["env_steps"]})
-    play(console, clock, config, generations=11)
-    last = console.export_text().splitlines()[-1]
-    assert last.startswith("generation 11 / 40 at most  ")
-    assert last.endswith("time left 8 s")  # 2 * (15 - 11), not 2 * 29
+    play(console, clock, make_config("point-gather", "smoke", settings), generations=0, after=17)
+    text = f"Training point-gather (smoke) on {where} after generation 17. Run folder: runs/a\n"
+    assert console.export_text() == text
 
 
-def test_a_run_in_this_process_and_after_a_resume_says_so(clock):
-    console = plain()
-    display = ProgressDisplay(console)
-    display.on_start(Path("runs/a"), make_config("point-gather", "smoke", {"backend": "serial"}), 17, 1)
-    display.on_start(Path("runs/a"), CONFIG, 0, 1)
-    first, second = console.export_text().splitlines()
-    assert first == "Training point-gather (smoke) on this process after generation 17. Run folder: runs/a"
-    assert "on 1 worker. Run" in second
-
-
-@pytest.mark.parametrize("name", ["policy", "primitive"])
-def test_a_run_of_one_level_shows_the_return_of_that_level_alone(clock, name):
-    console = plain()
-    display = ProgressDisplay(console)
-    display.on_start(Path("runs/a"), CONFIG, 0, 2)
-    one = {column: value for column, value in row(1).items() if not column.startswith(("controller", "primitive"))}
-    display.on_evaluation(evaluation(1.5))
-    display.on_generation({**one, f"{name}_return_mean": -0.5, f"{name}_return_max": 7.25})
-    assert console.export_text().splitlines()[1] == (
-        f"generation 1 / 40  {name} return -0.50 (best 7.25)  evaluation score 1.50 ± 0.50  "
-        "env steps/s 23,457 (0.0 M so far)  time left -"
-    )
-
-
-def test_a_folder_with_brackets_is_shown_as_it_is(clock):
-    console = plain()
-    ProgressDisplay(console).on_start(Path("runs/[b] [/b] x"), CONFIG, 0, 1)
-    assert console.export_text().endswith("Run folder: runs/[b] [/b] x\n")
-
-
-def test_names_with_brackets_are_shown_as_they_are(clock):
+def test_levels_are_those_of_the_row_and_brackets_are_shown_as_they_are(clock):
     console = terminal(80)
     with ProgressDisplay(console) as display:
-        display.on_event("pip install 'shes[robotics]' [/b]")
-        display.on_generation({**row(1), "[/b]_return_mean": 1.0, "[/b]_return_max": 2.0})
+        display.on_start(Path("runs/[b] [/b] x"), CONFIG, 0, 1)
+        display.on_event("pip install 'shes[robotics]' [/b]")  # at once, before the first generation
+        assert lines_of(console)[-1] == "pip install 'shes[robotics]' [/b]"
+        levels = {"[/b]_return_mean": 1.0, "[/b]_return_max": 2.0}
+        display.on_generation({name: value for name, value in row(1).items() if "return" not in name} | levels)
+        for score in (math.nan, 1.0, math.inf, 2.0):  # a task of one's own may have a score that is no number
+            display.on_evaluation(evaluation(score))
     text = "\n".join(lines_of(console))
-    assert "pip install 'shes[robotics]' [/b]" in text
+    assert "Run folder: runs/[b] [/b] x" in text
     assert "[/b] return        1.00 (best 2.00)" in text
+    assert "controller return" not in text
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,8 @@ from shes.algorithms.presets import PRESETS, Preset
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.errors import ConfigError, MissingExtraError, RunFolderError, UnknownNameError
-from shes.runs import session
+from shes.runs import recorder
 from shes.runs import train as training
-from shes.runs.checkpoint import save_checkpoint
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
 from shes.studies import ablation as ablations
@@ -153,8 +152,8 @@ def test_a_cell_that_was_stopped_goes_on_as_if_it_had_not(finished, tmp_path, mo
             signal.raise_signal(signal.SIGINT)
         return original(*arguments)
 
-    original = session.EvaluationBeside
-    monkeypatch.setattr(session, "EvaluationBeside", evaluate)
+    original = recorder.evaluate_state
+    monkeypatch.setattr(recorder, "evaluate_state", evaluate)
     with pytest.raises(KeyboardInterrupt):
         run_cell(cell(), tmp_path, 3)
     assert read_summaries(Study(cells=(cell(),)), tmp_path) == {}
@@ -205,22 +204,6 @@ def test_a_row_does_not_stand_for_a_run_on_a_primitive_of_other_settings(finishe
         cell(seed=1, primitive=cell("primitive", seed=1)).digest
         == cell(seed=2, primitive=cell("primitive", seed=2)).digest
     )
-
-
-@pytest.mark.parametrize("limit", [{}, {"minutes": 1e-3, "generations": 100_000, "evaluation_interval": 1}])
-def test_the_last_evaluation_is_made_if_the_run_was_killed_in_it(finished, tmp_path, limit):
-    wanted = cell(settings={**TINY, **limit})
-    whole = run_cell(wanted, tmp_path, 3) if limit else finished[1]
-    if not limit:
-        shutil.copytree(finished[0] / cell().name, tmp_path / cell().name)
-    folder = RunFolder(tmp_path / wanted.name)
-    (folder.path / "summary.json").unlink()
-    *before, _ = folder.evaluation.read_text().splitlines(keepends=True)
-    folder.evaluation.write_text("".join(before))
-    save_checkpoint(folder.checkpoint_path("last"), replace(folder.load("last"), owes_evaluation=True))
-    again, whole = without_seconds(run_cell(wanted, tmp_path, 3)), without_seconds(whole)
-    assert again.curve[: len(whole.curve)] == whole.curve
-    assert again == whole or limit  # this time the time may suffice for another generation
 
 
 def test_the_folder_of_a_run_is_no_place_for_a_study(finished):

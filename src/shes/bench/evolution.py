@@ -12,7 +12,7 @@ from shes.algorithms.registry import ALGORITHMS
 from shes.errors import ConfigError
 from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
-from shes.runs.limits import Workload, check_limits
+from shes.runs.device import check_limits
 
 __all__ = ["EvolutionAlgorithm", "GenerationReport", "Hyperparameters", "Population", "evolution_strategy", "evolve"]
 __all__ += ["generation_work"]
@@ -26,5 +26,5 @@ def evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
         raise ConfigError(
             f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm {' or '.join(known)}."
         )
-    check_limits(Workload.of(config), algorithm.design)
+    check_limits(config, algorithm.design)
     return algorithm

@@ -12,10 +12,9 @@ from shes.errors import ConfigError
 from shes.listing import Listing
 from shes.runs import train as run_training
 from shes.runs.folder import new_folder
-from shes.runs.runs_folder import RunsFolder
+from shes.runs.runs_folder import RunsFolder, read_sweep, vary
 from shes.runs.sections import RunSettings
 from shes.runs.train import Run
-from shes.runs.variations import read_sweep, vary
 
 _BASH = "complete -o default -C 'shes --complete' shes"
 _SCRIPTS = {

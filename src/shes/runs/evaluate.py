@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import radians
@@ -11,7 +12,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 import numpy as np
 
 from shes.algorithms.contract import Algorithm, AnyState
-from shes.algorithms.roll_out import RollOutBeside
+from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
 from shes.checked import checked
 from shes.envs.tasks.task_options import FallOptions
@@ -21,14 +22,15 @@ from shes.hierarchy.episodes import Decisions, EpisodeTask, Generation
 from shes.hierarchy.results import PopulationResults, lower_diverged
 from shes.listing import Listing, facts_listing
 from shes.runs.build import build_backend, open_run
-from shes.runs.device import check_asked_device
+from shes.runs.device import check_asked_device, check_limits, most_episodes
 from shes.runs.folder import RunFolder
-from shes.runs.limits import Workload, check_limits
-from shes.runs.log import logger
 from shes.settings import Ge
 from shes.types import F64Array
 
 StateT = TypeVar("StateT", bound=AnyState)
+
+logger = logging.getLogger("shes.run")
+"""Receives what happens in a run; `log.txt` has it."""
 
 ControllerName: TypeAlias = Literal["trained", "constant", "random"]
 """The controller of an evaluation: the trained one, the best of nine constant ones, or random directions."""
@@ -107,8 +109,8 @@ def evaluation_seeds(
 
 def fresh_seeds(state: AnyState, episodes: int, seed: int | None = None) -> list[int]:
     """Return seeds of episodes that training does not use: derived from `seed`, or from the run if None."""
-    first, generation = (state.seed, state.generation) if seed is None else (seed, 0)
-    return evaluation_seeds(first, generation, episodes, Purpose.FRESH_EPISODES)
+    key = (state.seed, state.generation) if seed is None else (seed, 0)
+    return evaluation_seeds(*key, episodes, Purpose.FRESH_EPISODES)
 
 
 def evaluate_state(
@@ -118,51 +120,24 @@ def evaluate_state(
     backend: Backend,
     controller: ControllerName = "trained",
 ) -> Evaluation:
-    """Run an episode of the agent of `state` for every seed; return the results. See `EvaluationBeside`.
-
-    Of the constant controllers, return that with the highest mean score, then mean return; of equal ones, the first.
-    """
-    found = [
-        replace(EvaluationBeside(algorithm, state, seeds, backend, decisions).result(), controller=name)
-        for name, decisions in _DECISIONS[controller].items()
-    ]
-    return max(found, key=lambda each: (each.scores.mean(), each.returns.mean()))
-
-
-class EvaluationBeside:
-    """An evaluation that the workers of a backend do beside the next generation.
+    """Run an episode of the agent of `state` for every seed and return the results.
 
     A diverged episode counts as the worst of the others. The episodes run in blocks of `episodes_in_lockstep`, the
     number of rows of a policy's matmul in training, so that results do not depend on the distribution of the blocks.
+    Of the constant controllers, the one with the highest mean score counts, then mean return; of equal ones, the first.
     """
-
-    def __init__(
-        self,
-        algorithm: Algorithm[StateT],
-        state: StateT,
-        seeds: Sequence[int],
-        backend: Backend,
-        decisions: Decisions | None = None,
-    ) -> None:
-        """Begin an episode of the agent of `state` for every seed, with `decisions` instead of its controller's."""
-        self._count, self._primitive = len(seeds), algorithm.design.intrinsic_level
-        tasks, generation = _work(algorithm, state, seeds, decisions)
-        self._roll_out = RollOutBeside.start(tasks, generation, backend)
-
-    @property
-    def is_done(self) -> bool:
-        """Whether all episodes have ended."""
-        return self._roll_out.pending.is_done
-
-    def result(self) -> Evaluation:
-        """Return the results, after the episodes that are left."""
-        return _evaluation(self._roll_out.results(), self._count, self._primitive)
+    found = []
+    for name, decisions in _DECISIONS[controller].items():
+        results = roll_out_tasks(*_tasks(algorithm, state, seeds, decisions), backend)
+        evaluation = _evaluation(results, len(seeds), algorithm.design.intrinsic_level)
+        found.append(replace(evaluation, controller=name))
+    return max(found, key=lambda each: (each.scores.mean(), each.returns.mean()))
 
 
-def _work(
+def _tasks(
     algorithm: Algorithm[StateT], state: StateT, seeds: Sequence[int], decisions: Decisions | None
 ) -> tuple[list[EpisodeTask], Generation]:
-    """Return the tasks of an evaluation, and what they share."""
+    """Return the tasks of an evaluation with `decisions` instead of the controller's, and what they share."""
     parameters, rows = algorithm.parameters(state), algorithm.episodes_in_lockstep
     if decisions is not None:  # a network with parameters of 0 returns 0
         parameters = tuple(
@@ -170,7 +145,6 @@ def _work(
             for name, level in zip(algorithm.design.level_names, parameters, strict=True)
         )
     zeros = (0,) * len(parameters)
-    blocks = [seeds[first : first + rows] for first in range(0, len(seeds), rows)]
     tasks = [
         EpisodeTask(
             member=number,
@@ -180,7 +154,7 @@ def _work(
             seeds=tuple(block),
             records_statistics=False,
         )
-        for number, block in enumerate(blocks)
+        for number, block in enumerate(seeds[first : first + rows] for first in range(0, len(seeds), rows))
     ]
     generation = Generation(
         levels=parameters, sigma=0.0, episodes_per_policy=rows, is_evaluation=True, decisions=decisions
@@ -240,12 +214,7 @@ def evaluate(
             well was not learned.
 
     Raises:
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
-        CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: `episodes` is not positive, `seed` is negative, the machine has no such device, there are more
-            episodes or workers than it can have, or the run has no controller to replace.
-        UnknownNameError: `targets`, `controller` or `device` is unknown.
-        MissingExtraError: The device needs a package that is not installed.
+        ConfigError: The machine has no such device or not enough memory, or the run has no controller to replace.
     """
     buffers = {name: size for name, size in (("nconmax", nconmax), ("njmax", njmax)) if size is not None}
     execution: dict[str, Any] = {"num_workers": num_workers, "device": device, **buffers}
@@ -259,13 +228,12 @@ def evaluate(
             "'trained' is allowed. Omit --controller, or choose a run of two levels."
         )
     check_asked_device(opened.config, execution)
-    workload = Workload.of(opened.config, is_evaluation=True)
-    check_limits(workload, opened.algorithm.design, {"evaluation_episodes": "episodes"})
+    check_limits(opened.config, opened.algorithm.design, is_evaluation=True)
     plan = opened.algorithm.plan()
     if targets == "training":
         own = {"max_tilt": None} if isinstance(plan.training, FallOptions) else {}  # no target of training
         plan = replace(plan, evaluation=replace(plan.training, **own))
-    with build_backend(opened.config, plan, workload.most_episodes) as backend:
+    with build_backend(opened.config, plan, most_episodes(opened.config, is_evaluation=True)) as backend:
         backend.on_event = logger.warning  # of silent or lost workers; on standard error, unless logging is set up
         seeds = fresh_seeds(opened.state, episodes, seed)
         found = evaluate_state(opened.algorithm, opened.state, seeds, backend, controller)

@@ -7,6 +7,7 @@ files, and `examples/run_exported.py` acts by NumPy alone.
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
@@ -21,17 +22,17 @@ from shes.envs.bodies.body import Body
 from shes.envs.bodies.symmetry import SignedPermutation, SymmetryGroup, dihedral_group
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.root import yaw
-from shes.errors import ConfigError
+from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
 from shes.hierarchy.goal_reaching import GoalReachingDesign
 from shes.hierarchy.hierarchical import MIN_COMPONENT_M, HierarchicalDesign
 from shes.policies.mlp import MLP
 from shes.runs.build import OpenedRun, open_run
-from shes.runs.onnx_graph import onnx_model
 from shes.storage import write_atomically
 from shes.types import F64Array
 
 _FORMAT = 1  # of the description
+_OPERATORS, _IR_VERSION = 17, 8  # of ONNX: onnxruntime 1.13 (2022) or newer
 Networks = Mapping[str, tuple[MLP, LevelParameters]]
 """The network of each level by name, with its parameters and its normalisation."""
 
@@ -61,12 +62,8 @@ def export(
         Paths of the files.
 
     Raises:
-        UnknownNameError: There is no such format.
         ConfigError: `out` does not end with the name of the format, or is among the checkpoints of a run.
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
-        CheckpointError: The checkpoint is missing or damaged.
         MissingExtraError: `onnx` is not installed.
-        StorageError: A file cannot be written.
     """
     path = Path(f"policy.{format}" if out is None else out)
     if path.suffix != f".{format}":
@@ -84,15 +81,14 @@ def describe(run: OpenedRun) -> dict[str, Any]:
     """Return all of an agent but its networks, as JSON types."""
     design, settings = run.algorithm.design, run.config.values
     task, clock = run.algorithm.problem.sample(), design.clock
+    layers = {name: len(policy.sizes) - 1 for name, policy in zip(design.level_names, design.policies, strict=True)}
     found: dict[str, Any] = {
         "format": _FORMAT,
         "shes": version("shes"),
         "env": run.config.run.env,
         "generation": run.state.generation,
         "levels": list(design.level_names),
-        "num_layers": {
-            name: len(policy.sizes) - 1 for name, policy in zip(design.level_names, design.policies, strict=True)
-        },
+        "num_layers": layers,
         "observation": list(task.observation_names),
         "action": _action(task),
         "hidden_activation": design.policies[-1].hidden_activation,
@@ -102,16 +98,16 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         **design.exported(),
     }
     if isinstance(design, GoalReachingDesign):
-        found |= {
-            "controller_interval": design.controller_interval,
-            "pose": None if task.robot is None else _pose(task.robot, task.proprioception.tolist()),
-            "primitive": {
-                "view": design.primitive_view.to_dict(),
-                "goal_encoding": settings["goal_encoding"],
-                **_frames(
-                    design.symmetry or _no_symmetry(design.primitive_view.size(task.observation_size), task.action_size)
-                ),
-            },
+        # Without a symmetry there is the robot's own frame alone, so that a reader needs no case of its own.
+        sizes = design.primitive_view.size(task.observation_size), task.action_size
+        view, control = (SignedPermutation(np.arange(size), np.ones(size)) for size in sizes)
+        own = view, control
+        found["controller_interval"] = design.controller_interval
+        found["pose"] = None if task.robot is None else _pose(task.robot, task.proprioception.tolist())
+        found["primitive"] = {
+            "view": design.primitive_view.to_dict(),
+            "goal_encoding": settings["goal_encoding"],
+            **_frames(design.symmetry or dihedral_group(1, own, own, is_mirrored=False)),
         }
     if isinstance(design, HierarchicalDesign):
         found["controller"] = {
@@ -163,12 +159,6 @@ def _frames(group: SymmetryGroup) -> dict[str, Any]:
     return {"num_turns": group.num_turns, "is_mirrored": group.is_mirrored, "frames": frames}
 
 
-def _no_symmetry(view_size: int, num_controls: int) -> SymmetryGroup:
-    """Return the group of the robot's own frame alone, so that a reader needs no case without symmetry."""
-    view, control = (SignedPermutation(np.arange(size), np.ones(size)) for size in (view_size, num_controls))
-    return dihedral_group(1, (view, control), (view, control), is_mirrored=False)
-
-
 def _write_npz(path: Path, description: Mapping[str, Any], networks: Networks) -> tuple[Path, ...]:
     """Write one file with the description and the arrays of every network."""
     arrays: dict[str, Any] = {"description": np.array(json.dumps(description))}
@@ -183,16 +173,64 @@ def _write_npz(path: Path, description: Mapping[str, Any], networks: Networks) -
 
 
 def _write_onnx(path: Path, description: Mapping[str, Any], networks: Networks) -> tuple[Path, ...]:
-    """Write a file with the description and the graph for each network."""
-    notes = {"description": json.dumps(description)}
-    clip = description["input_clip"]
-    models = {
-        path if len(networks) == 1 else path.with_stem(f"{path.stem}-{name}"): onnx_model(name, *network, clip, notes)
-        for name, network in networks.items()
-    }
-    for own, model in models.items():
-        write_atomically(own, lambda file, model=model: file.write(model))
+    """Write a file for each network, with its graph and the description. Source: the ONNX operator set 17."""
+    try:
+        onnx: Any = importlib.import_module("onnx")
+    except ImportError as error:
+        raise MissingExtraError(
+            f"the format onnx needs the package onnx ({error}). Install it: pip install 'shes[onnx]', or use --format "
+            "npz."
+        ) from error
+    models = {}
+    for name, (policy, level) in networks.items():
+        model = onnx.helper.make_model(
+            _graph(onnx, name, policy, level, description["input_clip"]),
+            producer_name="shes",
+            ir_version=_IR_VERSION,
+            opset_imports=[onnx.helper.make_opsetid("", _OPERATORS)],
+        )
+        onnx.helper.set_model_props(model, {"description": json.dumps(description)})
+        onnx.checker.check_model(model, full_check=True)
+        models[path if len(networks) == 1 else path.with_stem(f"{path.stem}-{name}")] = model.SerializeToString()
+    for own, content in models.items():
+        write_atomically(own, lambda file, content=content: file.write(content))
     return tuple(models)
+
+
+def _graph(onnx: Any, name: str, policy: MLP, level: LevelParameters, clip: float | None) -> Any:
+    """Return the graph of one level: normalisation, with inputs clipped to `clip`, then the network.
+
+    Input `observation` [N, O] float64, the level's inputs before normalisation; output `output` [N, A] float32 in
+    [-1, 1].
+    """
+    helper, kinds = onnx.helper, onnx.TensorProto
+    limit = np.inf if clip is None else clip
+    bounds = {"low": np.array(-limit), "high": np.array(limit)}
+    constants = {"mean": level.mean, "inverse_std": level.inverse_std, **bounds}
+    nodes = [
+        helper.make_node("Sub", ["observation", "mean"], ["centred"]),
+        helper.make_node("Mul", ["centred", "inverse_std"], ["scaled"]),
+        helper.make_node("Max", ["scaled", "low"], ["above"]),
+        helper.make_node("Min", ["above", "high"], ["clipped"]),
+        helper.make_node("Cast", ["clipped"], ["layer_0"], to=kinds.FLOAT),
+    ]
+    layers = policy.layers(policy.expand(level.theta[None]))
+    hidden = {"tanh": "Tanh", "relu": "Relu"}[policy.hidden_activation]
+    for i, (weights, biases) in enumerate(layers):
+        constants |= {f"weights_{i}": weights[0], f"biases_{i}": biases[0, 0]}
+        end, activation = ("output", "Tanh") if i == len(layers) - 1 else (f"layer_{i + 1}", hidden)
+        nodes += [
+            helper.make_node("MatMul", [f"layer_{i}", f"weights_{i}"], [f"product_{i}"]),
+            helper.make_node("Add", [f"product_{i}", f"biases_{i}"], [f"sum_{i}"]),
+            helper.make_node(activation, [f"sum_{i}"], [end]),
+        ]
+    return helper.make_graph(
+        nodes,
+        name,
+        [helper.make_tensor_value_info("observation", kinds.DOUBLE, ["N", policy.sizes[0]])],
+        [helper.make_tensor_value_info("output", kinds.FLOAT, ["N", policy.sizes[-1]])],
+        [onnx.numpy_helper.from_array(np.ascontiguousarray(array), key) for key, array in constants.items()],
+    )
 
 
 FORMATS: Mapping[str, Callable[[Path, Mapping[str, Any], Networks], tuple[Path, ...]]] = MappingProxyType(

@@ -48,8 +48,7 @@ class Agent:
     ) -> None:
         self.config, self.num_envs = config, num_envs
         task = algorithm.problem.make_task(is_evaluation=True)
-        self._reader = task.reader
-        self.observation_size = task.observation_size
+        self._reader, self.observation_size = task.reader, task.observation_size
         task.close()
         self._levels = dict(zip(algorithm.design.level_names, levels, strict=True))
         # One policy per environment, so that each has a clock and can be reset separately.
@@ -100,11 +99,7 @@ class Agent:
         return None if held is None else held.copy()
 
     def reset(self, env: int | None = None) -> None:
-        """Begin a new episode in environment `env`, or in all: the next `act` sets new goals.
-
-        Raises:
-            ConfigError: There is no environment `env`.
-        """
+        """Begin a new episode in environment `env`, or in all: the next `act` sets new goals."""
         if env is not None and not 0 <= env < self.num_envs:
             raise ConfigError(f"env must be from 0 to {self.num_envs - 1}, got {env}: there are {self.num_envs}.")
         for number in range(self.num_envs) if env is None else (env,):
@@ -122,11 +117,6 @@ class Agent:
 
         Returns:
             Action [A], or [num_envs, A] for several observations.
-
-        Raises:
-            ShapeError: `observation` has a wrong shape.
-            PolicyError: `observation` contains NaN or infinity.
-            ConfigError: `info` or `env` is needed.
         """
         try:
             rows, is_single = self._reader.rows(observation, self.num_envs)
@@ -164,9 +154,5 @@ def load(run: Path | str, *, checkpoint: str = "best", num_envs: int = 1) -> Age
         run: The run folder, or the name of a shipped agent.
         checkpoint: `best`, `last` or the number of a generation.
         num_envs: Number of environments in which it acts at once.
-
-    Raises:
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
-        CheckpointError: The checkpoint is missing or damaged.
     """
     return Agent(open_run(run, checkpoint), num_envs)

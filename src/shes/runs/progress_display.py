@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -19,11 +18,8 @@ from rich.text import Text
 
 from shes.console import LineConsole
 from shes.runs.config import TrainConfig
-from shes.runs.listening import AnyListener
-
-__all__ = ["ProgressDisplay", "drawing_progress", "format_duration", "shown_beside"]
-
-Row = dict[str, Any]
+from shes.runs.listeners import AnyListener
+from shes.runs.tables import Row
 
 _BLOCKS, _ASCII_BLOCKS = "▁▂▃▄▅▆▇█", "_.-:=+*#"
 _LINE_EVERY_S = 10.0  # if not in a terminal; in one that cannot redraw, every generation is a line
@@ -49,19 +45,19 @@ def drawing_progress(console: Console, name: str = "drawing") -> Iterator[Callab
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
-def _sparkline(values: list[float], width: int, blocks: str) -> str:
-    """Return a line chart of `values` of at most `width` characters, drawn with `blocks` of rising height."""
-    if len(values) < 2:
-        return ""
-    step = max(1, -(-len(values) // width))
-    shown = [sum(values[i : i + step]) / len(values[i : i + step]) for i in range(0, len(values), step)]
-    low, high = min(shown), max(shown)
-    scale = (len(blocks) - 1) / (high - low) if high > low else 0
-    return "".join(blocks[round((value - low) * scale)] for value in shown)
+@contextmanager
+def with_display(listener: AnyListener, progress: bool | None) -> Iterator[AnyListener]:
+    """Yield `listener`, with a progress display if `progress` is True, or None in a terminal or a notebook."""
+    console = LineConsole()
+    if not (console.is_terminal or console.is_jupyter if progress is None else progress):
+        yield listener
+        return
+    with ProgressDisplay(console) as display:
+        yield [display, *(listener if isinstance(listener, list | tuple) else () if listener is None else (listener,))]
 
 
 class ProgressDisplay:
-    """A `Listener` that shows generation, returns of both levels, evaluation score, steps per second and time left."""
+    """A `Listener` that shows generation, returns of the levels, evaluation score, steps per second and time left."""
 
     def __init__(self, console: Console) -> None:
         """Show on `console`; use as a context manager."""
@@ -72,13 +68,11 @@ class ProgressDisplay:
         can_redraw = console.is_terminal and not console.is_dumb_terminal
         self._live = Live(console=console, auto_refresh=False, transient=False) if can_redraw else None
         self._line_every_s = 0.0 if console.is_terminal else _LINE_EVERY_S
-        self._config: TrainConfig | None = None
         self._row: Row = {}
         self._evaluation: Row = {}
         self._scores: list[float] = []
         self._events: deque[str] = deque(maxlen=3)
-        self._times: deque[float] = deque(maxlen=_REMEMBERED)
-        self._start = self._last_line = monotonic()
+        self._shares: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)  # (time, share of the run)
 
     def __enter__(self) -> ProgressDisplay:
         if self._live is not None:
@@ -91,34 +85,29 @@ class ProgressDisplay:
 
     def on_start(self, path: Path, config: TrainConfig, generation: int, num_workers: int) -> None:
         """Print the environment, the workers and the run folder."""
-        self.path, self._config = path, config
-        self._start = monotonic()
-        workers = (
-            f"{num_workers} worker{'s' * (num_workers != 1)}" if config.workers.backend != "serial" else "this process"
-        )
-        if config.algorithm.shares_memory and config.workers.backend != "serial":
-            workers = f"this process, evaluating on {workers}"
+        self.path, self._run = path, config.run
+        self._start = self._last_line = monotonic()
+        workers = f"{num_workers} worker{'s' * (num_workers != 1)}"
         if config.workers.device != "cpu":
             workers = f"device {config.workers.device}"
+        elif config.workers.backend == "serial":
+            workers = "this process"
+        elif config.algorithm.shares_memory:
+            workers = f"this process, evaluating on {workers}"
         after = f" after generation {generation}" if generation else ""
-        text = Text.assemble(
-            "Training ",
-            (config.run.env, "bold"),
-            f" ({config.run.preset}) on {workers}{after}. Run folder: ",
-            (str(path), "cyan"),
-        )
-        self._console.print(text, highlight=False, soft_wrap=True)
+        name, text = (config.run.env, "bold"), f" ({config.run.preset}) on {workers}{after}. Run folder: "
+        self._print(Text.assemble("Training ", name, text, (str(path), "cyan")))
 
     def on_generation(self, row: Row) -> None:
         """Show a generation."""
-        self._row = row
-        self._times.append(monotonic())
-        is_last = self._config is not None and self._config.run.is_over(row["generation"], row["env_steps"])
+        self._row, now = row, monotonic()
+        self._shares.append((now, self._share(now)))
+        is_last = self._run.is_over(row["generation"], row["env_steps"])
         if self._live is not None:
             self._live.update(self._view(), refresh=True)
-        elif monotonic() - self._last_line >= self._line_every_s or is_last or row["generation"] == 1:
-            self._last_line = monotonic()
-            self._console.print(self._line(), highlight=False, soft_wrap=True)
+        elif now - self._last_line >= self._line_every_s or is_last or row["generation"] == 1:
+            self._last_line = now
+            self._print(Text("  ".join(f"{name} {value}" for name, value in self._facts())))
 
     def on_evaluation(self, row: Row) -> None:
         """Show an evaluation, with the last generation; on a plain terminal the next line shows it."""
@@ -134,49 +123,42 @@ class ProgressDisplay:
         if self._live is not None:
             self._live.update(self._view(), refresh=True)
         else:
-            self._console.print(event, style="yellow", highlight=False, markup=False, soft_wrap=True)
+            self._print(Text(event, style="yellow"))
 
-    def _seconds_left(self) -> float | None:
-        """Return the seconds left, estimated from the last generations; None before the second generation."""
-        config = self._config
-        if config is None or len(self._times) < 2:
-            return None
-        pace = (self._times[-1] - self._times[0]) / (len(self._times) - 1)
-        left = pace * (config.run.generations - self._row["generation"])
-        if config.run.env_steps is not None:
-            generations = (
-                (config.run.env_steps - self._row["env_steps"]) / self._row["env_steps"] * self._row["generation"]
-            )
-            left = min(left, max(0.0, pace * generations))
-        if config.run.minutes is not None:
-            left = min(left, max(0.0, 60 * config.run.minutes - (monotonic() - self._start)))
-        return left
+    def _print(self, text: Text) -> None:
+        self._console.print(text, highlight=False, soft_wrap=True)
+
+    def _share(self, now: float) -> float:
+        """Return the share of the run that is done, by the limit that is reached first."""
+        shares = [self._row["generation"] / self._run.generations]
+        if self._run.env_steps is not None:
+            shares.append(self._row["env_steps"] / self._run.env_steps)
+        if self._run.minutes is not None:
+            shares.append((now - self._start) / (60 * self._run.minutes))
+        return min(1.0, max(shares))
+
+    def _time_left(self) -> str:
+        """Return the time left, estimated from the last generations, as text."""
+        (begin, before), (end, share) = self._shares[0], self._shares[-1]
+        if share <= before:
+            return "0 s" if share == 1 else "-"
+        return format_duration((1 - share) * (end - begin) / (share - before))
 
     def _facts(self) -> list[tuple[str, str]]:
         """Return the names and values shown."""
-        row, evaluation = self._row, self._evaluation
-        left = self._seconds_left()
-        score = "-"
-        if evaluation:
-            plus_minus = "+/-" if self._is_ascii else "±"
-            score = f"{evaluation['score_mean']:.2f} {plus_minus} {evaluation['score_std']:.2f}"
-        run = self._config.run if self._config else None
-        total = run.generations if run else 0
-        has_other_limit = run is not None and (run.env_steps is not None or run.minutes is not None)
-        names = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
+        row, found, score = self._row, self._evaluation, "-"
+        if found:
+            score = f"{found['score_mean']:.2f} {'+/-' if self._is_ascii else '±'} {found['score_std']:.2f}"
+        at_most = " at most" * (self._run.env_steps is not None or self._run.minutes is not None)
+        levels = [column.removesuffix("_return_max") for column in row if column.endswith("_return_max")]
+        returns = {name: (row[f"{name}_return_mean"], row[f"{name}_return_max"]) for name in levels}
         return [
-            ("generation", f"{row['generation']} / {total}{' at most' * has_other_limit}"),
-            *(
-                (f"{name} return", f"{row[f'{name}_return_mean']:.2f} (best {row[f'{name}_return_max']:.2f})")
-                for name in names
-            ),
+            ("generation", f"{row['generation']} / {self._run.generations}{at_most}"),
+            *((f"{name} return", f"{mean:.2f} (best {most:.2f})") for name, (mean, most) in returns.items()),
             ("evaluation score", score),
             ("env steps/s", f"{row['env_steps_per_s']:,.0f} ({row['env_steps'] / 1e6:,.1f} M so far)"),
-            ("time left", "-" if left is None else format_duration(left)),
+            ("time left", self._time_left()),
         ]
-
-    def _line(self) -> Text:
-        return Text("  ".join(f"{name} {value}" for name, value in self._facts()))
 
     def _view(self) -> Group:
         """Return the redrawn block; it fits 40 columns and uses up to 100."""
@@ -189,29 +171,18 @@ class ProgressDisplay:
         table.add_column(no_wrap=True, overflow="ellipsis")
         for name, value in self._facts():
             table.add_row(Text(name), Text(value))
-        course = _sparkline(self._scores, max(10, width - 22), _ASCII_BLOCKS if self._is_ascii else _BLOCKS)
-        if course:
-            table.add_row("score so far", Text(course, style="green"))
-        total = self._config.run.generations if self._config else 1
-        done = self._row["generation"]
-        if self._config is not None:
-            config, shares = self._config, [done / total]
-            if config.run.env_steps is not None:
-                shares.append(self._row["env_steps"] / config.run.env_steps)
-            if config.run.minutes is not None:
-                shares.append((monotonic() - self._start) / (60 * config.run.minutes))
-            total, done = 1000, round(1000 * min(1.0, max(shares)))
+        if len(self._scores) > 1:
+            blocks = _ASCII_BLOCKS if self._is_ascii else _BLOCKS
+            table.add_row("score so far", Text(_sparkline(self._scores, max(10, width - 22), blocks), style="green"))
         bar = Table.grid()  # ends the line, which the bar alone does not
-        bar.add_row(ProgressBar(total=total, completed=done, width=width))
+        bar.add_row(ProgressBar(total=1000, completed=round(1000 * self._shares[-1][1]), width=width))
         return Group(bar, table, *events)
 
 
-@contextmanager
-def shown_beside(listener: AnyListener, progress: bool | None) -> Iterator[AnyListener]:
-    """Yield `listener`, beside a progress display if `progress` is True, or None in a terminal or a notebook."""
-    console = LineConsole()
-    if not (console.is_terminal or console.is_jupyter if progress is None else progress):
-        yield listener
-        return
-    with ProgressDisplay(console) as display:
-        yield [display, *(listener if isinstance(listener, list | tuple) else () if listener is None else (listener,))]
+def _sparkline(values: list[float], width: int, blocks: str) -> str:
+    """Return a line chart of `values` of at most `width` characters, drawn with `blocks` of rising height."""
+    step = -(-len(values) // width)
+    shown = [sum(values[i : i + step]) / len(values[i : i + step]) for i in range(0, len(values), step)]
+    low, high = min(shown), max(shown)
+    scale = (len(blocks) - 1) / (high - low) if high > low else 0
+    return "".join(blocks[round((value - low) * scale)] for value in shown)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,18 +19,16 @@ from shes.listing import Listing
 from shes.runs.build import build_algorithm, build_backend, check_device
 from shes.runs.checkpoint import Best, Checkpoint, restore, save_checkpoint
 from shes.runs.config import TrainConfig
-from shes.runs.device import check_asked_device
-from shes.runs.folder import RunFolder, new_folder
+from shes.runs.device import check_asked_device, check_limits, most_episodes
+from shes.runs.evaluate import logger
+from shes.runs.folder import RunFolder, differing, new_folder
 from shes.runs.interruption import Interruption, resumable
-from shes.runs.limits import Workload, check_limits
-from shes.runs.listening import AnyListener, Audience
-from shes.runs.log import logger, run_log
-from shes.runs.progress_display import shown_beside
+from shes.runs.listeners import AnyListener, Listeners
+from shes.runs.progress_display import with_display
+from shes.runs.recorder import Recorder, run_log
 from shes.runs.sections import execution_settings, known_settings
-from shes.runs.session import Session
-from shes.runs.tables import Records, check_tables, read_csv
+from shes.runs.tables import read_csv
 from shes.runs.transfer import check_robot, transfer
-from shes.runs.writer import RunWriter
 from shes.settings import Setting
 from shes.training.make_config import make_config
 from shes.types import F64Array
@@ -101,26 +99,24 @@ def train(
         settings: Any setting by name, e.g. `seed=0, num_workers=4`.
 
     Raises:
-        UnknownNameError: The environment, the preset or another name is unknown.
-        ConfigError: A setting is unknown or out of range, the run does not fit this machine, or `listener` cannot be
-            called.
+        ConfigError: A setting is unknown or out of range, or the run does not fit this machine.
         RunFolderError: `out` already holds a run.
-        StorageError: A file cannot be written.
+        StorageError: A file cannot be written. `resume` goes on afterwards, also after the errors below.
         WorkerError: A worker failed, or workers keep dying.
         PolicyError: A policy returned NaN.
-        DivergenceError: Every episode of `max_diverged_generations` generations in a row diverged.
+        DivergenceError: Every episode of ten generations in a row diverged.
     """
-    with shown_beside(listener, progress) as heard:
+    with with_display(listener, progress) as heard:
         return start_run(make_config(env, preset, settings), out, heard)
 
 
 def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyListener = None) -> Run:
     """Begin a run with the settings of `config`; see `train`."""
-    audience = Audience(listener)
+    listeners = Listeners(listener)
     check_device(config)
     check_robot(config)
     algorithm = build_algorithm(config)
-    check_limits(Workload.of(config), algorithm.design)
+    check_limits(config, algorithm.design)
     algorithm.plan()  # errors of the noise table or a transfer arise before there is a folder
     state, origins = transfer(algorithm, algorithm.start(config.run.seed))
     if out is not None:
@@ -133,8 +129,8 @@ def start_run(config: TrainConfig, out: Path | str | None = None, listener: AnyL
                 save_checkpoint(folder.checkpoint_path(name), checkpoint)
             # From here on the run can be resumed.
             folder.record_start(config, origins)
-            with resumable(folder.path):
-                return _go_on(folder, algorithm, state, checkpoint, workers, audience)
+            with resumable(folder.path), closing(Recorder(folder, algorithm, checkpoint, listeners)) as recorder:
+                return _go_on(recorder, state, workers)
 
 
 def _path(out: Path | str) -> Path:
@@ -154,48 +150,45 @@ def resume(path: Path | str, *, listener: AnyListener = None, progress: bool | N
         settings: Execution settings, e.g. `generations=2000, num_workers=8, device="cuda"`.
 
     Raises:
-        RunFolderError: `path` is not a run folder, or belongs to a shipped agent.
         CheckpointError: The last checkpoint is damaged or from another run.
         ConfigError: A setting would change the run's numbers, the run is finished, or the machine has no such device.
-        MissingExtraError: The device needs a package that is not installed.
     """
-    with shown_beside(listener, progress) as heard:
+    with with_display(listener, progress) as heard:
         return resume_run(path, heard, **settings)
 
 
 def resume_run(path: Path | str, listener: AnyListener = None, **settings: Any) -> Run:
     """Continue the run at `path`; see `resume`."""
-    audience = Audience(listener)
+    listeners = Listeners(listener)
     folder = RunFolder.open(path)
-    stored = folder.read_config()
     check_resumable(settings)
-    config = stored.having(**{"minutes": None, **settings})
+    config = folder.read_config().having(**{"minutes": None, **settings})
     check_asked_device(config, settings)
     check_device(config)
     with folder.lock(), resumable(folder.path):
         algorithm = build_algorithm(config)
-        check_limits(Workload.of(config), algorithm.design)
+        check_limits(config, algorithm.design)
         checkpoint = folder.load("last", algorithm.check_headers)
-        done, steps = checkpoint.generation, checkpoint.env_steps
-        if config.run.is_over(done, steps) and not checkpoint.owes_evaluation:
-            is_long = done >= config.run.generations
-            made, end = (done, config.run.generations) if is_long else (steps, config.run.env_steps)
-            limit = "--generations" if is_long else "--env-steps"
-            raise ConfigError(
-                f"the run has made {made} {'generations' if is_long else 'environment steps'}, but {limit} is {end}. "
-                f"To go on: shes resume {shlex.quote(str(path))} {limit} {2 * made}"
-            )
+        _check_unfinished(path, config, checkpoint)
         state = restore(checkpoint, algorithm.from_arrays, folder.checkpoint_path("last"))
         checkpoint = replace(checkpoint, arrays=algorithm.to_arrays(state))  # what was read need not stay in memory
-        check_tables(folder, done, owes_evaluation=checkpoint.owes_evaluation)
-        with _started(algorithm) as workers:
-            changes = folder.record_resume(done, config)
-            if changes:
-                event = f"not as before ({', '.join(changes)}): numbers may differ from here on"
-                with run_log(folder):
-                    logger.warning(event)
-                audience.tell("on_event", event)
-            return _go_on(folder, algorithm, state, checkpoint, workers, audience)
+        with closing(Recorder(folder, algorithm, checkpoint, listeners)) as recorder, _started(algorithm) as workers:
+            changes = folder.record_resume(checkpoint.generation, config)
+            return _go_on(recorder, state, workers, changes)
+
+
+def _check_unfinished(path: Path | str, config: TrainConfig, checkpoint: Checkpoint) -> None:
+    """Raise ConfigError if the run is over."""
+    done, steps = checkpoint.generation, checkpoint.env_steps
+    if not config.run.is_over(done, steps):
+        return
+    is_long = done >= config.run.generations
+    made, end = (done, config.run.generations) if is_long else (steps, config.run.env_steps)
+    limit = "--generations" if is_long else "--env-steps"
+    raise ConfigError(
+        f"the run has made {made} {'generations' if is_long else 'environment steps'}, but {limit} is {end}. "
+        f"To go on: shes resume {shlex.quote(str(path))} {limit} {2 * made}"
+    )
 
 
 def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) -> Run:
@@ -213,17 +206,11 @@ def finish_run(config: TrainConfig, path: Path, listener: AnyListener = None) ->
             "have it made anew."
         )
     last = folder.load("last")
-    if config.run.is_over(last.generation, last.env_steps) and not last.owes_evaluation:
+    if config.run.is_over(last.generation, last.env_steps):
         return Run(path=path, config=stored, generation=last.generation, best=last.best)
     now = {name: config.values[name] for name in resumable_settings()}
     changed = {name: value for name, value in now.items() if value != stored.values[name]}
     return resume_run(path, listener, **{**changed, "minutes": config.run.minutes})
-
-
-def differing(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
-    """Return the first settings in which two runs differ, in words; empty if they are the same."""
-    names = [name for name in {**wanted, **there} if there.get(name) != wanted.get(name)]
-    return "; ".join(f"{name} is {there.get(name)!r} there, not {wanted.get(name)!r}" for name in names[:3])
 
 
 def resumable_settings() -> dict[str, Setting]:
@@ -251,49 +238,31 @@ def _started(algorithm: Algorithm[Any]) -> Iterator[tuple[Backend, Interruption]
     config: TrainConfig = algorithm.problem.settings
     with (
         Interruption() as interruption,
-        build_backend(config, algorithm.plan(), Workload.of(config).most_episodes) as backend,
+        build_backend(config, algorithm.plan(), most_episodes(config)) as backend,
     ):
         yield backend, interruption
 
 
-def _go_on(
-    folder: RunFolder,
-    algorithm: Algorithm[Any],
-    state: Any,
-    checkpoint: Checkpoint,
-    workers: tuple[Backend, Interruption],
-    audience: Audience,
-) -> Run:
-    """Train from `state` until the run is over, its time is up, a listener ends it, or Ctrl-C, which it raises."""
+def _go_on(recorder: Recorder, state: Any, workers: tuple[Backend, Interruption], changes: Iterable[str] = ()) -> Run:
+    """Train from `state` until the run is over, its time is up, a listener ends it, or Ctrl-C, which it raises.
+
+    `changes` are those since the run began that may change numbers.
+    """
+    folder, algorithm = recorder.folder, recorder.algorithm
     config: TrainConfig = algorithm.problem.settings
     backend, interruption = workers
-    with ExitStack() as stack:
-        stack.enter_context(run_log(folder))
-        records = Records(
-            folder,
-            checkpoint.generation,
-            checkpoint.env_steps,
-            config.numbers(),
-            owes_evaluation=checkpoint.owes_evaluation,
-        )
-        stack.enter_context(closing(records))
-        writer = stack.enter_context(closing(RunWriter(records)))
-        session = stack.enter_context(closing(Session(folder, algorithm, checkpoint, writer, backend, audience)))
-        generations = stack.enter_context(closing(algorithm.run(state, backend)))
+    with run_log(folder), closing(algorithm.run(state, backend)) as generations:
         on_device = "" if config.workers.device == "cpu" else f" on device {config.workers.device}"
         logger.info("begins after generation %d with %d workers%s", state.generation, backend.num_workers, on_device)
-        session.log_warnings()
-        with interruption.at_once():
-            session.start_owed_evaluation(state)
-        while not session.is_over() and not interruption.is_requested:
-            logger.info("generation %d begins", session.checkpoint.generation + 1)
+        recorder.begin(backend, changes)
+        while not recorder.is_over() and not interruption.is_requested:
+            logger.info("generation %d begins", recorder.checkpoint.generation + 1)
             with interruption.at_once():
                 report = next(generations)
-            session.add(report, interruption)
+                rows = recorder.evaluate_if_due(report)
+            recorder.add(report, *rows)
             logger.info("generation %d ends", report.state.generation)
-        if not interruption.is_requested:
-            session.finish(interruption)
-    if interruption.is_requested and (not session.is_over() or session.checkpoint.owes_evaluation):
+    if interruption.is_requested and not recorder.is_over():
         raise KeyboardInterrupt
-    last = session.checkpoint
+    last = recorder.checkpoint
     return Run(path=folder.path, config=config, generation=last.generation, best=last.best)

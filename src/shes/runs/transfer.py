@@ -30,31 +30,25 @@ def _read(level: str, own: LevelTransfer, path: str, checkpoint: str) -> tuple[O
     """Return the run at `path`, whose `level` can be transferred, and the level's origin for the record."""
     folder = RunFolder.open(path)
     if not folder.checkpoint_path(checkpoint).is_file():
-        there, checkpoint_flag = _checkpoint_names(folder), f"--{level}-checkpoint"
-        fix = f"Omit {checkpoint_flag}." if there == ["best"] else f"Set {checkpoint_flag} to one of these."
-        raise CheckpointError(f"{path} has no checkpoint {checkpoint!r}; it has {', '.join(there) or 'none'}. {fix}")
+        stems = (file.stem.removeprefix("generation_") for file in folder.checkpoints.glob("*.npz"))
+        there = ", ".join(str(int(stem)) if stem.isdecimal() else stem for stem in sorted(stems)) or "none"
+        raise CheckpointError(f"{path} has no checkpoint {checkpoint!r}; it has {there}. Set --{level}-checkpoint.")
     opened = open_run(path, checkpoint)
     source = opened.algorithm
-    if level in source.level_names and source.transfers.get(level) is not own:
-        names = sorted(name for name, cls in ALGORITHMS.items() if cls.transfers.get(level) is own)
-        raise ConfigError(
-            f"the {level} of {path} was trained by {opened.config.run.algorithm}; only levels that "
-            f"{' or '.join(names)} trained can be transferred. Name another run with --{level}."
-        )
     if level not in source.level_names:
         raise ConfigError(
             f"{path} has no {level}: its levels are {', '.join(source.level_names)}. Name a run with "
             f"--{level} that trained one: {own.trained_by}."
         )
+    if source.transfers.get(level) is not own:
+        names = sorted(name for name, cls in ALGORITHMS.items() if cls.transfers.get(level) is own)
+        raise ConfigError(
+            f"the {level} of {path} was trained by {opened.config.run.algorithm}; only levels that "
+            f"{' or '.join(names)} trained can be transferred. Name another run with --{level}."
+        )
     env, generation = opened.config.run.env, opened.state.generation
     origin = {"run": path, "env": env, "checkpoint": checkpoint, "generation": generation}
     return opened, {**origin, **origin_of(folder)}
-
-
-def _checkpoint_names(folder: RunFolder) -> list[str]:
-    stems = sorted(file.stem for file in folder.checkpoints.glob("*.npz"))
-    prefix = "generation_"
-    return [f"{int(stem.removeprefix(prefix))}" if stem.startswith(prefix) else stem for stem in stems]
 
 
 def brought_settings(
@@ -65,8 +59,6 @@ def brought_settings(
     `values` are the settings of the new run so far; those in `asked` were asked for, not taken from a preset.
 
     Raises:
-        RunFolderError: `path` is neither a run folder nor a shipped agent.
-        CheckpointError: The checkpoint is missing or damaged.
         ConfigError: The run has no such level, or a setting was asked for with another value than the level's.
     """
     algorithm = algorithm_of(RunSettings.of(values))
@@ -119,7 +111,7 @@ def transfer(algorithm: Algorithm[Any], state: Any) -> tuple[Any, dict[str, dict
         path = config.values.get(level)
         if path is None:
             continue
-        source, origins[level] = _read(level, own, path, config.values[f"{level}_checkpoint"])
+        source, origins[level] = _read(level, own, path, config.values.get(f"{level}_checkpoint", "best"))
         theirs, ours = own.interface(source.algorithm.problem), own.interface(algorithm.problem)
         if theirs != ours:
             raise ConfigError(

@@ -22,10 +22,10 @@ from shes.backends.registry import BACKENDS
 from shes.cores import num_cores
 from shes.errors import RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig
-from shes.runs.folder import RunFolder, check_folder_of_runs
+from shes.runs.folder import RunFolder, check_folder_of_runs, differing
 from shes.runs.sections import WorkerSettings
 from shes.runs.tables import trained_minutes
-from shes.runs.train import differing, resume_run, start_run
+from shes.runs.train import resume_run, start_run
 from shes.storage import storage_errors
 from shes.studies.one_core_backend import OneCoreBackend
 from shes.studies.run_summary import summarise
@@ -99,7 +99,7 @@ def _is_over(config: TrainConfig, folder: RunFolder) -> bool:
         return False
     last, limit = folder.load("last", with_state=False), config.run.minutes
     is_late = limit is not None and trained_minutes(folder) >= limit
-    return (config.run.is_over(last.generation, last.env_steps) or is_late) and not last.owes_evaluation
+    return config.run.is_over(last.generation, last.env_steps) or is_late
 
 
 def _check_settings(cell: Cell, folder: RunFolder, config: TrainConfig) -> None:

@@ -12,9 +12,9 @@ import numpy as np
 from shes.errors import ConfigError, RunFolderError, ShesError
 from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
+from shes.runs.listings import RunState, run_state
 from shes.runs.runs_folder import find_runs
 from shes.runs.shipped import shipped_name
-from shes.runs.state import RunState, run_state
 from shes.runs.tables import read_csv
 from shes.types import F64Array
 from shes.viewing.groups import Group, group_runs, name_groups
@@ -206,9 +206,9 @@ def read_run(folder: RunFolder, place: RunPlace | None = None) -> ReportedRun:
         tables={path.stem: _read_table(path, notes) for path in (folder.progress, folder.evaluation)},
         notes=notes,
     )
-    if run.state.state in ("damaged", "tables only"):
-        what = "is damaged" if run.state.state == "damaged" else "is missing"
-        notes.append(f"The last checkpoint {what}.")
+    if run.state.state == "unreadable":
+        what = "damaged" if folder.checkpoint_path("last").is_file() else "missing"
+        notes.append(f"The last checkpoint is {what}.")
     return run
 
 

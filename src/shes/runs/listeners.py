@@ -1,4 +1,4 @@
-"""Listeners: the events of a run in training, and how a listener ends the run."""
+"""Listeners: they receive the progress of a run, and may end it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _METHODS = {
 """Parameters of every method of a listener."""
 
 
-class Audience:
+class Listeners:
     """The listeners of a run."""
 
     def __init__(self, listener: AnyListener) -> None:
@@ -72,11 +72,11 @@ def _methods(listener: Any) -> dict[str, Callable[..., Any]]:
         raise ConfigError(
             f"listener must be an object, got the class {listener.__name__}. Write {listener.__name__}()."
         )
-    named = [name for name in dir(listener) if name.startswith("on_") and callable(getattr(listener, name))]
-    for name in named:
+    names = [name for name in dir(listener) if name.startswith("on_") and callable(getattr(listener, name))]
+    for name in names:
         if name not in _METHODS:
             raise UnknownNameError("method of a listener", name, _METHODS, "Rename it.")
-    found = {name: getattr(listener, name) for name in named}
+    found = {name: getattr(listener, name) for name in names}
     if not found and callable(listener):
         found = {"on_generation": listener}
     if not found:
@@ -84,19 +84,13 @@ def _methods(listener: Any) -> dict[str, Callable[..., Any]]:
             f"listener must be a function of a row, or an object with any of {', '.join(_METHODS)}; got {listener!r}."
         )
     for name, method in found.items():
-        _check_call(name, method)
-    return found
-
-
-def _check_call(name: str, method: Callable[..., Any]) -> None:
-    """Raise ConfigError unless a method can be called with the arguments of `name`, and is no coroutine function."""
-    wanted = _METHODS[name]
-    try:
-        inspect.signature(method).bind(*wanted)
-    except TypeError as error:
         shown = getattr(method, "__qualname__", repr(method))
-        raise ConfigError(f"listener {shown} must take ({', '.join(wanted)}): {error}.") from error
-    except ValueError:  # some built-in functions have no signature
-        return
-    if inspect.iscoroutinefunction(method):
-        raise ConfigError(f"listener {method.__qualname__} must be a plain function, not an async one.")
+        if inspect.iscoroutinefunction(method):
+            raise ConfigError(f"listener {shown} must be a plain function, not an async one.")
+        try:
+            inspect.signature(method).bind(*_METHODS[name])
+        except TypeError as error:
+            raise ConfigError(f"listener {shown} must take ({', '.join(_METHODS[name])}): {error}.") from error
+        except ValueError:  # some built-in functions have no signature
+            pass
+    return found
