@@ -1,7 +1,4 @@
-"""Shipped agents: named wherever a run folder may stand, made out of a run, never written into.
-
-The agents of most tests are tiny ones; those that are really shipped are held to the contract at the end.
-"""
+"""Shipped agents: named wherever a run folder may stand, and never written into."""
 
 import json
 import shlex
@@ -17,370 +14,161 @@ from shes import cli
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs import shipped
 from shes.runs.build import build_task
-from shes.runs.checkpoint import load_checkpoint, save_checkpoint
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
-from shes.runs.shipped import find_run, read_agent, shipped_name, shipped_names, shipped_path
+from shes.runs.shipped import AGENTS, find_run, read_agent, shipped_name, shipped_names
 from shes.runs.tables import read_csv
 from shes.settings import setting_fields
 from shes.training.make_config import make_config
-from shes.training.ship import main, ship
 from shes.viewing.plot import plot
 from shes.viewing.render import render
 from tests.e2e import runs
 
-TOLD = {"description": "A point that walks.", "commands": ["shes train point-flagrun"]}
 FILES = {"agent.json", "checkpoints", "config.json", "evaluation.csv", "progress.csv"}
 
 
-@pytest.fixture(scope="module")
-def walker_run(tmp_path_factory):
-    """A run that trained a primitive alone. Not to be changed."""
-    return runs.train_tiny(tmp_path_factory.mktemp("walker") / "run", "point-flagrun", hidden=(64,))
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory, tiny_run, walker_run):
-    """A folder with two shipped agents. Not to be changed."""
-    folder = tmp_path_factory.mktemp("shipped") / "agents"
-    ship(walker_run, "point-walker", **TOLD, episodes=3, num_workers=1, into=folder)
-    ship(tiny_run, "point-gather", **TOLD, episodes=3, seed=7, num_workers=1, into=folder)
-    return folder
-
-
 @pytest.fixture
-def agents(place, tmp_path, monkeypatch):
-    """The same as the package's own, from an empty working directory."""
-    monkeypatch.setattr(shipped, "AGENTS", place)
+def elsewhere(tmp_path, monkeypatch):
+    """An empty working directory."""
     monkeypatch.chdir(tmp_path)
-    return place
-
-
-@pytest.fixture
-def none_shipped(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "AGENTS", tmp_path / "nowhere")
-    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 # Names.
 
 
-def test_a_name_is_found_and_a_path_wins_over_it(agents, run_copy):
-    assert shipped_names() == ("point-gather", "point-walker")
-    assert find_run("point-walker") == shipped_path("point-walker") == agents / "point-walker"
-    assert find_run("./point-walker") == find_run(Path("./point-walker")) == Path("point-walker")
-    assert RunFolder.open("point-gather").path == agents / "point-gather"
-    run_copy.rename("point-gather")
-    assert RunFolder.open("point-gather").path == Path("point-gather")
+def test_a_name_is_found_and_a_path_wins_over_it(elsewhere, run_copy):
+    assert find_run("ant-walker") == AGENTS / "ant-walker"
+    assert find_run("./ant-walker") == find_run(Path("./ant-walker")) == Path("ant-walker")
+    assert RunFolder.open("ant-gather").path == AGENTS / "ant-gather"
+    run_copy.rename("ant-gather")
+    assert RunFolder.open("ant-gather").path == Path("ant-gather")
 
 
-def test_what_is_no_name_is_refused_with_the_names(agents):
-    message = (
-        r"^point-wlker does not exist\. Give the folder .*\(its --out\)\. Or name a shipped agent: point-walker, poi"
-    )
-    with pytest.raises(RunFolderError, match=message + r".*\. Did you mean 'point-walker'\?$"):
-        shes.load("point-wlker")
-    with pytest.raises(RunFolderError, match=r"^point-walker does not exist\. .*\(its --out\)\.$"):
-        shes.load("./point-walker")
-    message = r"^point-walker does not exist\. .*A pathlib\.Path is always a path: .*give the string 'point-walker'\.$"
-    with pytest.raises(RunFolderError, match=message):
-        shes.load(Path("./point-walker"))
-    with pytest.raises(RunFolderError, match=r"^point-walker does not exist\. .*\(its --out\)\.$"):
-        runs.train_tiny(Path("run"), primitive=Path("./point-walker"))
-    with pytest.raises(
-        UnknownNameError, match=r"unknown shipped agent 'x'\. Known: point-gather, point-walker\. `shes"
-    ):
-        shipped_path("x")
+NOT_THERE = {
+    "a name": ("ant-wlker", r"Or name a shipped agent: ant-walker, .*\. Did you mean 'ant-walker'\?$"),
+    "a path of text": ("./ant-walker", r"\(its --out\)\.$"),
+    "a path": (Path("ant-walker"), r"A pathlib\.Path is always a path: .*give the string 'ant-walker'\.$"),
+}
 
 
-def test_a_folder_that_hides_an_agent_is_refused_by_saying_so(agents):
-    Path("point-walker").mkdir()
-    with pytest.raises(RunFolderError, match=r"no config\.json\. .*It hides the shipped agent point-walker: rename it"):
-        shes.load("point-walker")
+@pytest.mark.parametrize("case", NOT_THERE)
+def test_what_is_no_name_is_refused_with_the_names(elsewhere, case):
+    run, message = NOT_THERE[case]
+    with pytest.raises(RunFolderError, match=rf"does not exist\. Give the folder .*{message}"):
+        shes.load(run)
 
 
-def test_where_no_agent_is_shipped_nothing_is_said_of_them(none_shipped):
+def test_a_folder_that_hides_an_agent_is_refused_by_saying_so(elsewhere):
+    Path("ant-walker").mkdir()
+    with pytest.raises(RunFolderError, match=r"no config\.json\. .*It hides the shipped agent ant-walker: rename it"):
+        shes.load("ant-walker")
+
+
+def test_where_no_agent_is_shipped_nothing_is_said_of_them(elsewhere, monkeypatch):
+    monkeypatch.setattr(shipped, "AGENTS", elsewhere / "nowhere")
     assert shipped_names() == ()
     with pytest.raises(RunFolderError, match=r"^gone does not exist\. .*\(its --out\)\.$"):
         shes.load("gone")
+    with pytest.raises(UnknownNameError, match=r"unknown shipped agent 'x'\. Known: \. `shes list` shows them"):
+        read_agent("x")
 
 
 # Use.
 
 
-def test_a_shipped_agent_is_evaluated_loaded_and_drawn_by_name(agents, tiny_run):
-    one, other = (evaluate(run, episodes=4, num_workers=1) for run in ("point-gather", tiny_run))
+def test_a_shipped_agent_is_evaluated_loaded_and_drawn_by_name(elsewhere):
+    one, other = (evaluate(run, episodes=2, num_workers=1) for run in ("ant-gather", AGENTS / "ant-gather"))
     assert one.summary() == other.summary()
-    agent = shes.load("point-gather")
-    assert agent.act(np.zeros(agent.observation_size)).shape == (2,)
-    assert plot(["point-gather", "point-walker"]) == Path("curves.png")
+    agent = shes.load("ant-gather")
+    assert agent.act(np.zeros(agent.observation_size)).shape == (8,)
+    assert plot(["ant-gather", "ant-walker"]) == Path("curves.png")
     assert [path.name for path in Path().iterdir()] == ["curves.png"]
 
 
 @pytest.mark.render
-def test_a_video_of_a_shipped_agent_is_in_the_working_directory(agents):
-    assert render("point-gather", steps=2, size=64) == Path("walk.mp4")
+def test_a_video_of_a_shipped_agent_is_in_the_working_directory(elsewhere):
+    assert render("ant-walker", steps=2, size=64) == Path("walk.mp4")
     assert [path.name for path in Path().iterdir()] == ["walk.mp4"]
 
 
-def test_the_primitive_of_a_shipped_agent_is_brought_by_name(agents):
-    path = runs.train_tiny(Path("run"), primitive="point-walker", generations=1)
+def test_the_primitive_of_a_shipped_agent_is_brought_by_name(elsewhere):
+    path = runs.train_tiny(Path("run"), "ant-gather", primitive="ant-walker", generations=1)
     record = json.loads((path / "config.json").read_text())
-    assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "point-walker"
-    brought, own = (runs.state(run, "best").levels[-1] for run in ("point-walker", path))
+    assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "ant-walker"
+    brought, own = (runs.state(run, "best").levels[-1] for run in ("ant-walker", path))
     assert own.theta.tobytes() == brought.theta.tobytes()
 
 
-def test_a_shipped_agent_has_its_best_checkpoint_alone(agents):
-    with pytest.raises(CheckpointError, match=r"agent point-gather has only the checkpoint best, got 'last'\. Omit --"):
-        evaluate("point-gather", checkpoint="last")
-    with pytest.raises(CheckpointError, match=r"no checkpoint 'last'; it has best\. Omit --primitive-checkpoint"):
-        runs.train_tiny(Path("run"), primitive="point-walker", primitive_checkpoint="last")
+@pytest.mark.parametrize("run", ["ant-walker", AGENTS / "ant-walker"])
+def test_a_shipped_agent_has_its_best_checkpoint_alone_and_is_not_written_into(run):
+    with pytest.raises(CheckpointError, match=r"agent ant-walker has only the checkpoint best, got 'last'\. Omit --"):
+        evaluate(run, checkpoint="last")
+    with pytest.raises(RunFolderError, match=r"^ant-walker is a shipped agent.*--primitive ant-walker\. Or copy /"):
+        shes.resume(run, generations=10**6)
+    assert {path.name for path in (AGENTS / "ant-walker").iterdir()} == FILES
 
 
-@pytest.mark.parametrize(("asked", "generation"), [("best", None), ("last", 4), ("2", 2)])
-def test_another_checkpoint_than_the_best_can_be_shipped(tiny_run, tmp_path, asked, generation):
-    told = ship(tiny_run, "other", **TOLD, checkpoint=asked, episodes=1, num_workers=1, into=tmp_path)
-    shipped, own = (runs.state(path, name) for path, name in ((tmp_path / "other", "best"), (tiny_run, asked)))
-    assert load_checkpoint(tmp_path / "other/checkpoints/best.npz").best.generation in (-1, told.generation)
-    assert told.generation == shipped.generation == own.generation == (generation or own.generation)
-    assert [level.theta.tobytes() for level in shipped.levels] == [level.theta.tobytes() for level in own.levels]
-
-
-@pytest.mark.parametrize("by", ["name", "path"])
-def test_nothing_is_written_into_a_shipped_agent(agents, by):
-    run = "point-walker" if by == "name" else agents / "point-walker"
-    with pytest.raises(RunFolderError, match=r"^point-walker is a shipped agent.*--primitive point-walker\. Or copy /"):
-        shes.resume(run, generations=9)
-    assert {path.name for path in (agents / "point-walker").iterdir()} == FILES
-
-
-def test_a_copy_of_a_shipped_agent_can_be_trained_on(agents):
-    shutil.copytree(agents / "point-gather", "mine")
+@pytest.mark.slow
+def test_a_copy_of_a_shipped_agent_can_be_trained_on(elsewhere):
+    shutil.copytree(AGENTS / "ant-walker", "mine")
     shutil.copy("mine/checkpoints/best.npz", "mine/checkpoints/last.npz")
-    best = read_agent("point-gather").generation
+    best = read_agent("ant-walker").generation
     assert shes.resume("mine", generations=best + 1).generation == best + 1
 
 
-# What `ship` makes.
-
-
-def test_an_agent_is_a_small_run_folder(agents, walker_run):
-    folder = agents / "point-walker"
-    assert {path.name for path in folder.iterdir()} == FILES
-    assert [path.name for path in (folder / "checkpoints").iterdir()] == ["best.npz"]
-    assert {path.name for path in agents.iterdir()} == {"point-gather", "point-walker"}  # nothing else is left
-    whole, small = walker_run / "checkpoints" / "best.npz", folder / "checkpoints" / "best.npz"
-    assert small.stat().st_size < whole.stat().st_size
-    one, other = load_checkpoint(whole), load_checkpoint(small)
-    assert (one.best, one.generation, one.env_steps) == (other.best, other.generation, other.env_steps)
-    states = (runs.state(path, "best") for path in (walker_run, folder))
-    for level, copy in zip(*(state.levels for state in states), strict=True):
-        assert level.theta.tobytes() == copy.theta.tobytes()
-        assert level.statistics.total.tobytes() == copy.statistics.total.tobytes()
-        assert (copy.optimizer.steps, copy.optimizer.slots.keys()) == (0, level.optimizer.slots.keys())
-        assert not any(values.any() for values in copy.optimizer.slots.values())
-
-
-def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_run):
-    told, checkpoint = read_agent("point-gather"), RunFolder.open(tiny_run).load("best")
-    assert (told.description, told.commands) == (TOLD["description"], tuple(TOLD["commands"]))
-    assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 640)
-    assert told.generation == checkpoint.generation
-    assert 0 <= told.hours < 0.1
-    result, scores = told.to_dict()["evaluation"], {"episodes", "score_mean", "score_std", "success_rate"}
-    for controller in ("constant", "random"):
-        found = evaluate("point-gather", episodes=3, seed=7, num_workers=1, controller=controller)
-        other = result.pop(controller)
-        assert other == {"controller": found.controller, **{name: found.summary()[name] for name in scores}}
-    found = evaluate("point-gather", episodes=3, seed=7, num_workers=1).summary()
-    assert (result.pop("seed"), result.pop("controller")) == (7, "trained")
-    assert result == {name: found[name] for name in result}
-    assert set(result) == {
-        "episodes",
-        "score_mean",
-        "score_std",
-        "return_mean",
-        "success_rate",
-        "episode_steps_mean",
-    }
-    walker = read_agent("point-walker").evaluation
-    assert (walker.seed, walker.controller, walker.constant, walker.random) == (None, None, None, None)
-
-
-def test_no_path_of_this_machine_is_shipped(walker_run, tmp_path):
-    run = runs.train_tiny(tmp_path / "run", primitive=str(walker_run), generations=1)
-    record = json.loads((run / "config.json").read_text())
-    record["command"] = ["shes", "train", "point-gather", "--out", str(run), f"--primitive={walker_run}", "--sigma=1"]
-    (run / "config.json").write_text(json.dumps(record))
-    ship(run, "gatherer", **TOLD, episodes=1, num_workers=1, into=tmp_path / "agents")
-    folder = RunFolder.open(tmp_path / "agents" / "gatherer")
-    text = folder.config.read_text()
-    assert str(tmp_path) not in text
-    assert str(walker_run) not in text
-    record = json.loads(text)
-    assert record["command"] == ["shes", "train", "point-gather", "--out", "run", "--primitive=run", "--sigma=1"]
-    assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "run"
-    assert folder.load("best").numbers["primitive"] == "run"
-
-
-def test_the_record_names_runs_as_the_commands_do(walker_run, tmp_path):
-    run = runs.train_tiny(tmp_path / "gather_b", primitive=str(walker_run), generations=1)
-    record = json.loads((run / "config.json").read_text())
-    record["command"] = ["shes", "train", "run", f"--primitive={walker_run}", "--out", str(run)]
-    record["resumed"] = [{"command": ["shes", "resume", str(run), "--generations", "9"]}]
-    (run / "config.json").write_text(json.dumps(record))
-    told = {**TOLD, "commands": ["shes train a --out walker", "shes train run --primitive walker --out=gather"]}
-    ship(run, "gatherer", **told, episodes=1, num_workers=1, into=tmp_path / "agents")
-    folder = RunFolder.open(tmp_path / "agents" / "gatherer")
-    record = folder.read_record()
-    assert record["command"] == ["shes", "train", "run", "--primitive=walker", "--out", "gather"]
-    assert record["resumed"][0]["command"] == ["shes", "resume", "gather", "--generations", "9"]
-    assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "walker"
-    assert folder.load("best").numbers["primitive"] == "walker"
-
-
-def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
-    generations = range(1, 1001)
-    rows = [f"{number},{number * 12345678},{number / 7!r},nan" for number in generations]
-    for table in ("progress.csv", "evaluation.csv"):
-        header = "generation,env_steps,wall_time_s,score_mean"
-        (run_copy / table).write_text("\n".join([header, *rows]) + "\n")
-    best = RunFolder.open(run_copy).load("best").generation
-    told = ship(run_copy, "long", **TOLD, episodes=1, num_workers=1, into=tmp_path / "agents")
-    assert told.env_steps == 12345678000
-    for table in ("progress.csv", "evaluation.csv"):
-        columns = read_csv(tmp_path / "agents" / "long" / table)
-        assert 290 <= len(columns["generation"]) <= 300
-        assert {1, best, 1000} <= set(columns["generation"])
-        assert columns["env_steps"] == [number * 12345678 for number in columns["generation"]]
-        assert columns["wall_time_s"][-1] == 142.857
-        assert np.isnan(columns["score_mean"]).all()
-
-
-def test_the_optimizer_of_an_agent_begins_anew_however_little_its_state_takes(tmp_path):
-    run = runs.train_tiny(tmp_path / "run", "point-flagrun", hidden=(1,), generations=1)
-    ship(run, "small", **TOLD, episodes=1, num_workers=1, into=tmp_path)
-    one, other = (runs.state(path, "best").levels[0].optimizer for path in (run, tmp_path / "small"))
-    assert (one.steps, other.steps) == (1, 0)
-    for slot, values in one.slots.items():
-        assert (other.slots[slot].dtype, other.slots[slot].shape) == (values.dtype, values.shape)
-        assert values.any()
-        assert not other.slots[slot].any()
-
-
-def test_an_agent_keeps_no_episodes_that_go_on(tmp_path):
-    branches = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 5}
-    run = runs.train_tiny(tmp_path / "run", "point-flagrun", generations=1, horizon=40, **branches)
-    ship(run, "small", **TOLD, episodes=1, num_workers=1, into=tmp_path)
-    assert runs.state(run, "best").running is not None
-    assert runs.state(tmp_path / "small", "best").running is None
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        (
-            {"name": "Ant Walker"},
-            r"name must be small letters, digits and hyphens, e\.g\. ant-walker, got 'Ant Walker'",
-        ),
-        ({"name": "../x"}, r"name must be small letters, .*got '\.\./x'"),
-        ({"description": "two\nlines"}, r"description must be one line of text, got .*Set --description"),
-        ({"description": " "}, r"description must be one line of text, got ' '"),
-        ({"commands": []}, r"commands must name at least one, got \[\]\. Set --command"),
-        ({"commands": ["shes train '"]}, r"commands must be a shell's, got \"shes train '\" \(No closing quotation\)"),
-        ({"episodes": 0}, r"episodes must be a whole number of at least 1, got 0\. Set --episodes"),
-    ],
-)
-def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):
-    words = {"name": "good", **TOLD, "episodes": 1, "num_workers": 1, "into": tmp_path, **changed}
-    with pytest.raises(ConfigError, match=message):
-        ship(tiny_run, **words)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_run_without_an_evaluation_and_a_name_that_is_taken_are_refused(agents, tiny_run, run_copy):
-    with pytest.raises(RunFolderError, match=r"point-gather exists already\. Delete it first, or choose another name"):
-        ship(tiny_run, "point-gather", **TOLD)
-    start = RunFolder.open(run_copy).load("0")
-    save_checkpoint(run_copy / "checkpoints" / "best.npz", start)
-    with pytest.raises(RunFolderError, match=r"has no evaluation yet, .*Train it further first"):
-        ship(run_copy, "early", **TOLD)
-
-
-def test_the_command_ships_an_agent_and_prints_what_is_told_of_it(tiny_run, tmp_path, capsys):
-    words = [
-        str(tiny_run),
-        "mine",
-        "--description",
-        "A point.",
-        "--command",
-        "shes train a",
-        "--command",
-        "shes train b",
-    ]
-    assert main([*words, "--episodes", "2", "--workers", "1", "--into", str(tmp_path / "agents")]) == 0
-    out, err = capsys.readouterr()
-    told = json.loads(out)
-    assert (err, told["commands"], told["evaluation"]["episodes"]) == ("", ["shes train a", "shes train b"], 2)
-    assert json.loads((tmp_path / "agents" / "mine" / "agent.json").read_text()) == told
-    assert main([*words, "--into", str(tmp_path / "agents")]) == 2
-    assert capsys.readouterr().err.startswith("Error: ")
-
-
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"commands": [], "evaluation": {}}', "without random"])
-def test_a_damaged_agent_file_is_an_error_that_names_it(agents, tmp_path, monkeypatch, text):
-    shutil.copytree(agents, "agents")
-    monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
-    file = tmp_path / "agents" / "point-gather" / "agent.json"
+def test_a_damaged_agent_file_is_an_error_that_names_it(elsewhere, monkeypatch, text):
+    shutil.copytree(AGENTS / "ant-gather", "agents/ant-gather")
+    monkeypatch.setattr(shipped, "AGENTS", elsewhere / "agents")
+    file = elsewhere / "agents" / "ant-gather" / "agent.json"
     if text == "without random":
         told = json.loads(file.read_text())
         del told["evaluation"]["random"]
         text = json.dumps(told)
     file.write_text(text)
     with pytest.raises(RunFolderError, match=r"agent\.json is damaged: .*Install SHES again"):
-        read_agent("point-gather")
+        read_agent("ant-gather")
 
 
-# What is really shipped.
-
-
-def test_every_shipped_agent_is_small_complete_and_acts():
-    for name in shipped_names():
-        folder, told = RunFolder.open(shipped_path(name)), read_agent(name)
-        assert {path.name for path in folder.path.iterdir()} == FILES
-        assert [path.name for path in folder.checkpoints.iterdir()] == ["best.npz"]
-        assert folder.checkpoint_path("best").stat().st_size < 200_000
-        assert sum(path.stat().st_size for path in folder.path.rglob("*") if path.is_file()) < 500_000
-        assert shipped_name(folder.path) == name
-        assert folder.read_config().run.env == told.env
-        assert folder.load("best").generation == told.generation
-        assert told.description.strip()
-        assert told.commands
-        assert min(told.cores, told.hours, told.env_steps, told.generation, told.evaluation.episodes) > 0
-        for other in (told.evaluation.constant, told.evaluation.random):
-            assert (other is not None) == ("controller" in folder.read_config().level_names)
-            assert other is None or (other.episodes, other.controller == "trained") == (told.evaluation.episodes, False)
-        for values in (read_csv(folder.progress), read_csv(folder.evaluation)):
-            assert 0 < len(values["generation"]) <= 300
-        assert "/home/" not in folder.config.read_text()
-        record, last = folder.read_record(), shlex.split(told.commands[-1])
-        for option, given in pairwise(last):  # runs have one name everywhere
-            if option in ("--out", "--primitive"):
-                assert (option, given) in pairwise(record["command"])
-            if option == "--primitive":
-                assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == given
-        agent, task = shes.load(shipped_path(name)), build_task(folder.read_config(), 1, is_evaluation=True)
-        task.reset(np.array([0]), [1])
-        control = agent.control(task.observe(), task.position, task.heading, task.goal)
-        assert np.isfinite(control).all()
-        task.step(np.array([0]), control)
-        assert not task.diverged.any()
-        task.close()
+# What is shipped.
 
 
 @pytest.mark.parametrize("name", shipped_names())
-def test_the_last_command_of_a_shipped_agent_still_gives_the_settings_it_was_trained_with(name, monkeypatch):
+def test_every_shipped_agent_is_small_complete_and_acts(name):
+    folder, told = RunFolder.open(name), read_agent(name)
+    assert {path.name for path in folder.path.iterdir()} == FILES
+    assert [path.name for path in folder.checkpoints.iterdir()] == ["best.npz"]
+    assert folder.checkpoint_path("best").stat().st_size < 200_000
+    assert sum(path.stat().st_size for path in folder.path.rglob("*") if path.is_file()) < 500_000
+    assert shipped_name(folder.path) == name
+    assert folder.read_config().run.env == told.env
+    assert folder.load("best").generation == told.generation
+    assert told.description.strip()
+    assert min(told.cores, told.hours, told.env_steps, told.generation, told.evaluation.episodes) > 0
+    for other in (told.evaluation.constant, told.evaluation.random):
+        assert (other is not None) == ("controller" in folder.read_config().level_names)
+        assert other is None or (other.episodes, other.controller == "trained") == (told.evaluation.episodes, False)
+    for values in (read_csv(folder.progress), read_csv(folder.evaluation)):
+        assert 0 < len(values["generation"]) <= 300
+    assert "/home/" not in folder.config.read_text()
+    record, last = folder.read_record(), shlex.split(told.commands[-1])
+    for option, given in pairwise(last):  # runs have one name everywhere
+        if option in ("--out", "--primitive"):
+            assert (option, given) in pairwise(record["command"])
+        if option == "--primitive":
+            assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == given
+    agent, task = shes.load(name), build_task(folder.read_config(), 1, is_evaluation=True)
+    task.reset(np.array([0]), [1])
+    control = agent.control(task.observe(), task.position, task.heading, task.goal)
+    assert np.isfinite(control).all()
+    task.step(np.array([0]), control)
+    assert not task.diverged.any()
+    task.close()
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_the_last_command_of_a_shipped_agent_still_gives_its_settings(name, monkeypatch):
     def train(env, *, preset, out, progress, **settings):
         asked.update(settings)
         raise ConfigError(f"{env} is not trained here")
@@ -388,7 +176,7 @@ def test_the_last_command_of_a_shipped_agent_still_gives_the_settings_it_was_tra
     asked: dict[str, object] = {}
     monkeypatch.setattr("shes.runs.train.train", train)
     assert cli.main(shlex.split(read_agent(name).commands[-1])[1:]) == 2
-    trained = RunFolder.open(shipped_path(name)).read_config()
+    trained = RunFolder.open(name).read_config()
     levels = asked.keys() & trained.algorithm.transfers.keys()
     asked |= dict.fromkeys(levels, name) | dict.fromkeys((f"{level}_checkpoint" for level in levels), "best")
     gives, had = make_config(trained.run.env, overrides=asked).numbers(), trained.numbers()
