@@ -109,7 +109,7 @@ def test_a_shipped_agent_is_exported_by_its_name_and_acts_anew_after_a_reset(tmp
 
 SHOWN = {
     "goal_distance": ({"goal_distance": 2.5}, lambda spec: spec["controller"]["goal_distance_m"], 2.5, 4.0),
-    "minimum": ({"minimum_goal_distance": False}, lambda spec: spec["controller"]["min_component_m"], 0.0, 1.0),
+    "minimum": ({"minimum_goal_distance": False}, lambda spec: spec["controller"]["min_component_m"], 0.0, 0.5**0.5),
     "output": ({"controller_output": "one_hot"}, lambda spec: spec["controller"]["output"], "one_hot", "vector"),
     "view": (
         {"controller_view": "egocentric"},

@@ -168,7 +168,7 @@ def test_levels_are_those_of_the_row_and_brackets_are_shown_as_they_are(clock):
             display.on_evaluation(evaluation(score))
     text = "\n".join(lines_of(console))
     assert "Run folder: runs/[b] [/b] x" in text
-    assert "[/b] return        1.00 (best 2.00)" in text
+    assert re.search(r"\[/b\] return +1\.00 \(best 2\.00\)", text)
     assert "controller return" not in text
 
 

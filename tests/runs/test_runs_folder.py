@@ -4,13 +4,12 @@ import json
 import shutil
 
 import pytest
-from shes.runs.variations import read_sweep, vary
 
 from shes.cli import main
 from shes.errors import ConfigError, DivergenceError, PolicyError, RunFolderError, UnknownNameError, WorkerError
 from shes.runs.folder import RunFolder
 from shes.runs.progress_display import ProgressDisplay
-from shes.runs.runs_folder import RunsFolder, find_runs
+from shes.runs.runs_folder import RunsFolder, find_runs, read_sweep, vary
 from tests.e2e import runs
 
 SEVERAL = {name: value for name, value in runs.TINY.items() if name != "seed"}
