@@ -22,7 +22,7 @@ _OWN = ("format", "best_generation", "best_score", "best_return", "settings")
 _OF_EVERY_ALGORITHM = ("seed", "generation", "env_steps")
 _MOST_TEXT = 200  # characters of the cause in a message, which may quote the file
 
-HeaderCheck: TypeAlias = Callable[[Mapping[str, ArrayHeader]], object]
+ArrayCheck: TypeAlias = Callable[[Mapping[str, ArrayHeader]], object]
 """Checks the names, shapes and types of an algorithm's arrays."""
 
 
@@ -84,7 +84,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint, *, is_compressed: bool =
     write_atomically(path, write)
 
 
-def load_checkpoint(path: Path, check: HeaderCheck | None = None, *, with_state: bool = True) -> Checkpoint:
+def load_checkpoint(path: Path, check: ArrayCheck | None = None, *, with_state: bool = True) -> Checkpoint:
     """Read the checkpoint at `path`, without executing code from it.
 
     Args:

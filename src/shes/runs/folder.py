@@ -14,7 +14,7 @@ from typing import Any
 
 from shes.envs.registry import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
-from shes.runs.checkpoint import Checkpoint, HeaderCheck, load_checkpoint
+from shes.runs.checkpoint import Checkpoint, ArrayCheck, load_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.provenance import changes_since, provenance
 from shes.runs.shipped import find_run, shipped_hint, shipped_name
@@ -86,12 +86,12 @@ class RunFolder:
             raise RunFolderError(f"{path} is a file, not a folder. Choose another path with --out.")
         # An interrupted start leaves the lock and first checkpoints; other files come from elsewhere.
         checkpoints = [] if self._lock.exists() else self.checkpoints.glob("*.npz")
-        for taken in (self.progress, self.evaluation, *checkpoints):
-            if taken.exists():
-                raise RunFolderError(
-                    f"{path} holds {taken.relative_to(path)} but no config.json: parts of a run, or another program's "
-                    "files. Choose another folder with --out."
-                )
+        taken = next((file for file in (self.progress, self.evaluation, *checkpoints) if file.exists()), None)
+        if taken is not None:
+            raise RunFolderError(
+                f"{path} holds {taken.relative_to(path)} but no config.json: parts of a run, or another program's "
+                "files. Choose another folder with --out."
+            )
 
     @classmethod
     def open(cls, run: Path | str, *, or_several: bool = False) -> RunFolder:
@@ -196,7 +196,7 @@ class RunFolder:
         """Return the path of checkpoint `name`: `last`, `best` or the number of a generation."""
         return self.checkpoints / (f"generation_{int(name):06d}.npz" if str(name).isdecimal() else f"{name}.npz")
 
-    def load(self, name: str | int, check: HeaderCheck | None = None, *, with_state: bool = True) -> Checkpoint:
+    def load(self, name: str | int, check: ArrayCheck | None = None, *, with_state: bool = True) -> Checkpoint:
         """Return checkpoint `name` of this run; for `check` and `with_state` see `load_checkpoint`."""
         path, agent = self.checkpoint_path(name), shipped_name(self.path)
         if agent is not None and not path.is_file():
