@@ -18,8 +18,10 @@ from time import perf_counter
 
 from run import write_csv
 
+from shes.algorithms.evolution.algorithm import evolve
+from shes.algorithms.evolution.populations import generation_work
 from shes.algorithms.roll_out import roll_out_tasks
-from shes.bench.evolution import evolution_strategy, evolve, generation_work
+from shes.cli.bench import evolution_strategy
 from shes.runs.build import build_backend
 from shes.training.make_config import make_config
 

@@ -24,7 +24,7 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.runs.sections import known_settings
 from shes.settings import flag, setting_fields
 from shes.training.make_config import make_config
-from tests.page_layout import find_browser, layout_faults
+from tests.browser import find_browser, layout_faults
 
 pytestmark = pytest.mark.timeout(400)  # the first test that needs the site waits for its build
 

@@ -64,16 +64,16 @@ def decode(states):
     )  # fmt: skip
 
 
-def searched(speed, slices, horizon=200):
-    """Return the states of a search without physics after each slice, and its backend."""
+def searched(speed, generations, horizon=200, **settings):
+    """Return the states of a search without physics after each generation, and its backend."""
     state = build_algorithm(make_config("point-maze", "smoke", {**SEARCH, "hidden": (4,)})).start(3)
     start = way_search.Archive.start(np.zeros((1, 2), np.int64), np.zeros((1, 2)), 3)
     search = way_search.WaySearch(
-        decode=decode, start=start, interval=10, interval_s=1.0, horizon=horizon, goal_distance=4.0
+        decode=decode, start=start, interval=10, interval_s=1.0, horizon=horizon, goal_distance=4.0, **settings
     )
     state = way_search.replace(state, archive=start)
     backend, found = Steering(speed), []
-    for generation in range(slices):
+    for generation in range(generations):
         state = way_search.explore(way_search.replace(state, generation=generation), search, backend)
         found.append(state)
     return found, backend
@@ -125,6 +125,23 @@ def test_walkers_are_counted_in_the_cells_where_they_begin():
     assert archive.chosen[archive.steps == 0].tolist() == [begun]
     assert archive.chosen.sum() % way_search.WALKERS == 0
     assert archive.chosen.sum() > begun >= way_search.WALKERS
+
+
+def test_a_frozen_primitive_searches_in_one_generation_until_a_way_is_known(quick, monkeypatch):
+    monkeypatch.setattr(way_search, "SLICE_STEPS", 1)  # a slice is one walk
+    slice_by_slice, _ = searched(0.4, 12, 400)
+    found, _ = searched(0.4, 2, 400, slices=10)
+    at_once = [bool(state.archive.way_steps) for state in found]
+    number = [bool(state.archive.way_steps) for state in slice_by_slice].index(True) + 1
+    assert 2 < number <= 10
+    assert at_once == [True, True]
+    assert found[0].env_steps > 2 * (found[1].env_steps - found[0].env_steps) > 0  # afterwards it is one slice
+    limited, _ = searched(0.4, 1, 400, slices=2)
+    assert found[0].env_steps > limited[0].env_steps > found[1].env_steps - found[0].env_steps
+    assert limited[0].archive.way_steps == 0
+    frozen = {"primitive": "ant-walker", "explore": "archive", "target": (0.0, 16.0)}
+    for settings, slices in ((frozen, way_search.SLICES), ({}, 1)):
+        assert build_algorithm(make_config("ant-maze", "laptop", settings)).hyperparameters.search.slices == slices
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.1])
@@ -181,6 +198,9 @@ def test_goals_wander_and_the_controller_waits_until_a_way_is_known(estimate):
     assert (after.signs[..., 0] != 0).all()
     assert before.signs[..., 1].tolist() == after.signs[..., 1].tolist()
     assert {tuple(signs[0] for signs in task.signs) for task in before.tasks} <= {(0, 0), (0, 0, 0, 0)}
+    seeds = [[seed for task in work.tasks for seed in task.seeds] for work in (before, after)]
+    group = after.signs.shape[1]  # it shares its seeds, but not if all its members are the same
+    assert [len(set(each)) for each in seeds] == [16 if estimate == "interval" else 16 // group, 16 // group]
 
 
 def test_robots_that_wander_do_so_by_the_seed_and_have_the_control_noise_of_training():

@@ -9,7 +9,7 @@ from shes.runs.folder import RunFolder
 from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
 from shes.runs.train import resume
 from shes.studies.run_comparison import compare_runs
-from shes.viewing.groups import group_runs
+from shes.viewing.groups import group_runs, read_run
 from tests.e2e import runs
 
 
@@ -32,7 +32,7 @@ def transferred(tmp_path_factory):
 
 def groups_of(*paths):
     """Return the number of runs of each group, by its label."""
-    return {group.label: len(group.folders) for group in group_runs([RunFolder.open(path) for path in paths])}
+    return {group.label: len(group.runs) for group in group_runs([read_run(RunFolder.open(path)) for path in paths])}
 
 
 def seeds_below(*folders):

@@ -129,7 +129,7 @@ def test_the_controller_begins_as_it_would_without(sources, tmp_path):
 
 def test_a_primitive_brings_what_it_was_trained_with(sources, tmp_path):
     source = sources("point")
-    path = runs.train_tiny(tmp_path / "run", primitive=source, **BROUGHT, controller_interval=5, generations=1)
+    path = runs.train_tiny(tmp_path / "run", primitive=source, controller_interval=5, generations=1)
     values, record = values_of(path), RunFolder(path).read_record()
     given = {"primitive": str(source), "primitive_checkpoint": "best", "freeze_primitive": True}
     own = {"primitive_hidden": (3, 2), "primitive_view": "proprioception", "controller_interval": 5}

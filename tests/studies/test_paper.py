@@ -14,7 +14,6 @@ from shes.algorithms.evolution.presets import SHES_PRESETS
 from shes.cli import main
 from shes.runs.tables import read_csv
 from shes.studies import experiment as experiments
-from shes.studies import speedup_cells
 from shes.studies.comparison import compare
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
@@ -275,12 +274,12 @@ def measured(monkeypatch):
     """Let a measurement be a table, and count the measurements."""
     calls = []
 
-    def measure(config, **options):
-        calls.append((config.run.env, config.run.algorithm, config.workers.count, options["sleepers"]))
+    def measure(config):
+        calls.append((config.run.env, config.run.algorithm, config.workers.count))
         speedups = {("measured", 2): 1.9, ("projected", 48): 40.0, ("projected", 240): 150.0, ("projected", 600): 300.0}
         return [{"kind": k, "cores": n, "speedup": s, "start_s": math.nan} for (k, n), s in speedups.items()]
 
-    monkeypatch.setattr(speedup_cells, "measure_speedup", measure)
+    monkeypatch.setattr("benchmarks.speedup.measure_speedup", measure)
     return calls
 
 
@@ -293,7 +292,6 @@ def test_a_measurement_is_a_summary_and_is_not_repeated(tmp_path, measured):
     algorithms = [algorithm for _, algorithm, *_ in measured]
     assert sorted(algorithms) == ["es", "es", "shes", "shes", "shes", "shes"]
     assert {each[0::2] for each in measured} == {("point-maze", 2)}
-    assert {each[3] for each in measured} == {(4,)}
     row = outcomes[0].summary.row
     assert (row["workers"], row["speedup_here"], row["speedup_600"]) == (2, 1.9, 300.0)
     assert outcomes[0].summary.curve[0]["start_s"] is None

@@ -520,31 +520,6 @@ def test_figures_and_comparisons_are_those_of_the_tables(finished, tmp_path, as_
     assert as_if_run[cell().name].row["env_steps"] == 7
 
 
-def test_a_comparison_is_not_replaced_by_that_of_another_study_or_by_none(finished, tmp_path, monkeypatch):
-    study = replace(ablation("smoke", 1), cells=(cell(),))
-    monkeypatch.setitem(STUDIES, "ablation", lambda *_: study)
-    monkeypatch.setattr("shes.studies.experiment.run_study", lambda *_, **__: (each for each in ()))
-    monkeypatch.setattr("shes.studies.experiment.draw_figures", lambda *_: [])
-    shutil.copytree(finished[0] / cell().name, tmp_path / cell().name)
-    experiment("ablation", out=tmp_path)
-    there = (tmp_path / "comparison.csv").read_bytes()
-    assert there
-    with pytest.raises(ConfigError, match=r"comparison of another study, Ablation\. Choose another folder with --out"):
-        experiment("learning", out=tmp_path, run=False)
-    (tmp_path / "x-design.json").write_text("{", encoding="utf-8")  # another program's
-    experiment("ablation", out=tmp_path)
-    design = (tmp_path / "comparison-design.json").read_text(encoding="utf-8")
-    for text, problem in (("{}", "no design of an experiment"), ("{", "not JSON: ")):
-        (tmp_path / "comparison-design.json").write_text(text, encoding="utf-8")
-        with pytest.raises(ConfigError, match=rf"cannot be read: comparison-design\.json is {problem}.* Remove it"):
-            experiment("ablation", out=tmp_path)
-    (tmp_path / "comparison-design.json").write_text(design, encoding="utf-8")
-    (tmp_path / "runs.csv").unlink()
-    shutil.rmtree(tmp_path / cell().name)
-    experiment("ablation", out=tmp_path)
-    assert (tmp_path / "comparison.csv").read_bytes() == there
-
-
 def test_a_run_whose_progress_was_lost_is_named(finished, tmp_path):
     run = shutil.copytree(finished[0] / cell().name, tmp_path / cell().name)
     (run / "summary.json").unlink()

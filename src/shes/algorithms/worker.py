@@ -24,9 +24,8 @@ from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.hierarchy.rollout import NumberedTask, Rollout
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
-from shes.sim.warp import WarpSimulator
+from shes.sim.warp import WarpSimulator, bytes_per_sim
 from shes.sim.warp_device import WarpDevice, is_out_of_memory
-from shes.sim.warp_memory import bytes_per_sim
 
 _SIMULATOR_LOG = logging.getLogger("shes.mujoco")
 _MAX_LOG_LINES = 20  # of the simulator, kept with the results of one task

@@ -1,7 +1,7 @@
 """The order in which the units of work of a `map` call are handed out.
 
 A worker asks for as many units as it does at a time. If its share takes several rounds, the last ones are cut smaller
-and smaller, so that all workers end at the same time. `shes bench speedup` replays this class in simulated time.
+and smaller, so that all workers end at the same time.
 """
 
 from __future__ import annotations

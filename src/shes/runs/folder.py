@@ -14,7 +14,7 @@ from typing import Any
 
 from shes.envs.registry import GYMNASIUM
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
-from shes.runs.checkpoint import Checkpoint, ArrayCheck, load_checkpoint
+from shes.runs.checkpoint import ArrayCheck, Checkpoint, load_checkpoint
 from shes.runs.config import TrainConfig
 from shes.runs.provenance import changes_since, provenance
 from shes.runs.shipped import find_run, shipped_hint, shipped_name

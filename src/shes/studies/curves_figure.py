@@ -21,8 +21,8 @@ from matplotlib.lines import Line2D
 from shes.studies.design import Curve, CurvePanel, Curves
 from shes.studies.placed_results import PlacedResults
 from shes.types import F64Array
-from shes.viewing.curve_drawing import draw_mean_curve, legend_keys
 from shes.viewing.curves import MeanCurve, mean_curve
+from shes.viewing.plot import draw_mean_curve, legend_keys
 
 _PANEL_INCHES, _LINE_INCHES = 3.2, 0.19
 _CHARACTERS = 74

@@ -139,7 +139,7 @@ class StudyDesign:
         return self.labels.get(variant, variant.replace("-x", " × ").replace("-", " "))
 
     def authors(self, variant: str) -> str:
-        """Return the key of a variant in `shes.bench.speedup_figure.PAPER_SECONDS`; empty for one of this package."""
+        """Return the key of a variant in `shes.studies.speedup_figure.PAPER_SECONDS`; empty for one of this package."""
         return {self.base[1]: "shes", "es": "es"}.get(variant, "")
 
     def metric(self, env: str) -> Measure:

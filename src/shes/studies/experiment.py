@@ -23,13 +23,11 @@ from shes.studies.comparison import Comparison, compare
 from shes.studies.design import STEPS_PER_S, StudyDesign
 from shes.studies.figures import draw_figures
 from shes.studies.named_studies import STUDIES
-from shes.studies.report_design import study_title, write_report_design
 from shes.studies.running import Outcome, check_study, run_study
 from shes.studies.study import Study, cell_steps, choose
 from shes.studies.study_tables import Cell, CellResults, read_tables, write_csv, write_tables
 from shes.studies.summaries import cells_left, read_summaries
 from shes.studies.table1 import settings_beside
-from shes.viewing.report.experiment_design import read_design
 
 _OF_THE_PAPER = ("table1", "fig3", "fig4", "fig5", "fig6")
 _COMPARISON = "comparison"
@@ -88,7 +86,6 @@ def experiment(
         )
     chosen = choose(study, only)
     check_study(study, out)
-    _check_comparison(name, out)
     facts: dict[str, Any] = {"out": str(out), "cells": len(chosen.cells)}
     lines: list[str] = []
     errors: list[str] = []
@@ -117,22 +114,6 @@ def experiment(
         lines.append(f"Comparisons and figures are of {seeds} seed{'s' * (seeds > 1)} alone; runs.csv has more.")
     found, parts = _write_results(name, study, out, summaries)
     return Listing({**facts, **found}, [*parts, *lines], errors)
-
-
-def _check_comparison(name: str, out: Path) -> None:
-    """Raise ConfigError if `out` holds the comparison of another study, which that of this one would replace."""
-    if _table(name) != _COMPARISON:
-        return
-    try:
-        design = read_design(out, _COMPARISON)
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"the design of the comparison in {out} cannot be read: {error}. Remove it: the next run writes it again."
-        ) from error
-    if design is not None and design["title"] != study_title(name):
-        raise ConfigError(
-            f"{out} holds the comparison of another study, {design['title']}. Choose another folder with --out."
-        )
 
 
 def _in_tables(study: Study, summaries: Mapping[str, CellResults], out: Path) -> dict[str, CellResults]:
@@ -187,7 +168,6 @@ def _write_results(
     table = _table(name)
     if rows:  # else what earlier settings have left stays
         write_csv(out / f"{table}.csv", rows)
-        write_report_design(name, study, table, out)
     figures = [str(path) for path in draw_figures(study, summaries, comparisons, out)]
     tables = [name for name in ("runs.csv", "curves.csv", f"{table}.csv") if (out / name).is_file()]
     facts: dict[str, Any] = {"figures": figures, "comparisons": rows}

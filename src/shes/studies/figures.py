@@ -13,12 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
-from shes.bench.speedup_figure import SpeedupLine, speedup_figure
 from shes.storage import write_atomically
 from shes.studies.comparison import Comparison
 from shes.studies.curves_figure import draw_curves
 from shes.studies.design import Curves, Forest, Speedup, Sweep, sweep_name
 from shes.studies.placed_results import Place, PlacedResults
+from shes.studies.speedup_figure import SpeedupLine, speedup_figure
 from shes.studies.study import Study
 from shes.studies.study_tables import CellResults
 from shes.viewing.curves import confidence_interval

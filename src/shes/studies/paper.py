@@ -12,12 +12,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from shes.bench.speedup import settings_of
 from shes.checked import checked
+from shes.runs.sections import RunSettings, sections_of, settings_in
 from shes.settings import Choices
 from shes.studies.design import (
     Curve,
@@ -178,12 +177,12 @@ def figure_6(scale: str = "laptop", seeds: int | None = None) -> Study:
     size, cells = _size(scale, seeds, is_timed=True), list[Cell]()
     if size.timed_scale is not None:
         one = {"ant": seeds or 1}  # a generation takes as long with every seed
-        size = replace(SCALES[size.timed_scale], seeds=one, sleepers=size.sleepers)
+        size = replace(SCALES[size.timed_scale], seeds=one)
     for run in make_runs(size, {METHODS: _FORMS}):
         if run.env == size.timed_env:
             settings = {name: value for name, value in run.settings.items() if name not in ("env_steps", "minutes")}
             cell = replace(run, group=SPEEDUP, settings={**settings, "generations": 1})
-            flat = {**settings_of(cell.env, FLAT, cell.settings), "algorithm": FLAT}
+            flat = {**_settings_of(cell.env, FLAT, cell.settings), "algorithm": FLAT}
             cells += [cell, *([replace(cell, variant=FLAT, settings=flat)] if cell.variant == PUBLISHED else [])]
     labels = {PUBLISHED: "SHES as published", PIECES: "SHES with the learning changes", FLAT: "S-ES"}
     study = _study(
@@ -197,7 +196,13 @@ def figure_6(scale: str = "laptop", seeds: int | None = None) -> Study:
         has_ratios=True,
         has_equal_budgets=False,
     )
-    return replace(study, episodes=0, run_cell=partial(run_speedup, sleepers=size.sleepers))
+    return replace(study, episodes=0, run_cell=run_speedup)
+
+
+def _settings_of(env: str, algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of `settings` that `algorithm` has on `env`."""
+    own = settings_in(sections_of(RunSettings.of({"env": env, "algorithm": algorithm})).values())
+    return {name: value for name, value in settings.items() if name in own}
 
 
 @checked

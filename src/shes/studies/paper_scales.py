@@ -140,8 +140,6 @@ class Scale:
     """Environment of the generations that are timed; that of the authors' raw times."""
     timed_scale: str | None = None
     """Scale whose generations are timed, once: a projection is true of its own population alone. If none, this one."""
-    sleepers: tuple[int, ...] = (200, 600)
-    """Numbers of sleeping workers that validate the projection of their time."""
 
     def training(self, task: str) -> dict[str, Any]:
         """Return the settings of training's task that every method has."""
@@ -251,6 +249,5 @@ SCALES: dict[str, Scale] = {
         hiro_preset="smoke",
         timed_seeds={"point": 1},
         timed_env="point-maze",
-        sleepers=(4,),
     ),
 }

@@ -6,13 +6,11 @@ Source: SHES paper, Figure 6.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from time import perf_counter, time
 from typing import Any
 
-from shes.bench.simulation import Network
-from shes.bench.speedup import CORES, measure_speedup
 from shes.runs.provenance import provenance
 from shes.runs.tables import Row
 from shes.studies.provenance_columns import provenance_columns
@@ -23,8 +21,6 @@ from shes.studies.summaries import read_summary, write_summary
 PAPER_CORES = (48, 240, 600)
 """Numbers of cores in the paper."""
 MOST = PAPER_CORES[-1]
-_NETWORK = Network(latency_s=50e-6, bytes_per_s=10e9 / 8)
-"""Connections of the cluster: those of `shes bench speedup`."""
 
 
 def run_speedup(
@@ -33,7 +29,6 @@ def run_speedup(
     *,
     until: float = math.inf,
     workers: Mapping[str, Any],
-    sleepers: Sequence[int] = (),
 ) -> CellResults | None:
     """Measure the speed-up of a cell's settings and return the summary; None if the time is over. See `run_cell`.
 
@@ -42,7 +37,6 @@ def run_speedup(
         out: Folder of the study.
         until: Time, as of `time.time`, after which no measurement begins.
         workers: Backend, and the largest number of workers that is measured.
-        sleepers: Numbers of sleeping workers that validate the projection.
 
     Raises:
         ShesError: Raised by `measure_speedup`.
@@ -52,8 +46,10 @@ def run_speedup(
         return summary
     if time() >= until:
         return None
+    from benchmarks import speedup  # of a checkout: it is not part of the package
+
     start, config = perf_counter(), cell_config(cell, out, workers)
-    rows = measure_speedup(config, network=_NETWORK, cores=CORES, sleepers=sleepers)
+    rows = speedup.measure_speedup(config)
     by_place = {(row["kind"], row["cores"]): row["speedup"] for row in rows}
     most = config.workers.count
     row: Row = {

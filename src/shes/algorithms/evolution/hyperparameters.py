@@ -10,7 +10,7 @@ import numpy as np
 from shes.algorithms.evolution.learned_levels import explores, is_branched, learns
 from shes.algorithms.evolution.populations import Hyperparameters
 from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
-from shes.algorithms.evolution.way_search import WaySearch
+from shes.algorithms.evolution.way_search import SLICES, WaySearch
 from shes.algorithms.problem import Problem
 from shes.es.archive import Archive
 from shes.es.level import LevelState, TrainState, UpdateRule
@@ -65,6 +65,7 @@ def _way_search(problem: Problem) -> WaySearch:
         interval_s=interval * task.step_s,
         horizon=settings.exploration.explore_horizon or settings.episodes.horizon,
         goal_distance=settings.hierarchy.goal_distance,
+        slices=1 if learns(settings)[-1] else SLICES,
     )
 
 

@@ -133,6 +133,7 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
     if is_searching:  # the reward would keep controllers, and the primitive with them, in a dead end: goals wander
         levels = (*(level.at_zero() for level in levels[:-1]), levels[-1])
         signs[:, :, :-1] = 0
+    are_same = is_searching and not hyperparameters.by_episodes[-1]  # all members are the mean policies
     dims = [len(level.theta) for level in state.levels]
     # line 3: sample epsilon, as places in the noise table.
     noise_index = draw_noise_index(state.seed, state.generation, len(signs), dims, table_size)
@@ -145,7 +146,7 @@ def generation_work(state: TrainState, hyperparameters: Hyperparameters, table_s
         signs,
         noise_index,
         episodes,
-        hyperparameters.common_random_numbers,
+        "off" if are_same else hyperparameters.common_random_numbers,
         hyperparameters.statistics_fraction,
         noted,
     )

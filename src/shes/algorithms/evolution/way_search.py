@@ -23,7 +23,9 @@ from shes.types import BoolArray, F64Array, IntArray
 
 WALKERS = 64
 SLICE_STEPS = 32_000
-"""Environment steps of the search in a generation, at least."""
+"""Environment steps of a slice of the search, at least."""
+SLICES = 10
+"""Slices in a generation in which nothing else can be learned."""
 MIN_SPEED_M_S = 0.15
 """Mean speed of the first walkers towards their goals with which a search begins.
 
@@ -47,6 +49,8 @@ class WaySearch:
     """Most control steps from the reset to a place."""
     goal_distance: float
     """Distance of the primitive's goals in metres."""
+    slices: int = 1
+    """Most slices in a generation until a way is known; later it is one."""
 
     @property
     def decisions(self) -> int:
@@ -55,7 +59,7 @@ class WaySearch:
 
 
 def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> TrainState:
-    """Return `state` after another slice of the search, which its environment steps include.
+    """Return `state` after more of the search, which its environment steps include.
 
     A search begins with a primitive that walks, which the first walkers show. It ends when a way is known that several
     slices have not shortened.
@@ -71,14 +75,17 @@ def explore(state: TrainState, search: WaySearch | None, backend: Backend) -> Tr
         branch_steps=search.interval,
         is_exploration=True,
     )
-    last_step = archive.env_steps + SLICE_STEPS
-    archive, speed = _walk(archive, search, generation, rng, backend)
-    if not state.archive.has_begun and speed < MIN_SPEED_M_S:
-        archive = replace(state.archive, env_steps=archive.env_steps)
-    else:
+    for _ in range(search.slices):
+        last_step = archive.env_steps + SLICE_STEPS
+        archive, speed = _walk(archive, search, generation, rng, backend)
+        if not state.archive.has_begun and speed < MIN_SPEED_M_S:
+            archive = replace(state.archive, env_steps=archive.env_steps)
+            break
         while archive.env_steps < last_step:
             archive, _ = _walk(archive, search, generation, rng, backend)
         archive = archive.after_slice()
+        if archive.way_steps:
+            break
     num_steps = archive.env_steps - state.archive.env_steps
     return replace(state, archive=archive, env_steps=state.env_steps + num_steps)
 

@@ -79,11 +79,7 @@ class ExternalEnvironment:
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> ExternalTask:
-        """Return `num_episodes` episodes. `options` are those of SHES's own physics; they have no effect.
-
-        Raises:
-            ConfigError: The device is not the CPU, or the environment cannot be made or used.
-        """
+        """Return `num_episodes` episodes. `options` are those of SHES's own physics; they have no effect."""
         if simulator is not CpuSimulator:
             raise ConfigError(f"{self.name} has its own physics, which runs on the CPU only. Set --device cpu.")
         return ExternalTask(self, num_episodes)

@@ -23,7 +23,9 @@ from shes.types import BoolArray, F64Array, IntArray
 SUCCESS_DISTANCE_M = 5.0
 """An episode succeeds nearer to the target than this."""
 PASSED_DISTANCE_M = 3.0
-"""A waypoint is passed nearer than this."""
+"""A waypoint is passed nearer than this,"""
+BYPASSED_DISTANCE_M = 6.0
+"""or nearer than this if the next one is nearer still: the way may keep to the other side of a corridor."""
 CELL_M, BLOCK_CELL_M = 1.0, 2.0
 """Steps of a place in the robot's x and y, and in its height and the block's coordinates."""
 _MIN_COS_TILT = 0.5  # of a robot that stands: a tilt of 60 degrees
@@ -38,8 +40,9 @@ class TargetOptions(FallOptions):
     evaluation_target: Coordinates | None = None
     """Target of evaluation in metres; none is the task's own."""
     waypoints: Coordinates | None = None
-    """Points on the way to the target, one after another, each passed within 3 m; help for training only. The reward is
-    minus the length of the way that is left through them. Evaluation does not use them."""
+    """Points on the way to the target, one after another, each passed within 3 m, or within 6 m if the next one is
+    nearer; help for training only. The reward is minus the length of the way that is left through them. Evaluation does
+    not use them."""
 
     @property
     def has_random_target(self) -> bool:
@@ -241,7 +244,9 @@ class TargetTask(Task):
         """Return the reward [N]: minus the distance to the target, or minus the way left through the waypoints."""
         if not self._num_waypoints:
             return -self.distance
-        passed = self._distance_to(self._way[self._next]) < PASSED_DISTANCE_M
+        distance = self._distance_to(self._way[self._next])
+        beyond = self._distance_to(self._way[np.minimum(self._next + 1, self._num_waypoints)])
+        passed = (distance < PASSED_DISTANCE_M) | ((distance < BYPASSED_DISTANCE_M) & (beyond < distance))
         self._next += passed & (self._next < self._num_waypoints)
         return -(self._distance_to(self._way[self._next]) + self._way_beyond[self._next])
 
