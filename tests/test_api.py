@@ -38,7 +38,7 @@ def test_importing_shes_loads_what_gymnasium_needs_and_a_worker_no_face():
     assert alone & heavy <= {"gymnasium", "numpy"}
     assert worker & heavy <= {"gymnasium", "mujoco", "numpy"}
     for found in face:
-        assert not found & {"PIL", "imageio_ffmpeg", "matplotlib", "tyro"}
+        assert not found & {"PIL", "imageio_ffmpeg", "matplotlib", "tensorboardX", "tyro"}
 
 
 def test_the_face_has_what_it_says():

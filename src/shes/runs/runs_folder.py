@@ -163,8 +163,8 @@ class RunsFolder:
         """Return the folder at `path` with the runs of `configs`; if it has some of them already, it keeps these."""
         check_folder_of_runs(path)
         there = cls.open(path).configs if cls.is_at(path) else {}
-        for name in there.keys() & configs.keys():
-            if others := differing(there[name].numbers(), configs[name].numbers()):
+        for name, config in configs.items():
+            if name in there and (others := differing(there[name].numbers(), config.numbers())):
                 raise RunFolderError(
                     f"{path} has run {name} with other settings: {others}. Choose another folder with --out."
                 )
