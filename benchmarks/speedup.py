@@ -37,6 +37,7 @@ from shes.algorithms.evolution.populations import generation_work
 from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.algorithms.worker import RolloutWorker
+from shes.backends.backend import Backend
 from shes.backends.serial import SerialBackend
 from shes.cli.bench import evolution_strategy
 from shes.cores import core_numbers, on_one_core
@@ -80,10 +81,11 @@ def measure_speedup(config: TrainConfig, cores: Sequence[int] = CORES, samples: 
     algorithm, count = evolution_strategy(config), config.workers.count
     alone = [measure(config, algorithm, 1, core) for core in core_numbers()[:count]]
     several = {n: measure(config, algorithm, n) for n in range(2, count + 1)}
-    mean = [harmonic_mean(each) for each in zip(*(one.seconds for one in alone), strict=True)]
-    rows = [row("alone", 1, *one.seconds, sum(mean)) for one in alone]
-    rows.append(row("measured", 1, *mean, sum(mean)))
-    rows += [row("measured", n, *each.seconds, sum(mean)) for n, each in several.items()]
+    mean_rollout_s, mean_update_s = (harmonic_mean(each) for each in zip(*(one.seconds for one in alone), strict=True))
+    mean_s = mean_rollout_s + mean_update_s
+    rows = [row("alone", 1, *one.seconds, mean_s) for one in alone]
+    rows.append(row("measured", 1, mean_rollout_s, mean_update_s, mean_s))
+    rows += [row("measured", n, *each.seconds, mean_s) for n, each in several.items()]
     last = several.get(count, alone[0])
     update_s, base_s = last.report.update_s, sum(alone[0].seconds)
     with on_one_core(core_numbers()[0]), SerialBackend(partial(RolloutWorker, algorithm.plan())) as worker:
@@ -136,7 +138,7 @@ def draw_s(algorithm: EvolutionAlgorithm) -> float:
     return perf_counter() - start
 
 
-def rollout_s(worker: SerialBackend, work: Work, num_workers: int, message_s: float, samples: int) -> float:
+def rollout_s(worker: Backend, work: Work, num_workers: int, message_s: float, samples: int) -> float:
     """Return the projected seconds of the rollouts of `work` on `num_workers` cores; `worker` runs shares of it."""
     num_episodes = sum(task.num_units for task in work.tasks)
     size = ceil(num_episodes / num_workers)

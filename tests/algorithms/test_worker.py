@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from shes.algorithms.worker import RolloutWorker, WorkerPlan, lanes_that_fit
-from shes.backends.work import TaskList
+from shes.backends.backend import TaskList
 from shes.envs.registry import find_environment, make_task
 from shes.envs.tasks.task_options import TaskOptions
 from shes.errors import StorageError
@@ -71,7 +71,7 @@ def _work(count, episodes=2):
 
 def _run(worker, generation, count=4, share=4):
     worker.receive(generation)
-    return dict(worker.run(TaskList(_work(count)), 2 * share))
+    return dict(worker.run(TaskList(_work(count)), share))
 
 
 def test_training_and_evaluation_have_their_own_horizon():
@@ -103,6 +103,8 @@ def test_environments_that_do_not_fit_any_more_are_closed_and_others_kept():
     made, closed = [], []
 
     class Counting:
+        has_own_physics = False
+
         def make(self, num_episodes, options, simulator):
             task = plan.env.make(num_episodes, options, simulator)
             made.append((num_episodes, options.evaluation))
@@ -114,7 +116,7 @@ def test_environments_that_do_not_fit_any_more_are_closed_and_others_kept():
         (2, 2, False), (2, 2, False), (4, 2, True), (2, 2, False), (3, 2, False), (3, 1, False)
     ):  # fmt: skip
         worker.receive(_generation(plan, episodes=episodes, is_evaluation=is_evaluation))
-        list(worker.run(TaskList(_work(2, episodes)), share * episodes))
+        list(worker.run(TaskList(_work(2, episodes)), share))
     # Two lanes of 2, of 4 and of 3 episodes, then a single lane of 3.
     assert made == [(4, False), (8, True), (6, False), (3, False)]
     assert closed == [4, 6]
@@ -134,7 +136,7 @@ def test_no_more_tasks_are_taken_at_once_than_an_even_share():
     worker = RolloutWorker(plan)
     worker.receive(_generation(plan))
     work = TaskList(_work(8))
-    next(iter(worker.run(work, share=6)))
+    next(iter(worker.run(work, share=3)))
     assert len(list(work)) == 5
 
 
@@ -144,11 +146,11 @@ def _logs_of_a_run_in_which_the_simulator_says(message, times):
     worker.receive(_generation(plan))
 
     class Saying(TaskList):
-        def take(self, units, enough=None):
+        def take(self, most, least=None):
             for number in range(times if self.is_new else 0):
                 logging.getLogger("shes.mujoco").warning(message.format(number=number))
             self.is_new = False
-            return super().take(units, enough)
+            return super().take(most, least)
 
         is_new = True
 

@@ -9,7 +9,7 @@ import pytest
 
 import shes.algorithms.worker
 from shes.algorithms.worker import RolloutWorker, lanes_in_memory, simulator_factory
-from shes.backends.work import TaskList
+from shes.backends.backend import TaskList
 from shes.errors import ConfigError
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator
@@ -127,7 +127,7 @@ def test_memory_that_runs_out_on_the_way_costs_no_result_and_doubles_none(device
 
     monkeypatch.setattr(Rollout, "_step", limited)
     worker.receive(_generation(plan))
-    found = list(worker.run(TaskList(_work(MEMBERS)), 2 * MEMBERS))
+    found = list(worker.run(TaskList(_work(MEMBERS)), MEMBERS))
     assert sorted(number for number, _ in found) == list(range(MEMBERS))
     assert {number: result.returns.tobytes() for number, result in found} == expected
     assert device.tried == [4, 2]

@@ -252,11 +252,9 @@ class ReferenceNavigation(ReferenceEpisode):
         self.target = np.array(self.fixed_target)
 
     def xml(self, **options: Any) -> str:
-        """The world of `grid`."""
         return worlds.world_xml(self.grid, self.body, **options)
 
     def observation(self) -> Array:
-        """As the class says."""
         if self.spec == "hiro":
             return np.array([*self.low_level_observation(), *self.target])
         values = self.data.qpos.tolist() + clipped(self.data.qvel)
@@ -267,7 +265,6 @@ class ReferenceNavigation(ReferenceEpisode):
         return np.array([*self.robot_observation(), self.steps * 0.001])
 
     def play_task(self) -> float:
-        """-distance."""
         return -self.distance
 
     @property
@@ -277,12 +274,10 @@ class ReferenceNavigation(ReferenceEpisode):
 
     @property
     def success(self) -> bool:
-        """Whether the target is nearer than 5."""
         return not self.diverged and self.distance < SUCCESS_DISTANCE
 
     @property
     def score(self) -> float:
-        """1 for success, else 0."""
         return float(self.success)
 
 
@@ -310,7 +305,6 @@ class ReferenceMaze(ReferenceNavigation):
         self.free_cells = free_cells
 
     def start_task(self) -> None:
-        """Draw the target."""
         if self.evaluation:
             self.target = np.array(self.fixed_target)
             return
@@ -372,11 +366,9 @@ class ReferenceFlagrun(ReferenceEpisode):
         self.was_near = False
 
     def xml(self, **options: Any) -> str:
-        """The arena of Gather."""
         return worlds.world_xml(worlds.GATHER, self.body, **options)
 
     def start_task(self) -> None:
-        """Draw the first goal."""
         self.was_near = False
         self._draw_goal()
 
@@ -398,23 +390,19 @@ class ReferenceFlagrun(ReferenceEpisode):
         self.start_distance = self.distance
 
     def is_over(self) -> bool:
-        """Whether the ant has fallen."""
         return self.has_fallen
 
     def observation(self) -> Array:
-        """Goal features, then the robot."""
         dx, dy = self.goal - self.position
         angle = np.arctan2(dy, dx) - self.heading
         return np.array([np.sin(angle), np.cos(angle), self.distance / 1000, *self.robot_observation()])
 
     @property
     def distance(self) -> float:
-        """Distance to the goal."""
         return distance_between(self.position, self.goal)
 
     @property
     def score(self) -> float:
-        """The return."""
         return 0.0 if self.diverged else self.running_return
 
     @property
@@ -462,7 +450,6 @@ class ReferenceGather(ReferenceEpisode):
         return worlds.world_xml(worlds.GATHER, self.body, **options)
 
     def start_task(self) -> None:
-        """Lay out the objects."""
         places: list[tuple[float, float]] = []
         if self.spec == "hiro":
             lattice = [(float(x), float(y)) for x in range(-10, 10, 2) for y in range(-10, 10, 2) if x * x + y * y >= 4]
@@ -474,7 +461,6 @@ class ReferenceGather(ReferenceEpisode):
         self.best_return = 0.0
 
     def play_task(self) -> float:
-        """Fall or pickups."""
         if self.has_fallen and self.fall_penalty:
             reward = self.penalty
         else:
@@ -495,7 +481,6 @@ class ReferenceGather(ReferenceEpisode):
         return self.has_fallen or (self.spec == "hiro" and not (self.food or self.poison))
 
     def observation(self) -> Array:
-        """Robot, readings and time."""
         time, readings = [self.steps * 0.001], self._readings(self.food) + self._readings(self.poison)
         return np.array([*self.robot_observation(), *(time + readings if self.spec == "hiro" else readings + time)])
 
@@ -529,5 +514,4 @@ class ReferenceGather(ReferenceEpisode):
 
     @property
     def success(self) -> bool:
-        """Whether the score is above 0."""
         return self.score > 0

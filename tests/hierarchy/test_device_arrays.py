@@ -185,8 +185,11 @@ class Worker:
     def receive(self, state):
         self.generation = state
 
+    def close(self):
+        pass
+
     def run(self, work, share):
-        return self.rollout.run(work, self.generation, self.table)
+        return self.rollout.run(iter(work), self.generation, self.table)
 
 
 def test_a_generation_on_a_device_updates_as_on_the_cpu():
@@ -211,6 +214,9 @@ class BranchingWorker:
     def receive(self, state):
         self.generation = state
 
+    def close(self):
+        pass
+
     def run(self, work, share):
         plan, generation = self.plan, self.generation
         is_branch = generation.branch_steps > 0
@@ -223,7 +229,7 @@ class BranchingWorker:
             generation.branch_steps or HORIZON,
             generation.members_per_lane,
         )
-        return rollout.run(work, generation, self.table)
+        return rollout.run(iter(work), generation, self.table)
 
 
 BRANCHES = {

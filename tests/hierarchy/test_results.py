@@ -32,7 +32,7 @@ def _bits(results):
 
 def _singles(tasks):
     """Return the episodes of `tasks` as tasks of their own."""
-    return [task.part(i, i + 1) for task in tasks for i in range(task.num_units)]
+    return [task.part(i, i + 1) for task in tasks for i in range(len(task.slots))]
 
 
 def test_results_are_the_same_whether_a_policy_came_whole_or_by_episodes():

@@ -797,7 +797,7 @@ def test_without_scipy_a_study_does_not_begin_and_names_the_extra(monkeypatch, t
 
 
 def test_without_a_package_or_a_backend_no_run_of_a_study_begins(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "shes.algorithms.hiro.level_learner", None)
+    monkeypatch.setitem(sys.modules, "shes.baselines.learning", None)
     monkeypatch.setitem(sys.modules, "ray", None)
     study = STUDIES["fig3"]("smoke", 1)
     for part, backend, error, words in (

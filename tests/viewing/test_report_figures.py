@@ -1,6 +1,7 @@
 """The figures of a report: curves over three axes, maps of episodes, and the map of a search for a way."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -139,7 +140,9 @@ def test_a_map_is_drawn_to_scale_and_names_each_episode(tmp_path):
 
 def test_the_map_of_a_search_shows_cells_and_the_way(tmp_path):
     settings = {"explore": "archive", "primitive_view": "egocentric", "controller_interval": 25}
-    world = play_episodes(runs.train_tiny(tmp_path / "run", "point-push", generations=1, **settings), 2)
+    folder = RunFolder(runs.train_tiny(tmp_path / "run", "point-push", generations=1, **settings))
+    shutil.copy(folder.checkpoint_path("0"), folder.checkpoint_path("best"))
+    world = play_episodes(folder.path, 2)  # with what was found by the end of the run
     assert [0, 0] in world.explored.places.tolist()
     json.dumps(search_figure(world, world.explored), allow_nan=False)
     found = Explored(places=np.array([[0.0, 0], [3, 1]]), way=np.array([[0.0, 0], [3, 1], [6, 0]]))

@@ -18,12 +18,17 @@ FIRST = "document.querySelector('.plot')"
 FAULTS = """(() => {
   const rect = (each) => each.getBoundingClientRect();
   const found = [];
-  for (const plot of document.querySelectorAll('.js-plotly-plot'))
+  const meets = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom - 1 && b.top < a.bottom - 1;
+  for (const plot of document.querySelectorAll('.js-plotly-plot')) {
+    const titles = [...plot.querySelectorAll('text[class^=x][class$=title]')];
+    for (const each of plot.querySelectorAll('g[class^=x][class$=tick] text, .legend'))
+      if (titles.some((title) => meets(rect(title), rect(each)))) found.push(`a title covers ${each.textContent}`);
     for (const text of plot.querySelectorAll('.main-svg text')) {
       const inner = rect(text), outer = rect(plot);
       if (text.textContent && inner.width && (inner.left < outer.left - 1 || inner.right > outer.right + 1 ||
           inner.top < outer.top - 1 || inner.bottom > outer.bottom + 1)) found.push(`${text.textContent} is cut`);
     }
+  }
   for (const each of document.querySelectorAll('h1, h2, h3, summary, .note'))
     if (each.scrollWidth > each.clientWidth && each.clientWidth) found.push(`${each.textContent} is too wide`);
   for (const each of document.querySelectorAll('table'))

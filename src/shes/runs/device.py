@@ -7,6 +7,8 @@ from typing import Any
 
 from shes.algorithms.worker import lanes_that_fit
 from shes.cores import num_cores
+from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.free_space import free_memory
 from shes.hierarchy.agent import AgentDesign
@@ -83,14 +85,17 @@ def _memory(config: TrainConfig, design: AgentDesign, *, is_evaluation: bool) ->
     policies, rows = config.algorithm.population(config)
     at_a_time = most_episodes(config, is_evaluation=is_evaluation)
     workers = min(_num_processes(config), at_a_time)
+    env = find_environment(config.run.env)
+    instance_bytes = env.measured_bytes() if isinstance(env, ExternalEnvironment) else None
 
     def rollout(policies: int, horizon: int) -> int:
         """Return the bytes of a worker's arrays for its share of `policies`, in lockstep, with exploration noise."""
         share = -(-policies // max(1, workers))
-        lanes = min(share, config.workers.chunk_size or lanes_that_fit(sum(design.dims), rows))
+        fitting = lanes_that_fit(sum(design.dims), rows, are_external=instance_bytes is not None)
+        lanes = min(share, config.workers.chunk_size or fitting)
         decisions = -(-horizon // design.controller_interval)
         noise = 4 * (horizon * design.policies[-1].sizes[-1] + decisions * design.decision_size)
-        return lanes * (8 * sum(design.dims) + rows * (_ROW_BYTES + noise))
+        return lanes * (8 * sum(design.dims) + rows * (_ROW_BYTES + noise + (instance_bytes or 0)))
 
     blocks = -(-config.evaluation.evaluation_episodes // rows)
     rollouts = rollout(0 if is_evaluation else policies, config.episodes.horizon)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -205,7 +206,10 @@ class _LogFile(logging.FileHandler):
 
 @contextmanager
 def run_log(folder: RunFolder) -> Iterator[None]:
-    """Write the log of the run to its `log.txt` inside the block."""
+    """Write the log of the run to its `log.txt` inside the block.
+
+    An error that ends the block is logged with its traceback, which says where in the user's own code it began.
+    """
     with storage_errors(folder.log):
         file = _LogFile(folder.log, encoding="utf-8")
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
@@ -215,6 +219,10 @@ def run_log(folder: RunFolder) -> Iterator[None]:
     logger.propagate = False
     try:
         yield
+    except Exception as error:
+        for line in "".join(traceback.format_exception(error)).splitlines():
+            logger.log(logging.ERROR, "%s", line)
+        raise
     finally:
         logger.removeHandler(file)
         logger.level, logger.propagate = previous

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from shes.backends.backend import WorkerFactory
-from shes.backends.process import SocketWorker
 from shes.backends.processes import ProcessesBackend
-from shes.backends.remote_worker import RemoteWorker
+from shes.backends.supervision import RemoteWorker
 from shes.cores import core_numbers, on_one_core
 
 
@@ -21,7 +20,7 @@ class OneCoreBackend(ProcessesBackend):
         self._cores: dict[RemoteWorker, int] = {}
         super().__init__(factory, num_workers)
 
-    def start_worker(self) -> SocketWorker:
+    def start_worker(self) -> RemoteWorker:
         """Start a worker on the core that has the fewest."""
         taken = [self._cores[worker] for worker in self.workers]
         core = min(core_numbers(), key=taken.count)

@@ -16,9 +16,9 @@ from pathlib import Path
 from time import time
 from typing import Any
 
-from shes.backends.backend import Backend
+from shes.backends.backend import Backend, TaskSource
+from shes.backends.named_backends import BACKENDS
 from shes.backends.processes import ProcessesBackend
-from shes.backends.registry import BACKENDS
 from shes.cores import num_cores
 from shes.errors import RunFolderError, ShesError, WorkerError
 from shes.runs.config import TrainConfig
@@ -132,7 +132,10 @@ class StudyWorker:
     def receive(self, state: Any) -> None:
         """Do nothing: cells share no state."""
 
-    def run(self, work: Iterator[tuple[int, Cell]], share: int) -> Iterator[tuple[int, Outcome]]:
+    def close(self) -> None:
+        """Do nothing: a run closes what it holds."""
+
+    def run(self, work: TaskSource, share: int) -> Iterator[tuple[int, Outcome]]:
         """Yield the outcome of each cell; a failed cell has one, too."""
         for number, cell in work:
             try:

@@ -23,7 +23,7 @@ _COLORS = (
 )  # fmt: skip
 _DASHES = ("solid", "dash", "dot", "dashdot")
 _BAND_ALPHA = "2e"  # in hexadecimal, after a colour
-_COLUMNS, _PANEL_PIXELS, _FRAME_PIXELS, _GAP_PIXELS = 3, 290, 130, 70
+_COLUMNS, _PANEL_PIXELS, _FRAME_PIXELS, _GAP_PIXELS = 3, 290, 180, 70
 
 
 class Panel(NamedTuple):
@@ -102,7 +102,7 @@ def _layout(panels: Sequence[Panel], abscissae: Sequence[str]) -> dict[str, Any]
     return {
         "grid": {"rows": rows, "columns": columns, "pattern": "independent", "ygap": _GAP_PIXELS / _PANEL_PIXELS},
         "height": _FRAME_PIXELS + _PANEL_PIXELS * rows,
-        "margin": {"l": 60, "r": 20, "t": 90, "b": 50},
+        "margin": {"l": 60, "r": 20, "t": 90, "b": 90},
         "hovermode": "x unified",
         "annotations": titles,
         "updatemenus": [{**menu, "pad": {"b": 35}, "buttons": buttons}],

@@ -33,6 +33,8 @@ class Body(ABC):
     """Controls lie in [-control_limit, control_limit]."""
     quaternion: ClassVar[slice | None]
     """Slice of qpos that holds the torso's unit quaternion; None without one."""
+    goal_half_range: ClassVar[tuple[float, ...]] = ()
+    """Largest change that a goal of HIRO asks of each element of `pose` after x and y; empty: of x and y alone."""
     egocentric: ClassVar[tuple[ObservationElement, ...]] = ()
     """Elements of the egocentric view, which `write_egocentric` writes; empty without one."""
 

@@ -1,4 +1,4 @@
-"""The registry of backends. Adding one takes a file and a line here."""
+"""The backends by name. Adding one takes a file and a line here."""
 
 from __future__ import annotations
 

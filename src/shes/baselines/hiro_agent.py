@@ -1,8 +1,8 @@
 """HIRO's agent: a controller sets a goal in the robot's own coordinates every c steps, and a primitive pursues it.
 
-It acts by NumPy alone, so that a run can be evaluated and drawn without JAX.
+It acts by NumPy alone, so that a run can be evaluated and drawn without JAX. G coordinates of a goal.
 
-Source: Nachum et al. 2018, section 3.
+Source: Nachum et al. 2018, section 3 and appendix C.1; its published code.
 """
 
 from __future__ import annotations
@@ -12,28 +12,55 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from shes.algorithms.hiro.goal_space import GoalSpace
+from shes.envs.episode_batch import EpisodeBatch
 from shes.es.statistics import normalise
 from shes.hierarchy.agent import AgentBatch, AgentDesign
 from shes.hierarchy.views import ColumnsView
-from shes.policies.mlp import MLP
+from shes.policies.mlp import RectifiedMLP
 from shes.types import CONTROLLER, F32Array, F64Array, IntArray
 
 
 @dataclass(frozen=True, kw_only=True)
 class HiroDesign(AgentDesign):
-    """Design of HIRO's agent. The primitive observes the goal, seen from the current state, and then its view."""
+    """Design of HIRO's agent.
+
+    A goal is the change of the first of the robot's own coordinates, relative to its current state. The primitive
+    observes the goal, seen from the current state, and then its view.
+    """
 
     level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    controller: MLP
-    primitive: MLP
+    controller_view: ClassVar[ColumnsView] = ColumnsView()
+    """The controller sees the whole observation."""
+    controller: RectifiedMLP
+    primitive: RectifiedMLP
     primitive_view: ColumnsView
-    goals: GoalSpace
+    half_range: tuple[float, ...]
+    """Largest goal in each coordinate [G], in metres and radians."""
+    columns: tuple[int, ...] | None
+    """Indices of the coordinates in the observation; None for the position of an environment that observes none."""
 
-    @property
-    def controller_view(self) -> ColumnsView:
-        """The view of the controller, which sees the whole observation."""
-        return ColumnsView()
+    @classmethod
+    def of(cls, task: EpisodeBatch, hidden: tuple[int, ...], goal_distance: float, **values: Any) -> HiroDesign:
+        """Return the design of agents in `task`, with `values` of the other fields.
+
+        Deviation: the primitive sees the robot without x and y, and the time; in HIRO x and y are zero.
+
+        Raises:
+            ConfigError: The robot's position is unknown.
+        """
+        task.check_position()
+        half_range = (goal_distance, goal_distance, *(task.robot.goal_half_range if task.robot else ()))
+        time = [i for i, name in enumerate(task.observation_names) if name == "time"]
+        seen = [i for i in (*task.proprioception.tolist(), *time) if i not in task.position_columns]
+        return cls(
+            controller=RectifiedMLP(task.observation_size, hidden, len(half_range)),
+            primitive=RectifiedMLP(len(half_range) + len(seen), hidden, task.action_size),
+            primitive_view=ColumnsView(seen),
+            half_range=half_range,
+            columns=tuple(task.proprioception[: len(half_range)].tolist()) if task.robot else None,
+            control_limit=task.control_limit,
+            **values,
+        )
 
     @property
     def intrinsic_level(self) -> None:
@@ -43,24 +70,22 @@ class HiroDesign(AgentDesign):
     @property
     def decision_size(self) -> int:
         """Number of coordinates of a goal. Exploration noise is not added in a rollout, but where the agent learns."""
-        return self.goals.size
+        return len(self.half_range)
+
+    def coordinates(self, observation: F64Array, position: F64Array) -> F64Array:
+        """Return the coordinates [N, G] of robots with these observations [N, O] and positions [N, 2], a copy."""
+        return position.copy() if self.columns is None else observation[:, list(self.columns)]
 
     def direction_outputs(self, angles: F64Array) -> F64Array:
         """Return the outputs [K, G] for goals in directions `angles` [K] in the world; only x and y are to change."""
-        outputs = np.zeros((len(angles), self.goals.size))
+        outputs = np.zeros((len(angles), self.decision_size))
         outputs[:, 0], outputs[:, 1] = np.cos(angles), np.sin(angles)
         return outputs
 
     def exported(self) -> dict[str, Any]:
         """Return how often a goal is set, and the coordinates that it concerns."""
-        return {
-            "controller_interval": self.controller_interval,
-            "state_goals": {
-                "columns": self.goals.columns,
-                "half_range": self.goals.half_range,
-                "view": self.primitive_view.indices,
-            },
-        }
+        goals = {"columns": self.columns, "half_range": self.half_range, "view": self.primitive_view.indices}
+        return {"controller_interval": self.controller_interval, "state_goals": goals}
 
     @property
     def agent(self) -> type[HiroAgent]:
@@ -76,10 +101,10 @@ class HiroAgent(AgentBatch[HiroDesign]):
     """
 
     def allocate(self) -> None:
-        """Allocate the goals and the inputs of the levels."""
+        """Allocate the goals and the inputs of the primitive."""
         design, rows, xp = self.design, self.num_rows, self.xp
-        self._limit = xp.asarray(design.goals.half_range)
-        self._target: F64Array = xp.zeros((rows, design.goals.size))
+        self._limit = xp.asarray(design.half_range)
+        self._target: F64Array = xp.zeros((rows, design.decision_size))
         self._inputs: F64Array = xp.zeros((rows, design.observation_sizes[-1]))
         self._view = design.primitive_view.on(xp)
 
@@ -99,8 +124,8 @@ class HiroAgent(AgentBatch[HiroDesign]):
         control_noise: F32Array | None = None,
     ) -> F32Array:
         """Return the controls [N, A] of one step, after setting new goals where due; see `AgentBatch.act`."""
-        design, size = self.design, self.design.goals.size
-        coordinates = design.goals.coordinates(observation, position)
+        design, size = self.design, self.design.decision_size
+        coordinates = design.coordinates(observation, position)
         is_due = self.clock % design.controller_interval == 0
         if is_due.any():
             due = slice(None) if is_due.all() else np.flatnonzero(is_due)

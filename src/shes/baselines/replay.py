@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shes.types import ArrayHeader, F32Array, IntArray
+from shes.types import F32Array
 
 Rows = Mapping[str, F32Array]
 """Transitions: arrays [M, ...] by name."""
@@ -21,18 +21,14 @@ class _Ring:
     """Memory for transitions, written in a circle: the transition with number n is in row `n % length`."""
 
     def __init__(self, shapes: Mapping[str, tuple[int, ...]], length: int, written: int) -> None:
-        self.length = length
-        self.written = written
-        """Number of transitions ever written, counted over all runs of the process."""
+        self.length, self.written = length, written
         self.arrays = {name: np.empty((length, *shape), np.float32) for name, shape in shapes.items()}
 
     def write(self, rows: Rows) -> None:
-        """Write `rows` as the next transitions."""
-        count = len(next(iter(rows.values())))
-        places = (self.written + np.arange(count)) % self.length
+        places = (self.written + np.arange(len(rows["reward"]))) % self.length
         for name, values in rows.items():
             self.arrays[name][places] = values
-        self.written += count
+        self.written += len(places)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +36,7 @@ class Replay:
     """The last M transitions of a level, at most `capacity`."""
 
     shapes: Mapping[str, tuple[int, ...]]
-    """Shape of each array of a transition, by name."""
+    """Shape of each array of a transition, by name; one is `reward`."""
     capacity: int
     slack: int
     """Number of transitions that can be appended before this buffer itself is overwritten."""
@@ -66,15 +62,11 @@ class Replay:
         size = min(self.size + ring.written - self.end, self.capacity)
         return replace(self, size=size, end=ring.written, _ring=ring)
 
-    def take(self, indices: IntArray) -> dict[str, F32Array]:
-        """Return copies of the transitions at `indices` [...], of which 0 is the oldest, as arrays [..., *shape]."""
-        ring = self._intact()
-        places = (self.end - self.size + indices) % ring.length
-        return {name: array[places] for name, array in ring.arrays.items()}
-
     def sample(self, rng: np.random.Generator, *shape: int) -> dict[str, F32Array]:
         """Return transitions drawn with replacement, as arrays [*shape, ...]."""
-        return self.take(rng.integers(0, self.size, shape))
+        ring = self._intact()
+        places = (self.end - self.size + rng.integers(0, self.size, shape)) % ring.length
+        return {name: array[places] for name, array in ring.arrays.items()}
 
     def parts(self) -> tuple[Rows, Rows]:
         """Return all transitions as two blocks of views, the oldest first: to the end of the ring, and from its start.
@@ -87,10 +79,9 @@ class Replay:
         ring = self._intact()
         first = (self.end - self.size) % ring.length
         count = min(self.size, ring.length - first)
-        return (
-            {name: array[first : first + count] for name, array in ring.arrays.items()},
-            {name: array[: self.size - count] for name, array in ring.arrays.items()},
-        )
+        blocks = slice(first, first + count), slice(self.size - count)
+        older, newer = ({name: array[block] for name, array in ring.arrays.items()} for block in blocks)
+        return older, newer
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the buffer as arrays by name. They are views: nothing is copied."""
@@ -99,39 +90,34 @@ class Replay:
         return {"end": np.array(self.end), **rows}
 
     def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> Replay:
-        """Return the buffer that `to_arrays` converted; raise ValueError unless the arrays fit this one."""
-        self.check(arrays)
-        end = int(arrays["end"])
+        """Return the buffer that `to_arrays` converted; raise KeyError or ValueError unless the arrays fit this one."""
         blocks = [{name: arrays[f"{part}/{name}"] for name in self.shapes} for part in ("older", "newer")]
-        size = sum(len(next(iter(block.values()))) for block in blocks)
+        sizes = [len(block["reward"]) for block in blocks]
+        for block, size in zip(blocks, sizes, strict=True):
+            for name, shape in self.shapes.items():
+                check_array(f"{name} of a replay buffer", block[name], np.float32, (size, *shape))
+        end, size = int(arrays["end"]), sum(sizes)
         if not size <= min(end, self.capacity):
             raise ValueError(f"a replay buffer of {self.capacity} transitions has {size}, of {end} ever made")
-        if not all(np.isfinite(array).all() for block in blocks for array in block.values()):
-            raise ValueError("a replay buffer holds NaN or infinity")
-        empty = replace(self, size=0, end=end - size, _ring=None)
+        restored = replace(self, size=0, end=end - size, _ring=None)
         for block in blocks:
-            empty = empty.append(block)
-        return empty
-
-    def check(self, headers: Mapping[str, ArrayHeader]) -> None:
-        """Raise ValueError, or KeyError if one is missing, unless arrays with these headers can be a buffer."""
-        for part in ("older", "newer"):
-            lengths = set[int]()
-            for name, shape in self.shapes.items():
-                array = headers[f"{part}/{name}"]
-                if array.dtype != np.float32 or array.shape[1:] != shape or not array.shape:
-                    raise ValueError(f"{part}/{name} is {array.dtype} of shape {array.shape}, not [M, *{shape}]")
-                lengths.add(array.shape[0])
-            if len(lengths) != 1:
-                raise ValueError(f"the arrays of a replay buffer have {lengths} rows")
+            restored = restored.append(block)
+        return restored
 
     def emptied(self) -> Replay:
         """Return the buffer without its transitions."""
         return replace(self, size=0, _ring=None)
 
     def _intact(self) -> _Ring:
-        """Return the ring, which must still hold all transitions of this buffer."""
         ring = self._ring
         assert ring is not None, "an empty buffer has no transitions"
         assert ring.written - (self.end - self.size) <= ring.length, "the buffer has been overwritten"
         return ring
+
+
+def check_array(name: str, array: np.ndarray, dtype: np.typing.DTypeLike, shape: tuple[int, ...]) -> None:
+    """Raise ValueError unless `array`, of a checkpoint, has this type and shape and only finite values."""
+    if array.dtype != dtype or array.shape != shape:
+        raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {np.dtype(dtype)} of shape {shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} holds NaN or infinity")

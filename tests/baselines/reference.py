@@ -52,13 +52,12 @@ def actor_gradient(layers, kept, of_action, half_range):
     return gradients
 
 
-def target(batch, target_actor, target_critics, own):
+def target(batch, target_actor, target_critics, half_range, unit, discount):
     """Return r + discount * min(Q1', Q2') at the target actor's action with clipped noise."""
-    half_range = np.array(own.half_range)
-    noise = np.clip(batch["noise"] * own.noise_std, -np.array(own.noise_clip), own.noise_clip)
+    noise = np.clip(batch["noise"] * 0.2 * unit, -0.5 * unit, 0.5 * unit)
     action = np.clip(actor(target_actor, batch["next_inputs"], half_range)[0] + noise, -half_range, half_range)
     values = [critic(layers, batch["next_inputs"], action)[0] for layers in target_critics]
-    return batch["reward"] + batch["discount"] * np.minimum(*values)
+    return batch["reward"] + discount * batch["goes_on"] * np.minimum(*values)
 
 
 class Adam:
@@ -86,8 +85,9 @@ class Adam:
 class TD3:
     """The networks of a level, updated one batch at a time."""
 
-    def __init__(self, actor_layers, critics, own):
-        self.own = own
+    def __init__(self, actor_layers, critics, own, half_range):
+        self.own, self.half_range = own, np.array(half_range)
+        self.unit = self.half_range if own.noise_unit == "range" else np.ones(len(half_range))
         self.actor, self.critics = actor_layers, list(critics)
         self.target_actor, self.target_critics = actor_layers, list(critics)
         self.adam = Adam(actor_layers, own.actor_learning_rate)
@@ -96,19 +96,14 @@ class TD3:
 
     def update(self, batch):
         """Make an update; return the losses of critics and actor (NaN without one) and the mean target."""
-        own, count = self.own, len(batch["reward"])
-        half_range = np.array(own.half_range)
-        aim, loss = target(batch, self.target_actor, self.target_critics, own), 0.0
+        own, half_range, count, loss = self.own, self.half_range, len(batch["reward"]), 0.0
+        aim = target(batch, self.target_actor, self.target_critics, half_range, self.unit, own.discount)
         for i, layers in enumerate(self.critics):
             values, seen = critic(layers, batch["inputs"], batch["action"])
             error = values - aim
-            if own.has_huber_loss:
-                size = np.abs(error)
-                loss += np.where(size <= 1, error**2 / 2, size - 0.5).mean()
-                of_value = np.clip(error, -1, 1) / count
-            else:
-                loss += (error**2).mean()
-                of_value = 2 * error / count
+            size = np.abs(error)
+            loss += np.where(size <= 1, error**2 / 2, size - 0.5).mean()  # Huber
+            of_value = np.clip(error, -1, 1) / count
             gradients, _ = critic_gradient(layers, seen, of_value, len(half_range))
             self.critics[i] = self.critic_adams[i].step(layers, gradients)
         self.updates += 1
