@@ -33,7 +33,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 from shes.algorithms.evolution.algorithm import GenerationReport, evolve
-from shes.algorithms.evolution.populations import generation_work
+from shes.algorithms.evolution.estimates import Draws
 from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.algorithms.roll_out import roll_out_tasks
 from shes.algorithms.worker import RolloutWorker
@@ -43,7 +43,6 @@ from shes.cli.bench import evolution_strategy
 from shes.cores import core_numbers, on_one_core
 from shes.errors import ConfigError
 from shes.hierarchy.episodes import EpisodeTask
-from shes.hierarchy.population_tasks import Work
 from shes.runs.build import build_backend
 from shes.runs.config import TrainConfig
 from shes.training.make_config import make_config
@@ -90,7 +89,7 @@ def measure_speedup(config: TrainConfig, cores: Sequence[int] = CORES, samples: 
     update_s, base_s = last.report.update_s, sum(alone[0].seconds)
     with on_one_core(core_numbers()[0]), SerialBackend(partial(RolloutWorker, algorithm.plan())) as worker:
         for n in (*several, *cores):
-            stages = [each.work for each in last.report.populations]
+            stages = last.report.populations
             spent = draw_s(algorithm) + sum(rollout_s(worker, work, n, last.message_s, samples) for work in stages)
             rows.append(row("projected", n, spent, update_s, base_s))
     return rows
@@ -112,7 +111,7 @@ def measure(
         with nullcontext() if core is None else on_one_core(core):
             backend = stack.enter_context(build_backend(config, algorithm.plan()))
         pool = stack.enter_context(ThreadPoolExecutor(min(num_workers, 8)))
-        work = generation_work(state, algorithm.hyperparameters, algorithm.table.size)
+        work = first_draws(algorithm, state)
         warm_up = [task.part(0, 1) for task in work.tasks[:num_workers]]
         roll_out_tasks(warm_up, work.generation, backend)  # until all workers have started
         backend.map = metered(backend.map, costs)  # type: ignore[method-assign]
@@ -131,14 +130,20 @@ def metered(run: Callable[..., Iterator[Any]], costs: list[float]) -> Callable[.
     return metered_map
 
 
+def first_draws(algorithm: EvolutionAlgorithm, state: TrainState) -> Draws:
+    """Return the first population of the generation that follows `state`."""
+    settings = algorithm.hyperparameters
+    return settings.estimates[0](state, settings, algorithm.table.size, ())
+
+
 def draw_s(algorithm: EvolutionAlgorithm) -> float:
     """Return the seconds in which the main process draws the tasks of a generation."""
     start = perf_counter()
-    generation_work(algorithm.start(0), algorithm.hyperparameters, algorithm.table.size)
+    first_draws(algorithm, algorithm.start(0))
     return perf_counter() - start
 
 
-def rollout_s(worker: Backend, work: Work, num_workers: int, message_s: float, samples: int) -> float:
+def rollout_s(worker: Backend, work: Draws, num_workers: int, message_s: float, samples: int) -> float:
     """Return the projected seconds of the rollouts of `work` on `num_workers` cores; `worker` runs shares of it."""
     num_episodes = sum(task.num_units for task in work.tasks)
     size = ceil(num_episodes / num_workers)

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.ship import ship
 from shes.cli import main
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
@@ -23,7 +24,6 @@ from shes.errors import ConfigError
 from shes.runs import shipped
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent
-from shes.training.ship import ship
 from shes.viewing import render, report, watch
 from tests.e2e import runs
 

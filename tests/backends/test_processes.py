@@ -231,7 +231,8 @@ def test_lost_tasks_do_not_wait_for_a_worker_that_never_asks(tmp_path):
         assert not any("no answer" in event for event in backend.told)
 
 
-def test_a_worker_that_dies_at_its_start_waits_for_a_broadcast(tmp_path):
+def test_a_worker_that_dies_at_its_start_is_replaced_later(tmp_path, monkeypatch):
+    monkeypatch.setattr("shes.backends.supervision.RESTART_S", 2.0)
     starts, meeting = tmp_path / "starts", tmp_path / "meeting"
     starts.mkdir()
     meeting.mkdir()
@@ -250,7 +251,6 @@ def test_a_worker_that_dies_at_its_start_waits_for_a_broadcast(tmp_path):
         list(backend.map([("add", 1)] * 20))
         runs.wait_until(lambda: list(backend.map([("add", 1)])) and len(backend.told) == 2, "it has died")
         assert (len(backend.pids()), len(list(starts.iterdir()))) == (1, 3)
-        backend.broadcast(100)
         assert len(list(backend.map([("meet", meeting, 3)] * 4))) == 4  # until a third process has come
 
 

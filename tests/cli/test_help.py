@@ -16,9 +16,8 @@ from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
-from shes.runs import export
 from shes.runs.sections import execution_settings
-from shes.studies import run_comparison
+from shes.training import comparison, export
 from shes.training.make_config import make_config
 from shes.viewing import plot, render
 
@@ -86,7 +85,7 @@ def test_the_choices_are_those_there_are():
         (plot.plot, "x", plot.X_AXES),
         (render.render, "camera", ("both", *CAMERAS)),
         (export.export, "format", export.FORMATS),
-        (run_comparison.compare_runs, "measure", run_comparison.MEASURES),
+        (comparison.compare_runs, "measure", comparison.MEASURES),
     ):
         assert set(get_args(get_type_hints(function)[name])) == set(known)
 
@@ -296,7 +295,6 @@ def test_the_value_of_every_setting_can_be_written_on_the_command_line(given, pr
         (["train", "ant-gater"], "unknown environment 'ant-gater'. Did you mean 'ant-gather'?"),
         (["train", "ant-gather", "--preset", "lap"], "unknown preset 'lap'. Did you mean 'laptop'?"),
         (["evaluate", "x", "--targets", "traning"], "--targets: unknown name 'traning'. Did you mean 'training'?"),
-        (["experiment", "ablatoin"], "unknown name 'ablatoin'. Did you mean 'ablation'?"),
     ],
 )
 def test_a_misspelled_choice_is_answered_with_the_nearest(capsys, monkeypatch, words, message):

@@ -16,18 +16,16 @@ from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS, Mirroring
 from shes.es.schedules import SCHEDULES, ScheduleKind
-from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ViewChoice
-from shes.hierarchy.views import ColumnsView
+from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
 from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
 from shes.runs.sections import known_settings
 from shes.runs.transfer import transferred_levels
 from shes.settings import Ge, Settings
-from shes.studies.study import generation_steps
 from shes.training.make_config import make_config
 
 SRC = Path(shes.__file__).parent
-ABOVE = ("cli", "gymnasium", "runs", "studies", "training", "viewing")
+ABOVE = ("cli", "gymnasium", "runs", "training", "viewing")
 SOURCES = {str(path.relative_to(SRC)): path.read_text() for package in ABOVE for path in SRC.glob(f"{package}/**/*.py")}
 IMPORTS = {"cli/bench.py"}
 """Modules that may import from an algorithm: the speed of a generation is that of Algorithm 1."""
@@ -184,11 +182,10 @@ def test_a_setting_of_it_is_no_level_of_another_run(own):
     assert config.evolution.primitive == 2.0
 
 
-def test_a_study_asks_it_for_the_length_of_a_generation(own):
-    lengths = {"own": 7, "td3": 500, "es": 16 * 50}
-    assert lengths == {
-        name: generation_steps(make_config("point-gather", "smoke", {"algorithm": name})) for name in lengths
-    }
+def test_it_is_asked_for_the_length_of_a_generation(own):
+    for name, length in {"own": 7, "td3": 500, "es": 16 * 50}.items():
+        config = make_config("point-gather", "smoke", {"algorithm": name})
+        assert config.algorithm.steps_per_generation(config) == length
 
 
 # Parts of an evolution strategy that were once branches of a function.

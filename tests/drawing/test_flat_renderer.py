@@ -1,5 +1,6 @@
 """Flat pictures: geoms and markers are drawn at their positions, and the outlines of worlds are to scale."""
 
+import itertools
 from collections import Counter
 
 import mujoco
@@ -53,7 +54,7 @@ def test_markers_lie_where_they_are_said_to():
     assert not is_colored(picture, -5, -7, GOAL, renderer)
 
 
-def test_the_robot_is_in_the_middle_of_the_picture_that_follows_it():
+def test_the_following_picture_has_the_robot_in_its_middle():
     task, renderer = make("point-gather")
     task.sim.qpos[0, :2] = (7, -3)
     picture = renderer.draw(task.sim.qpos[0], (), "follow")
@@ -65,8 +66,10 @@ def test_walls_are_at_the_rim_and_legs_reach_out_of_the_torso():
     assert renderer.extent == pytest.approx((-13, -13, 13, 13))
     picture = renderer.draw(task.sim.model.qpos0, (), "top")
     assert is_colored(picture, 12.5, 0, WALL, renderer)
-    for x, y in ((0.45, 0.45), (-0.45, 0.45), (0.45, -0.45), (-0.45, -0.45)):
-        assert is_colored(picture, x, y, ROBOT, renderer), (x, y)
+    for x, y in itertools.product((-1, 1), (-1, 1)):
+        assert all(
+            is_colored(picture, x * reach, y * reach, ROBOT, renderer) for reach in (0.25, 0.35, 0.45, 0.55, 0.7)
+        )
     assert not is_colored(picture, 0.6, 0, ROBOT, renderer)
 
 

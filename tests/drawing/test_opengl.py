@@ -46,7 +46,7 @@ def works(monkeypatch):
         *((("egl",), word, None, []) for word in ("off", "0", "disable", "FALSE")),
     ],
 )
-def test_the_first_that_works_is_found_unless_another_is_asked_for(works, monkeypatch, working, asked, found, tried):
+def test_the_first_opengl_that_works_or_is_asked_for_is_found(works, monkeypatch, working, asked, found, tried):
     all_tried = works(*working)
     if asked is not None:
         monkeypatch.setenv("MUJOCO_GL", asked)
@@ -62,7 +62,7 @@ def test_a_choice_that_does_not_work_is_refused(works, monkeypatch, asked):
         make_drawer.find_opengl()
 
 
-def test_without_opengl_the_picture_is_flat_and_the_packages_are_named(works, caplog):
+def test_without_opengl_the_packages_to_install_are_named(works, caplog):
     works()
     with caplog.at_level(logging.WARNING, logger="shes.drawing"):
         assert isinstance(make_renderer(make_task("point-gather", 1).world_to_draw, 64, 64), FlatRenderer)

@@ -21,8 +21,8 @@ from shes.envs.worlds import empty_world
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.frames import Frames
+from shes.hierarchy.goal_agent import GoalDesign
 from shes.hierarchy.goals import AngleEncoding
-from shes.hierarchy.primitive import PrimitiveDesign
 from shes.hierarchy.rewards import ProgressReward
 from shes.hierarchy.views import EgocentricView
 from shes.policies.mlp import MLP
@@ -316,7 +316,7 @@ def test_no_element_changes_the_angle_of_the_frame(states, body):
 
 def _design(group):
     view = EgocentricView(Ant(), range(29))
-    return PrimitiveDesign(
+    return GoalDesign(
         primitive=MLP(AngleEncoding.size + view.size(29), (16, 16), Ant().num_controls),
         primitive_view=view,
         symmetry=group,

@@ -138,8 +138,8 @@ def test_the_reward_is_the_way_left_through_the_waypoints():
 
     # The second robot stays, so that an index shared by the episodes would show.
     assert reward_at((0, 0), (0, 0)) == [-14, -14]
-    assert reward_at((2.5, 0), (0, 0)) == [-11.5, -14]
-    assert reward_at((3.5, 0), (0, 0)) == pytest.approx([-(np.hypot(2.5, 4) + 4), -14])  # 2.5 m from the first: passed
+    assert reward_at((2.9, 0), (0, 0)) == pytest.approx([-11.1, -14])  # 3.1 m from the first
+    assert reward_at((3.1, 0), (0, 0)) == pytest.approx([-(np.hypot(2.9, 4) + 4), -14])  # 2.9 m from it: passed
     assert reward_at((0, 0), (0, 0)) == pytest.approx([-(np.hypot(6, 4) + 4), -14])  # and it stays so
     assert reward_at((6, 1.5), (0, 0)) == [-6.5, -14]
     assert reward_at((6, 8), (0, 0)) == [0, -14]
@@ -148,7 +148,7 @@ def test_the_reward_is_the_way_left_through_the_waypoints():
     assert reward_at((0, 0), (6, 0)) == [-14, -8]
     # Between 3 and 6 m of a waypoint it is passed where the next one is nearer.
     task.reset(both, [3, 4])
-    assert reward_at((10, 2.1), (1, 4)) == pytest.approx([-(np.hypot(4, 1.9) + 4), -(np.hypot(5, 4) + 8)])
+    assert reward_at((10, 2.1), (1, 3.4)) == pytest.approx([-(np.hypot(4, 1.9) + 4), -(np.hypot(5, 3.4) + 8)])
     assert reward_at((2, 6.1), (1, 1.9)) == pytest.approx([-np.hypot(4, 1.9), -(np.hypot(5, 1.9) + 8)])
     evaluated = make_task("point-maze", 1, MazeOptions(**options, evaluation_target=(0.0, 5.0), evaluation=True))
     evaluated.reset(both[:1], [1])

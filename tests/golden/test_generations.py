@@ -1,14 +1,14 @@
-"""A short run against stored numbers: what no test of a part would notice."""
+"""Short runs against stored numbers: what no test of a part would notice."""
 
 import json
 
 import pytest
 
-from tests.golden.regenerate import GENERATIONS, GOLDEN_FILE, golden_run
+from tests.golden.regenerate import GENERATIONS, RUNS, golden_file, golden_run
 
 WHAT_TO_DO = (
     "{place} is {value}, the golden file says {golden}. If nothing was meant to change, the last change has a fault. "
-    "If numbers were meant to, run `python -m tests.golden.regenerate` and say 'changes numbers' in CHANGELOG.md."
+    "If numbers were meant to, run `python -m tests.golden.regenerate {name}`, and say 'changes numbers' in CHANGELOG.md."
 )
 
 
@@ -24,31 +24,25 @@ def _leaves(value, place=""):
         yield place, value
 
 
-@pytest.fixture(scope="module")
-def golden():
-    return dict(_leaves(json.loads(GOLDEN_FILE.read_text(encoding="utf-8"))))
-
-
-def _close(value, expected):
-    # Another CPU rounds differently.
-    return value == pytest.approx(expected, rel=1e-4, abs=1e-5)
-
-
-def test_a_short_run_on_point_gather_gives_the_golden_numbers(golden, tmp_path):
-    values = dict(_leaves(golden_run(tmp_path)))
+def _compared(name, folder, change=0.0):
+    """Yield the place, the value and the golden value of every number of a run, and whether the two are close."""
+    golden = dict(_leaves(json.loads(golden_file(name).read_text(encoding="utf-8"))))
+    values = dict(_leaves(golden_run(name, folder, change)))
     assert values.keys() == golden.keys(), "regenerate.py writes other entries than the golden file has: run it"
-    assert len(values) > 100 * GENERATIONS
-    for place, expected in golden.items():
-        message = WHAT_TO_DO.format(place=place, value=values[place], golden=expected)
-        assert _close(values[place], expected), message
+    for place, expected in golden.items():  # another CPU rounds differently
+        yield place, values[place], expected, values[place] == pytest.approx(expected, rel=1e-4, abs=1e-5)
 
 
-def test_rounding_stays_below_the_tolerance_of_the_golden_run(golden, tmp_path):
-    # Ten times the rounding of a float32. Otherwise choose another SEED: two fitnesses are nearly equal.
-    values = dict(_leaves(golden_run(tmp_path, change=1e-6)))
-    assert [place for place, expected in golden.items() if not _close(values[place], expected)] == []
+@pytest.mark.parametrize("name", RUNS)
+def test_a_short_run_gives_the_golden_numbers(name, tmp_path):
+    compared = list(_compared(name, tmp_path))
+    assert len(compared) > 25 * GENERATIONS
+    for place, value, golden, is_close in compared:
+        assert is_close, WHAT_TO_DO.format(place=place, value=value, golden=golden, name=name)
 
 
-def test_a_change_of_a_thousandth_is_seen_by_the_golden_run(golden, tmp_path):
-    values = dict(_leaves(golden_run(tmp_path, change=1e-3)))
-    assert sum(not _close(values[place], expected) for place, expected in golden.items()) > 20
+@pytest.mark.parametrize("name", RUNS)
+def test_golden_runs_see_a_change_of_a_thousandth_and_not_rounding(name, tmp_path):
+    """Ten times the rounding of a float32 must not show: else choose another seed, two fitnesses are nearly equal."""
+    assert [place for place, *_, is_close in _compared(name, tmp_path, change=1e-6) if not is_close] == []
+    assert sum(not is_close for *_, is_close in _compared(name, tmp_path, change=1e-3)) > 20

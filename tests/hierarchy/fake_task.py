@@ -73,7 +73,7 @@ class FakeTask:
 
     @property
     def reward_after_end(self):
-        return np.where(self.terminated, self.stays_for, 0.0)
+        return np.where(self.terminated & ~self.diverged, self.stays_for, 0.0)
 
     @property
     def score(self):

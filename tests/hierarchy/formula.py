@@ -1,15 +1,16 @@
 """Generations without physics, in which rewards are a formula, and the comparison of the numbers of runs."""
 
 import itertools
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
-from shes.algorithms.evolution.algorithm import Hyperparameters, evolve
+from shes.algorithms.evolution.algorithm import evolve
+from shes.algorithms.evolution.estimates import Hyperparameters
 from shes.backends.backend import Backend
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.schedules import Schedule
-from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.episodes import EpisodeResults
 from shes.hierarchy.moments import Moments
 from tests.es.textbook import TextbookES
@@ -39,29 +40,22 @@ SETTINGS = Hyperparameters(
 
 def start_state(thetas, sizes, *, seed=3, settings=SETTINGS, names=("controller", "primitive")):
     levels = tuple(
-        LevelState(
-            name=name, theta=theta, optimizer=rule.optimizer.start(len(theta)),
-            statistics=ObservationStatistics.empty(size),
-        )
+        LevelState.start(name, theta, rule.optimizer, size)
         for name, theta, size, rule in zip(names, thetas, sizes, settings.updates, strict=True)
-    )  # fmt: skip
+    )
     return TrainState(seed=seed, generation=0, env_steps=0, levels=levels)
 
 
-_DRIFT_M = ((0.0, 0.0), (0.1, 0.3), (0.5, -0.2), (0.3, 0.6))  # lopsided, or mirrored members would tie
-
-
 class FormulaBackend(Backend):
-    """Pays each member by a formula of its parameters, and remembers what it was asked."""
+    """Pays each member by a formula of its parameters, and remembers what it was asked.
+
+    The episodes in `diverging`, pairs of member and slot, diverge: they are paid a million.
+    """
 
     num_workers = 3
 
     def __init__(self, table, diverging=()):
-        """Let the episodes in `diverging`, pairs of member and slot, diverge: they are paid a million."""
-        self.table = table
-        self.diverging = set(diverging)
-        self.generations = []
-        self.tasks = []
+        self.table, self.diverging, self.generations, self.tasks = table, set(diverging), [], []
 
     def broadcast(self, state):
         self.generations.append(state)
@@ -70,50 +64,34 @@ class FormulaBackend(Backend):
     def map(self, tasks):
         for task in tasks:
             self.tasks[-1].append(task)
-            generation = self.generations[-1]
-            policies = [
-                [
-                    level.theta + sign * generation.sigma * self.table.slice(index, len(level.theta))
-                    for level, sign, index in zip(generation.levels, signs, task.noise_index, strict=True)
-                ]
-                for signs in task.signs
+            yield self._results(task, self.generations[-1])
+
+    def _results(self, task, generation):
+        k, episodes = len(task.slots), generation.episodes_per_policy
+        levels = list(zip(generation.levels, task.noise_index, strict=True))
+        returns, has_diverged = [], []
+        for member, slot in zip(*np.divmod(task.slots, episodes), strict=True):
+            signs = task.signs[member]
+            policy = [
+                level.theta + sign * generation.sigma * self.table.slice(index, len(level.theta))
+                for (level, index), sign in zip(levels, signs, strict=True)
             ]
-            k, episodes = len(task.slots), generation.episodes_per_policy
-            members, slots = np.divmod(task.slots, episodes)
-            moments = tuple(
-                Moments(count=np.full(k, 7), total=np.full((k, size), 14.0), total_squares=np.full((k, size), 63.0))
-                for size in DIMS
-            )
-            # Each episode pays a little more or less, so that fitness is a mean over episodes.
-            luck = slots - (episodes - 1) / 2
-            places = zip((task.member + members).tolist(), slots.tolist(), strict=True)
-            has_diverged = np.array([place in self.diverging for place in places])
-            returns = np.array([formula(*policies[member]) for member in members]).T + luck
-            yield EpisodeResults(
-                outcomes=outcomes(
-                    returns=np.where(has_diverged, 1e6, returns).T,
-                    score=luck,
-                    success=luck > 0,
-                    steps=100 + slots,
-                    has_terminated=luck > 0,
-                    has_fallen=luck > 0,
-                    has_diverged=has_diverged,
-                    goals_reached=slots,
-                    final_position=np.array(
-                        [end_of(policies[m][0], [slot])[0] for m, slot in zip(members, slots, strict=True)]
-                    ),
-                    environment_returns=returns[0] + 5,
-                ),
-                moments=moments if task.records_statistics else None,
-            )
+            luck = slot - (episodes - 1) / 2  # each episode pays a little more or less: fitness is a mean over episodes
+            has_diverged.append((task.member + member, slot) in self.diverging)
+            returns.append([1e6 if has_diverged[-1] else paid + luck for paid in formula(*policy)])
+        moments = tuple(
+            Moments(count=np.full(k, 7), total=np.full((k, size), 14.0), total_squares=np.full((k, size), 63.0))
+            for size in DIMS
+        )
+        return EpisodeResults(
+            outcomes=outcomes(
+                returns=np.array(returns), has_diverged=has_diverged, steps=100 + np.array(task.slots) % episodes
+            ),
+            moments=moments if task.records_statistics else None,
+        )
 
     def close(self):
         pass
-
-
-def end_of(controller, slots):
-    """Return the made-up ends [K, 2] of a controller's episodes in `slots`, all in their own direction."""
-    return np.asarray(controller, float)[:2] * 3 + [_DRIFT_M[slot] for slot in slots]
 
 
 def formula(controller, primitive):
@@ -134,69 +112,50 @@ def formula_run(table, generations, settings=SETTINGS, state=None, pool=None, di
 
 
 def noise_of(report, table):
-    return [
-        [table.slice(i, dim) for i in row.tolist()]
-        for row, dim in zip(report.population.work.noise_index, DIMS, strict=True)
-    ]
+    rows = zip(report.populations[0].noise_index, DIMS, strict=True)
+    return [[table.slice(i, dim) for i in row.tolist()] for row, dim in rows]
 
 
-def check_against_textbook(table, settings, generations=5, **options):
-    """Compare a run with the textbook's; return its reports."""
-    backend, reports = formula_run(table, generations, settings)
+def check_against_textbook(table, settings, generations=5, diverging=(), **options):
+    """Compare a run with the textbook's; return its backend and its reports."""
+    backend, reports = formula_run(table, generations, settings, diverging=diverging)
     book = TextbookES(
         [level.theta for level in backend.generations[0].levels],
         mirrored=settings.mirrored, sigma=0.1, rate=0.02, weight_decay=0.005, learns=settings.learns, **options,
     )  # fmt: skip
     for generation, report in enumerate(reports):
         book.sigma, book.rate = settings.sigma.value(generation), settings.learning_rate.value(generation)
-        noise = noise_of(report, table)
-        expected = np.array([formula(*pair) for pair in book.candidates(noise)]).T
-        assert report.results.fitness == pytest.approx(expected, rel=1e-4, abs=1e-4)
+        noise, episodes = noise_of(report, table), settings.episodes(generation)
+        paid = np.array([formula(*pair) for pair in book.candidates(noise)]).T[:, :, None]
+        paid = paid + np.arange(episodes) - (episodes - 1) / 2
+        for level in paid:  # a divergence counts as the worst of the others
+            others = [level[m, e] for m, e in np.ndindex(level.shape) if (m, e) not in diverging]
+            for place in diverging:
+                level[place] = min(others)
+        assert report.results.fitness == pytest.approx(paid.mean(axis=2), rel=1e-4, abs=1e-4)
         book.update(report.results.fitness.tolist(), noise)
         for level, theta in zip(report.state.levels, book.thetas, strict=True):
             assert level.theta == pytest.approx(theta, abs=1e-5)
-    return reports
+    return backend, reports
 
 
-def state_bits(state):
-    arrays = [
-        a
-        for level in state.levels
-        for a in (level.theta, *level.optimizer.slots.values(), level.statistics.total, level.statistics.total_squares)
-    ]
-    counts = [(level.name, level.optimizer.steps, level.statistics.count) for level in state.levels]
-    if state.running is not None:
-        arrays += [state.running.states, state.running.steps]
-    return [a.tobytes() for a in arrays], counts, state.generation, state.env_steps, state.seed
-
-
-def run_bits(reports):
-    return [
-        (
-            state_bits(report.state),
-            population_bits(report.population),
-            None if report.branches is None else population_bits(report.branches),
-            [repr((u.gradient_norm, u.halves_cosine, u.update_ratio)) for u in report.updates],
-        )
-        for report in reports
-    ]
-
-
-def population_bits(population):
-    results, work = population.results, population.work
-    arrays = (
-        results.returns, results.score, results.success, results.steps, results.has_terminated, results.has_fallen,
-        results.has_diverged, results.goals_reached, results.final_position, results.environment_returns,
-        work.noise_index, work.signs,
-    )  # fmt: skip
-    left = [(place, end.state.tobytes(), end.steps, end.goals.tobytes()) for place, end in results.snapshots.items()]
-    return [array.tobytes() for array in arrays], left, work.generation.sigma, population.learning_rate
+def bits(value):
+    """Return a state, a report or a part of one as nested lists of bytes and texts, but for durations."""
+    if isinstance(value, np.ndarray):
+        return value.tobytes()
+    if isinstance(value, dict):
+        return {name: bits(each) for name, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [bits(each) for each in value]
+    if hasattr(value, "__dataclass_fields__"):
+        return {
+            field.name: bits(getattr(value, field.name))
+            for field in fields(value)
+            if field.name not in ("log", "seconds") and not field.name.endswith("_s")
+        }
+    return repr(value)
 
 
 def same_level(one, other):
     """Return whether parameters and optimizer of two levels are bit-identical."""
-    return (
-        one.theta.tobytes() == other.theta.tobytes()
-        and one.optimizer.steps == other.optimizer.steps
-        and all(slot.tobytes() == other.optimizer.slots[name].tobytes() for name, slot in one.optimizer.slots.items())
-    )
+    return bits([one.theta, one.optimizer]) == bits([other.theta, other.optimizer])

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from shes.algorithms.evolution.populations import Hyperparameters
+from shes.algorithms.evolution.estimates import Hyperparameters
 from shes.algorithms.worker import WorkerPlan
 from shes.hierarchy.agent import AgentDesign
 from shes.runs.build import build_algorithm

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from shes.algorithms import worker
-from shes.algorithms.evolution import populations, way_search
+from shes.algorithms.evolution import way_search
 from shes.es.level import LevelState, LevelUpdate, TrainState, UpdateRule, update_level
 from shes.es.noise import NoiseTable
 from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
@@ -143,7 +143,7 @@ def recording() -> Iterator[Record]:
         patch.setattr(worker, "WarpDevice", Device)
         patch.setattr("shes.algorithms.problem.WarpDevice", Device)
         patch.setattr(way_search, "SLICE_STEPS", min(4000, way_search.SLICE_STEPS))
-        patch.setattr(populations, "update_level", record_update)
+        patch.setattr("shes.algorithms.evolution.algorithm.update_level", record_update)
         patch.setattr(Exploration, "of_step", record_noise)
         yield record
 

@@ -3,7 +3,7 @@
 The rest is tested through training.
 """
 
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ import pytest
 from shes.envs.bodies.point import Point
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.errors import ShapeError
-from shes.hierarchy.primitive import PrimitiveDesign
 from shes.runs.build import build_algorithm
 from shes.training.make_config import make_config
 from tests.e2e.own_classes import Corner
@@ -59,8 +58,7 @@ def test_agents_get_the_elements_of_the_symmetry_that_is_asked_for(symmetry):
 
 def test_what_acts_in_branches_is_the_primitive_of_the_runs_agent(beside):
     branch = beside.plan.branch_design
-    for field in fields(PrimitiveDesign):
-        assert getattr(branch, field.name) is getattr(beside.design, field.name)
+    assert branch == replace(beside.design, controller=None, num_recorded_goals=2)
     assert branch.dims == beside.design.dims[1:]
 
 
@@ -68,11 +66,10 @@ def test_a_primitive_alone_acts_in_branches_as_everywhere_and_has_the_runs_own_r
     built = Built.of("ant-flagrun", **INTERVALS, **SCHEDULE, fall_price=2.0)
     assert built.plan.branch_design is None
     estimate = built.intervals
-    assert (estimate.population_size, estimate.update.fall_price) == (8, 2)
+    assert (estimate.population_size, built.rules[0].fall_price) == (8, 2)
     assert [estimate.sigma.value(g) for g in range(4)] == pytest.approx([0.2, 0.15, 0.1, 0.1])
     assert [estimate.sigma.value(g) for g in range(4)] == [built.settings.sigma.value(g) for g in range(4)]
     assert estimate.learning_rate.value(0) == 0.04
-    assert estimate.update == built.rules[0]
 
 
 def test_without_rates_of_its_own_a_primitive_beside_a_controller_has_the_runs():

@@ -13,7 +13,7 @@ import shes.algorithms.problem
 import shes.algorithms.worker
 import shes.runs.build
 import shes.runs.provenance
-from shes.algorithms.evolution.populations import generation_work
+from shes.algorithms.evolution.estimates import draw_episodes
 from shes.backends.processes import ProcessesBackend
 from shes.backends.serial import SerialBackend
 from shes.cores import num_cores
@@ -230,8 +230,8 @@ def test_the_estimate_covers_what_tasks_and_results_take(monkeypatch):
     config = make_config("ant-gather", "smoke", {"population_size": 20_000, "backend": "serial"})
     algorithm = build_algorithm(config)
     tracemalloc.start()
-    work = generation_work(algorithm.start(0), algorithm.hyperparameters, 1_000_000)
-    results = PopulationResults.of_tasks(work.tasks, work.generation)
+    draws = draw_episodes(algorithm.start(0), algorithm.hyperparameters, 1_000_000)
+    results = PopulationResults.of_tasks(draws.tasks, draws.generation)
     taken = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert results.outcomes.size == 20_000

@@ -12,7 +12,7 @@ from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.cli import main
 from shes.errors import CheckpointError, ConfigError, PolicyError, RunFolderError, UnknownNameError
 from shes.es.streams import Purpose
-from shes.hierarchy.hierarchical import HierarchicalAgent
+from shes.hierarchy.goal_agent import GoalAgent
 from shes.runs.evaluate import Evaluation, evaluate, evaluation_seeds, fresh_seeds
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
@@ -220,13 +220,15 @@ def walking(monkeypatch):
 def vectors(monkeypatch):
     """Return the list of vectors to the goals [K, 2] of all decisions."""
 
-    def choose(agent, due, rows, given, noise):
-        goals = original(agent, due, rows, given, noise)
-        found.append(goals - given.position[rows])
-        return goals
+    def act(agent, observation, position, heading, **noise):
+        is_due = np.repeat(agent.clock % agent.design.controller_interval == 0, agent.rows_per_lane)
+        controls = original(agent, observation, position, heading, **noise)
+        if is_due.any():
+            found.append((agent.goal - position)[is_due])
+        return controls
 
-    original, found = HierarchicalAgent.choose_goals, []
-    monkeypatch.setattr(HierarchicalAgent, "choose_goals", choose)
+    original, found = GoalAgent.act, []
+    monkeypatch.setattr(GoalAgent, "act", act)
     return found
 
 

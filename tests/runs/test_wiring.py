@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shes.algorithms.evolution.estimates import draw_pairs
 from shes.baselines.learner_settings import HIRO_SECTIONS
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
 from shes.errors import ConfigError
 from shes.es.streams import Purpose, stream
-from shes.hierarchy.intervals import branch_work
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.evaluate import evaluate
 from shes.runs.folder import RunFolder
@@ -166,8 +166,9 @@ def output_layer(parameters, policy):
 
 def goals_within(record, distance):
     """Tell whether the goals of branches that begin at a reset are within `distance`."""
-    work = branch_work(record.state, record.algorithm.hyperparameters.intervals, 1_000_000, ())
-    return max(float(np.abs(task.start.goals).max()) for task in work.tasks) <= distance
+    before = SimpleNamespace(results=SimpleNamespace(snapshots={}))
+    draws = draw_pairs(record.state, record.algorithm.hyperparameters, 1_000_000, (before,))
+    return max(float(np.abs(task.start.goals).max()) for task in draws.tasks) <= distance
 
 
 def buffers(name):
@@ -190,8 +191,8 @@ ROWS: dict[str, Row] = {
     "episodes_per_policy": Row(3, episodes, [3], [1]),
     "sigma": Row(0.5, sigmas(), [0.5], [0.07]),
     "learning_rate": Row(0.5, learning_rates, [0.5], [0.01]),
-    "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 3, [0.005] * 3, **BY_INTERVALS),
-    "weight_decay_form": Row("decoupled", rules("decouples_decay"), [True] * 3, [False] * 3, **BY_INTERVALS),
+    "weight_decay": Row(0.25, rules("weight_decay"), [0.25] * 2, [0.005] * 2, **BY_INTERVALS),
+    "weight_decay_form": Row("decoupled", rules("decouples_decay"), [True] * 2, [False] * 2, **BY_INTERVALS),
     "mirrored": Row("pair", lambda r: len(r.of("training")[0].tasks), 8, 4),
     "fitness_shaping": Row("z_score", spreads, [1, 1], [0.31, 0.31], env="point-maze"),
     "hold_tied": Row(False, stays, [False, False], [True, False], beside=UNPAID),
@@ -289,7 +290,7 @@ ROWS: dict[str, Row] = {
         ([7, 7], 14, 7), ([25, 25], 50, 25), **BY_INTERVALS,
     ),
     "goal_distance": Row(
-        2.5, lambda r: (r.of("training")[0].rollout.design.goal_distance, goals_within(r, 2.5)),
+        2.5, lambda r: (r.of("training")[0].rollout.design.controller.goal_distance, goals_within(r, 2.5)),
         (2.5, True), (4, False), **BY_INTERVALS,
     ),
     "goal_encoding": Row(
@@ -306,15 +307,15 @@ ROWS: dict[str, Row] = {
         env="ant-gather", **BY_INTERVALS,
     ),
     "hide_position": Row(True, design(lambda d: d.observation_sizes[1]), [26], [28]),
-    "minimum_goal_distance": Row(False, design(lambda d: d.has_minimum_goal_distance), [False], [True]),
-    "controller_output": Row("one_hot", designed("controller_output"), ["OneHotOutput"], ["VectorOutput"]),
+    "minimum_goal_distance": Row(False, design(lambda d: d.controller.has_minimum_goal_distance), [False], [True]),
+    "controller_output": Row("one_hot", design(lambda d: type(d.controller.output).__name__), ["OneHotOutput"], ["VectorOutput"]),
     "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"], ["ColumnsView"]),
     "controller_network": Row(
-        "equivariant", designed("controller"), ["EquivariantMLP"], ["MLP"],
+        "equivariant", design(lambda d: type(d.controller.network).__name__), ["EquivariantMLP"], ["MLP"],
         beside={"controller_view": "sectors", "controller_output": "heading_direction"},
     ),
     "controller_weight_decay": Row(
-        0.5, rules("weight_decay"), [0.5, 0.005, 0.005], [0.005] * 3, **BY_INTERVALS
+        0.5, rules("weight_decay"), [0.5, 0.005], [0.005] * 2, **BY_INTERVALS
     ),
     "perturbation": Row("one_to_many", perturbed, [[1, 0], [0, 1]], [[1, 1]] * 2, generations=(0, 1)),
     "primitive_hidden": Row((5, 6), sizes, [[(16,), (5, 6)]], [[(16,)] * 2]),
@@ -328,11 +329,11 @@ ROWS: dict[str, Row] = {
         lambda r: (
             r.of("training")[0].generation.snapshot_goals,
             r.of("branch")[0].generation.branch_steps,
-            r.of("branch")[0].rollout.design.num_goals,
+            r.of("branch")[0].rollout.design.num_recorded_goals,
         ),
         (1, 25, 1), (2, 50, 2), **BY_INTERVALS,
     ),
-    "fall_price": Row(3.0, rules("fall_price"), [0, 3, 3], [0, 0, 0], **BY_INTERVALS),
+    "fall_price": Row(3.0, rules("fall_price"), [0, 3], [0, 0], **BY_INTERVALS),
     "primitive_population_size": Row(12, lambda r: r.of("branch")[0].num_members, 12, 8, **BY_INTERVALS),
     "primitive_sigma": Row(0.3, sigmas("branch"), [0.3] * 2, [0.2] * 2, **BY_INTERVALS, generations=(0, 9)),
     "primitive_learning_rate": Row(0.07, learning_rates, [0.04, 0.07], [0.04], **BY_INTERVALS),

@@ -53,7 +53,7 @@ def test_every_column_that_changes_has_a_panel(kinds):
 
 
 @pytest.mark.parametrize("x", X_AXES)
-def test_a_curve_of_one_run_is_its_column_with_two_standard_errors(kinds, x):
+def test_a_curve_of_one_run_has_two_standard_errors(kinds, x):
     low, high, mean = traces(SCORE, kinds["first"], x=x)
     table = read_csv(kinds["first"] / "evaluation.csv")
     np.testing.assert_allclose(mean["y"], table["score_mean"], rtol=1e-5)
@@ -63,7 +63,7 @@ def test_a_curve_of_one_run_is_its_column_with_two_standard_errors(kinds, x):
     assert mean["visible"] == (x == "env_steps")
 
 
-def test_curves_of_repetitions_are_their_mean_with_lines_or_a_band(kinds):
+def test_repetitions_are_a_mean_with_lines_or_a_band(kinds):
     first, second, third = kinds["first"], kinds["second"], kinds["third"]
     one, two, mean = traces(PRIMITIVE, first, second)
     columns = [read_csv(path / "progress.csv")["primitive_return_mean"] for path in (first, second)]
@@ -95,7 +95,7 @@ def test_a_button_shows_the_curves_over_its_axis(kinds):
         assert texts == {"xaxis.title.text": label, "xaxis2.title.text": label}
 
 
-def test_a_value_that_is_not_finite_is_a_gap_and_a_long_curve_thinned(run_copy):
+def test_a_nan_is_a_gap_and_a_long_curve_is_thinned(run_copy):
     header, row, *_ = (run_copy / "progress.csv").read_text().splitlines()
     place, cells = header.split(",").index("primitive_return_mean"), row.split(",")
     cells[place] = "nan"

@@ -12,8 +12,7 @@ from shes.algorithms.worker import EpisodeSetup, WorkerPlan
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ShapeError
 from shes.es.noise import NoiseTable
-from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.flat import FlatDesign
+from shes.hierarchy.agent import AgentDesign, FlatDesign
 from shes.policies.mlp import MLP
 from shes.sim.warp_device import WarpDevice
 

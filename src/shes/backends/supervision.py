@@ -23,6 +23,8 @@ MAX_LOSSES = 3
 """The run ends when so many workers were lost with the same task, or so many per worker in a row without a result."""
 REPORTED_S = 60.0
 """Seconds without a sign of life after which a worker is reported; less if it is replaced sooner."""
+RESTART_S = 10.0
+"""Pause before workers are started again if one has failed to start while others work."""
 CLOSE_S = 5.0
 """Seconds that workers have to close their environments before they are killed."""
 _TICK_S = 1.0
@@ -87,7 +89,7 @@ class SupervisingBackend(Backend):
         """The workers that are not known to be gone."""
         self._clock_s = 0.0  # how long this process has waited for requests
         self._judged_s = 0.0  # when silent workers were last looked for
-        self._may_restart = True  # unless a worker has failed to start while others work
+        self._restart_at_s = 0.0  # on that clock: when workers may be started again
         self._losses_in_a_row = 0
         self._most_workers = 0  # a cluster that has lost a node has fewer
         self._state: bytes | None = None
@@ -111,7 +113,6 @@ class SupervisingBackend(Backend):
     def broadcast(self, state: Any) -> None:
         """Keep `state` for every worker that is given tasks from now on."""
         self._state = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
-        self._may_restart = True
 
     def map(self, tasks: Sequence[Any]) -> Iterator[Any]:
         """Yield the result of every task, in order."""
@@ -156,8 +157,8 @@ class SupervisingBackend(Backend):
         self.workers.append(worker)
 
     def restart_workers(self) -> None:
-        """Start the workers that are missing, unless others work while one has failed to start."""
-        if self._may_restart or not self.workers:
+        """Start the workers that are missing, but not soon after one has failed to start while others work."""
+        if self._clock_s >= self._restart_at_s or not self.workers:
             self.start_workers()
 
     def tell(self, event: str) -> None:
@@ -208,6 +209,8 @@ class SupervisingBackend(Backend):
             self._judged_s = self._clock_s
             for worker in [each for each in self.workers if each.is_started and not each.is_idle]:
                 self._judge_silence(worker)
+            if len(self.workers) < self.num_workers:
+                self.restart_workers()
         self.look_around()
 
     def _handle(self, worker: RemoteWorker, kind: str, *content: Any) -> None:
@@ -267,8 +270,8 @@ class SupervisingBackend(Backend):
         self._losses.update(lost)
         if worker.is_ready or not any(other.is_ready for other in self.workers):
             self._losses_in_a_row += 1
-        else:  # on a node that lacks something, maybe: others work on, and the next broadcast starts it again
-            self._may_restart = False
+        else:  # on a node that lacks something, maybe: the others work on
+            self._restart_at_s = self._clock_s + RESTART_S
         cause = f"no answer for {self._clock_s - worker.heard_s:.0f} s" if is_silent else ending
         end = "was ended" if is_silent else "died"
         self.tell(f"worker {worker.name} {end} ({cause}); {len(lost)} tasks are done again")

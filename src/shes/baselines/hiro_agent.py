@@ -8,7 +8,7 @@ Source: Nachum et al. 2018, section 3 and appendix C.1; its published code.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.es.statistics import normalise
 from shes.hierarchy.agent import AgentBatch, AgentDesign
 from shes.hierarchy.views import ColumnsView
-from shes.policies.mlp import RectifiedMLP
+from shes.policies.mlp import MLP, RectifiedMLP
 from shes.types import CONTROLLER, F32Array, F64Array, IntArray
 
 
@@ -28,9 +28,6 @@ class HiroDesign(AgentDesign):
     observes the goal, seen from the current state, and then its view.
     """
 
-    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
-    controller_view: ClassVar[ColumnsView] = ColumnsView()
-    """The controller sees the whole observation."""
     controller: RectifiedMLP
     primitive: RectifiedMLP
     primitive_view: ColumnsView
@@ -61,6 +58,16 @@ class HiroDesign(AgentDesign):
             control_limit=task.control_limit,
             **values,
         )
+
+    @property
+    def networks(self) -> dict[str, MLP]:
+        """The network of each level by name."""
+        return {"controller": self.controller, "primitive": self.primitive}
+
+    @property
+    def controller_view(self) -> ColumnsView:
+        """The view of the controller, which sees the whole observation."""
+        return ColumnsView()
 
     @property
     def intrinsic_level(self) -> None:

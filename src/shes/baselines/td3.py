@@ -32,8 +32,7 @@ from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
 from shes.es.streams import Purpose, stream
 from shes.free_space import free_memory
-from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.flat import FlatDesign
+from shes.hierarchy.agent import AgentDesign, FlatDesign
 from shes.policies.mlp import RectifiedMLP
 from shes.settings import Settings
 

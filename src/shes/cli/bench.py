@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from typing import Annotated, Any, Literal
@@ -14,11 +14,9 @@ from typing import Annotated, Any, Literal
 import mujoco
 import numpy as np
 
-from shes.algorithms.evolution.algorithm import evolve
-from shes.algorithms.evolution.populations import generation_work
+from shes.algorithms.evolution.algorithm import evolve, roll_out
 from shes.algorithms.evolution.strategies import EvolutionAlgorithm
 from shes.algorithms.registry import ALGORITHMS
-from shes.algorithms.roll_out import roll_out_tasks
 from shes.algorithms.worker import RolloutWorker, WorkerPlan
 from shes.backends.serial import SerialBackend
 from shes.checked import checked
@@ -26,7 +24,6 @@ from shes.cores import on_one_core
 from shes.envs.registry import find_environment
 from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
 from shes.errors import ConfigError
-from shes.hierarchy.intervals import branch_work
 from shes.listing import Listing, facts_listing
 from shes.runs.build import build_algorithm, build_backend
 from shes.runs.config import TrainConfig
@@ -180,13 +177,14 @@ def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: in
     recorders: list[_RecordingSimulator] = []
     plan = _RecordedPlan(**{**vars(algorithm.plan()), "device": "cpu"}, recorders=recorders)
     with SerialBackend(partial(RolloutWorker, plan)) as worker:
-        work = generation_work(state, settings, table_size)
-        num_tasks = min(len(work.tasks), max(1, num_episodes // work.generation.rows_per_lane))
-        results = roll_out_tasks(work.tasks[:num_tasks], work.generation, worker)
-        if settings.intervals is not None and not work.generation.branch_steps:
-            branches = branch_work(state, settings.intervals, table_size, list(results.snapshots.values()))
-            share = max(1, len(branches.tasks) * num_tasks // len(work.tasks))
-            roll_out_tasks(branches.tasks[:share], branches.generation, worker)
+        draw, *others = settings.estimates
+        draws = draw(state, settings, table_size, ())
+        num_tasks = min(len(draws.tasks), max(1, num_episodes // draws.generation.rows_per_lane))
+        episodes = roll_out(replace(draws, tasks=draws.tasks[:num_tasks]), worker)
+        for draw_branches in others:
+            branches = draw_branches(state, settings, table_size, (episodes,))
+            share = max(1, len(branches.tasks) * num_tasks // len(draws.tasks))
+            roll_out(replace(branches, tasks=branches.tasks[:share]), worker)
     return BarePhysics(recorders[0].model, [episode for each in recorders for episode in each.episodes])
 
 

@@ -2,8 +2,8 @@
 
 The episodes of a lane share one set of policies, or belong to several members that perturb the mean by the same noise.
 
-Three kinds of agent exist: a controller with a primitive (`hierarchical`), a primitive alone (`primitive`), and a
-single policy without goals (`flat`). This module does not depend on physics or fitness. Source: SHES paper II-A.
+Two kinds of agent exist: one that pursues goals (`goal_agent`), and a single policy without goals, the flat baseline of
+the SHES paper's figure 6 (Salimans et al. 2017). This module does not depend on physics or fitness.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 
 from shes.es.level import LevelParameters
 from shes.es.statistics import CLIP, normalise
-from shes.hierarchy.clock import Clock
 from shes.hierarchy.moments import Moments
+from shes.hierarchy.views import View
 from shes.policies.mlp import MLP, Layers, Rows, aligned_rows
 from shes.types import F32Array, F64Array, IntArray
 
@@ -26,11 +26,30 @@ Design = TypeVar("Design", bound="AgentDesign")
 
 
 @dataclass(frozen=True, kw_only=True)
+class Clock:
+    """Sine and cosine of the time since the start of the episode, at one frequency: a network has no rhythm of its own.
+
+    Source: Siekmann et al. 2021, section III (sine and cosine of a gait's phase as inputs).
+    """
+
+    size: ClassVar[int] = 2
+    """Number of features."""
+    frequency_hz: float
+    """Frequency in simulated time."""
+    step_s: float
+    """Simulated time of a control step in seconds."""
+
+    def write(self, steps: IntArray, out: F64Array) -> None:
+        """Write sine and cosine into `out` [P, R, 2], for lanes `steps` [P] control steps after their start."""
+        phase = (2 * np.pi * self.frequency_hz * self.step_s) * steps[:, None]
+        np.sin(phase, out=out[..., 0])  # broadcast over the episodes of a lane, which started together
+        np.cos(phase, out=out[..., 1])
+
+
+@dataclass(frozen=True, kw_only=True)
 class AgentDesign(ABC):
     """Design of an agent, without its parameters. It is sent to worker processes."""
 
-    level_names: ClassVar[tuple[str, ...]]
-    """Names of the levels, each that of the field with its network. The level that acts every step comes last."""
     control_limit: float
     """Control for an output of 1 of the acting level."""
     clock: Clock | None = None
@@ -41,9 +60,24 @@ class AgentDesign(ABC):
     """Largest absolute value of a normalised input; infinity for no limit."""
 
     @property
+    @abstractmethod
+    def networks(self) -> dict[str, MLP]:
+        """The network of each level by name. The level that acts every step comes last."""
+
+    @property
+    def level_names(self) -> tuple[str, ...]:
+        """The name of each level."""
+        return tuple(self.networks)
+
+    @property
     def policies(self) -> tuple[MLP, ...]:
         """The network of each level."""
-        return tuple(getattr(self, name) for name in self.level_names)
+        return tuple(self.networks.values())
+
+    @property
+    def controller_view(self) -> View | None:
+        """The part of the observation that a controller sees; None without a controller."""
+        return None
 
     @property
     def intrinsic_level(self) -> int | None:
@@ -256,14 +290,24 @@ class AgentBatch(ABC, Generic[Design]):
 
     def _control(self, inputs: F64Array, noise: F32Array | None) -> F32Array:
         """Return the controls [N, A] of the acting level for its `inputs` [N, O]."""
-        if self.is_recording:
-            self.moments[-1].add(slice(None), inputs)
-        scaled = normalise(inputs, *self._normalisation[-1], self.design.input_clip)
-        control = self._forward(-1, self._by_lane(scaled))
+        control = self._outputs(len(self._policies) - 1, inputs)
         control *= self._control_limit
         if noise is not None:
             control += noise
         return control.reshape(len(inputs), -1)
+
+    def _outputs(
+        self,
+        level: int,
+        inputs: F64Array,
+        rows: slice | IntArray = slice(None),
+        lanes: slice | IntArray = slice(None),
+    ) -> F32Array:
+        """Return the outputs [lanes, R, A] of `level` for its `inputs` [rows, O], which are recorded."""
+        if self.is_recording:
+            self.moments[level].add(rows, inputs)
+        scaled = normalise(inputs, *self._normalisation[level], self.design.input_clip)
+        return self._forward(level, self._by_lane(scaled), lanes)
 
     def _forward(self, level: int, observation: F32Array, lanes: slice | IntArray = slice(None)) -> F32Array:
         """Return the outputs of the policies of `level` in `lanes` for normalised `observation` [lanes, R, O]."""
@@ -283,3 +327,45 @@ class AgentBatch(ABC, Generic[Design]):
     def _by_lane(self, rows: F32Array) -> F32Array:
         """Return rows [N, O] as a view [P, R, O]."""
         return rows.reshape(-1, self.rows_per_lane, rows.shape[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatDesign(AgentDesign):
+    """Design of a flat agent. The policy observes the clock, then the observation of the task."""
+
+    policy: MLP
+
+    @property
+    def networks(self) -> dict[str, MLP]:
+        """The network of the policy."""
+        return {"policy": self.policy}
+
+    @property
+    def agent(self) -> type[FlatAgent]:
+        """The class of the agents."""
+        return FlatAgent
+
+
+class FlatAgent(AgentBatch[FlatDesign]):
+    """Policies without goals, in P lanes of R episodes each."""
+
+    def allocate(self) -> None:
+        """Allocate the inputs of the policies."""
+        self._clock_size = self.design.clock_size
+        self._inputs: F64Array = self.xp.zeros((self.num_rows, self.design.observation_sizes[0]))
+
+    def act(
+        self,
+        observation: F64Array,
+        position: F64Array,
+        heading: F64Array,
+        *,
+        goal: F64Array | None = None,
+        decision_noise: F32Array | None = None,
+        control_noise: F32Array | None = None,
+    ) -> F32Array:
+        """Return the controls [N, A] of one step; see `AgentBatch.act`."""
+        self._write_clock(self._inputs[:, : self._clock_size])
+        self._inputs[:, self._clock_size :] = observation
+        self.clock += 1
+        return self._control(self._inputs, control_noise)

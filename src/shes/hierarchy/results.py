@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from shes.es.level import LevelState
+from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.episodes import (
     PARTS,
     ByEpisode,
@@ -83,13 +83,9 @@ class PopulationResults(ByEpisode):
                 mine.total[0] += new.total[k]
                 mine.total_squares[0] += new.total_squares[k]
 
-    def merge_statistics(self, levels: Sequence[LevelState], learns: Sequence[bool]) -> tuple[LevelState, ...]:
-        """Return `levels` with the observations added to the statistics of those that learn."""
+    def observed(self, level: int, before: ObservationStatistics) -> ObservationStatistics:
+        """Return the statistics of the level at this place with the observations of these episodes."""
         if not self.moments:
-            return tuple(levels)
-        return tuple(
-            replace(level, statistics=level.statistics.merge(int(m.count[0]), m.total[0], m.total_squares[0]))
-            if is_learning
-            else level
-            for level, m, is_learning in zip(levels, self.moments, learns, strict=True)
-        )
+            return before
+        moments = self.moments[level]
+        return before.merge(int(moments.count[0]), moments.total[0], moments.total_squares[0])

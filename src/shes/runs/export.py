@@ -24,8 +24,7 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.root import yaw
 from shes.errors import ConfigError, MissingExtraError
 from shes.es.level import LevelParameters
-from shes.hierarchy.goal_reaching import GoalReachingDesign
-from shes.hierarchy.hierarchical import MIN_COMPONENT_M, HierarchicalDesign
+from shes.hierarchy.goal_agent import MIN_COMPONENT_M, GoalDesign
 from shes.policies.mlp import MLP
 from shes.runs.build import OpenedRun, open_run
 from shes.storage import write_atomically
@@ -97,7 +96,7 @@ def describe(run: OpenedRun) -> dict[str, Any]:
         "clock": [] if clock is None else [{"frequency_hz": clock.frequency_hz, "step_s": clock.step_s}],
         **design.exported(),
     }
-    if isinstance(design, GoalReachingDesign):
+    if isinstance(design, GoalDesign):
         # Without a symmetry there is the robot's own frame alone, so that a reader needs no case of its own.
         sizes = design.primitive_view.size(task.observation_size), task.action_size
         view, control = (SignedPermutation(np.arange(size), np.ones(size)) for size in sizes)
@@ -109,13 +108,14 @@ def describe(run: OpenedRun) -> dict[str, Any]:
             "goal_encoding": settings["goal_encoding"],
             **_frames(design.symmetry or dihedral_group(1, own, own, is_mirrored=False)),
         }
-    if isinstance(design, HierarchicalDesign):
+    if isinstance(design, GoalDesign) and design.controller is not None:
+        boss = design.controller
         found["controller"] = {
-            "view": design.controller_view.to_dict(),
+            "view": boss.view.to_dict(),
             "output": settings["controller_output"],
-            "num_sectors": design.controller_output.size if design.controller.is_tied else 0,
-            "goal_distance_m": design.goal_distance,
-            "min_component_m": float(MIN_COMPONENT_M) if design.has_minimum_goal_distance else 0.0,
+            "num_sectors": boss.output.size if boss.network.is_tied else 0,
+            "goal_distance_m": boss.goal_distance,
+            "min_component_m": float(MIN_COMPONENT_M) if boss.has_minimum_goal_distance else 0.0,
         }
     return found
 

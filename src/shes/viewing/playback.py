@@ -68,7 +68,7 @@ class Playback:
         self._agent = Agent(opened)
         self.task = opened.algorithm.problem.make_task(is_evaluation=True)
         """The environment; whoever plays it closes it."""
-        self._view = getattr(opened.algorithm.design, "controller_view", None) if sensors else None
+        self._view = opened.algorithm.design.controller_view if sensors else None
 
     @property
     def goal(self) -> F64Array | None:

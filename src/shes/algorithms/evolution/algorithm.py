@@ -10,20 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from time import perf_counter
 
-from shes.algorithms.evolution.populations import (
-    Hyperparameters,
-    Population,
-    roll_out,
-    roll_out_branches,
-)
+from shes.algorithms.evolution.estimates import Draws, Hyperparameters, Population, next_running
 from shes.algorithms.evolution.way_search import explore
+from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
-from shes.es.level import LevelUpdate, TrainState
+from shes.es.level import LevelUpdate, TrainState, update_level
 from shes.es.noise import NoiseTable
-from shes.hierarchy.intervals import next_running
 from shes.hierarchy.results import PopulationResults
 
 
@@ -32,10 +27,8 @@ class GenerationReport:
     """Result of one generation."""
 
     state: TrainState
-    population: Population
-    """The members evaluated by whole episodes; the pairs, if a primitive alone is evaluated by intervals."""
-    branches: Population | None
-    """The pairs of a primitive that is evaluated by intervals under a controller."""
+    populations: tuple[Population, ...]
+    """The members evaluated by whole episodes, then the pairs of a primitive that is evaluated by intervals."""
     updates: tuple[LevelUpdate, ...]
     rollout_s: float
     """Duration of the rollouts in seconds."""
@@ -43,19 +36,14 @@ class GenerationReport:
     """Duration of fitness, gradients, optimizer and statistics in seconds."""
 
     @property
-    def populations(self) -> tuple[Population, ...]:
-        """The population, and the branches if any."""
-        return (self.population,) if self.branches is None else (self.population, self.branches)
-
-    @property
     def results(self) -> PopulationResults:
-        """Returns, steps and flags of every episode of `population`."""
-        return self.population.results
+        """Returns, steps and flags of every episode of the first population."""
+        return self.populations[0].results
 
     @property
     def num_steps(self) -> int:
         """Number of environment steps of the generation's members."""
-        return sum(int(each.results.steps.sum()) for each in self.populations)
+        return num_steps(self.populations)
 
     @property
     def log(self) -> list[str]:
@@ -64,14 +52,30 @@ class GenerationReport:
 
     @property
     def sources(self) -> tuple[tuple[Population, int], ...]:
-        """For each level the population that its fitness comes from, and the level's index in that population."""
-        sources = [(self.population, i) for i in range(len(self.updates))]
-        return tuple(sources) if self.branches is None else (*sources[:-1], (self.branches, 0))
+        """See `sources_of_fitness`."""
+        return sources_of_fitness(self.populations)
+
+
+def sources_of_fitness(populations: tuple[Population, ...]) -> tuple[tuple[Population, int], ...]:
+    """Return for each level the last population that evaluates it, and the level's place there."""
+    sources = {level: (each, i) for each in populations for i, level in enumerate(each.levels)}
+    return tuple(sources[level] for level in sorted(sources))
+
+
+def num_steps(populations: tuple[Population, ...]) -> int:
+    """Return the number of environment steps of all episodes."""
+    return sum(int(each.results.steps.sum()) for each in populations)
+
+
+def roll_out(draws: Draws, backend: Backend) -> Population:
+    """Return the members with the results of their episodes."""
+    own = {field.name: getattr(draws, field.name) for field in fields(draws)}
+    return Population(**own, results=roll_out_tasks(draws.tasks, draws.generation, backend))
 
 
 def evolve(
     state: TrainState,
-    hyperparameters: Hyperparameters,
+    settings: Hyperparameters,
     table: NoiseTable,
     backend: Backend,
     pool: ThreadPoolExecutor | None = None,
@@ -80,31 +84,34 @@ def evolve(
     while True:  # line 1
         start = perf_counter()
         # Not in the paper: a search by the mean primitive for a way to the target, which then guides the controllers.
-        state = explore(state, hyperparameters.search, backend)
-        # lines 2 and 3: n rollouts of policies perturbed by sigma * epsilon, for controller and primitive at once.
-        population = roll_out(state, hyperparameters, table, backend)
-        # Not in the paper: a primitive may be evaluated by intervals that branch off the states of these episodes.
-        branches = roll_out_branches(state, hyperparameters, table, backend, population)
-        rolled_out, results = perf_counter(), population.results
-        # lines 4 and 5: theta += alpha / n * sum(f * epsilon), each level by its own fitness.
-        updates = population.update(state.levels, table, pool)
-        levels = population.merge_statistics(update.level for update in updates)
-        if branches is not None:
-            updates = (*updates[:-1], *branches.update(levels[-1:], table, pool))
-            levels = (*levels[:-1], *branches.merge_statistics([updates[-1].level]))
-        state = TrainState(
-            seed=state.seed,
+        state = explore(state, settings.search, backend)
+        populations = tuple[Population, ...]()
+        for draw in settings.estimates:  # whole episodes; not in the paper: a primitive may be evaluated by intervals
+            draws = draw(state, settings, table.size, populations)  # line 2: n perturbations, sigma * epsilon
+            populations += (roll_out(draws, backend),)  # line 3: f = F(theta + sigma * epsilon), for every level
+        rolled_out, updates = perf_counter(), list[LevelUpdate]()
+        sources = sources_of_fitness(populations)
+        levels = zip(state.levels, settings.updates, settings.learns, sources, strict=True)
+        for before, rule, learns, (source, i) in levels:
+            statistics = source.results.observed(i, before.statistics) if learns else before.statistics
+            level = replace(before, statistics=statistics)
+            fitness = source.shaped_fitness(i, rule)  # each level has its own
+            # lines 4 and 5: theta += alpha / n * sum(f * epsilon).
+            update = update_level(
+                level, fitness, source.signs[:, :, i], source.noise_index[i], table, rule, source.learning_rate, pool
+            )
+            updates.append(update)
+        state = replace(
+            state,
             generation=state.generation + 1,
-            env_steps=state.env_steps + population.num_steps + (0 if branches is None else branches.num_steps),
-            levels=levels,
-            archive=state.archive,
-            running=next_running(results, hyperparameters.intervals) if population.is_branched else None,
+            env_steps=state.env_steps + num_steps(populations),
+            levels=tuple(update.level for update in updates),
+            running=next_running(populations[0], settings.horizon) if settings.has_running_episodes else None,
         )
         yield GenerationReport(
             state=state,
-            population=population,
-            branches=branches,
-            updates=updates,
+            populations=populations,
+            updates=tuple(updates),
             rollout_s=rolled_out - start,
             update_s=perf_counter() - rolled_out,
         )

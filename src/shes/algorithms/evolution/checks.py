@@ -12,7 +12,7 @@ from shes.errors import ConfigError
 from shes.es.mirror import sign_matrix
 from shes.es.perturbation import PERTURBATIONS
 from shes.es.schedules import SCHEDULES
-from shes.hierarchy.view_choices import PRIMITIVE_VIEWS
+from shes.hierarchy.views import PRIMITIVE_VIEWS
 from shes.settings import flag, out_of_range, setting_fields
 
 _WHOLE_GROUPS = 48

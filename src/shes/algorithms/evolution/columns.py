@@ -17,7 +17,8 @@ def columns(report: GenerationReport) -> dict[str, Any]:
 
     `physics_s`, `policy_s` and `task_s` are summed over the workers. Values that do not exist are NaN.
     """
-    results, levels = report.results, report.state.levels
+    episodes, *pairs = report.populations
+    results, levels = episodes.results, report.state.levels
     row: dict[str, Any] = {}
     for level, (population, i) in zip(levels, report.sources, strict=True):
         fitness = population.results.fitness[i]
@@ -31,14 +32,14 @@ def columns(report: GenerationReport) -> dict[str, Any]:
         "diverged_rate": float(results.has_diverged.mean()),
         "diverged_episodes": int(results.has_diverged.sum()),
         "episodes_per_policy": results.score.shape[1],
-        "sigma": report.population.work.generation.sigma,
-        "learning_rate": report.population.learning_rate,
+        "sigma": episodes.generation.sigma,
+        "learning_rate": episodes.learning_rate,
     }
     if any(level.name == "primitive" for level in levels):
         row["goals_reached_mean"] = float(results.goals_reached.mean())
     for level, update, (population, i) in zip(levels, report.updates, report.sources, strict=True):
-        signs = population.work.signs[:, :, i]
-        indices = population.work.noise_index[i][signs.any(axis=1)]
+        signs = population.signs[:, :, i]
+        indices = population.noise_index[i][signs.any(axis=1)]
         row |= {
             f"{level.name}_noise_distinct": len(np.unique(indices)),
             f"{level.name}_noise_overlapping": _overlapping(indices, len(level.theta)),
@@ -55,13 +56,12 @@ def columns(report: GenerationReport) -> dict[str, Any]:
             "cells": len(archive.cells),
             "way_steps": archive.way_steps or float("nan"),
         }
-    if report.branches is not None:
-        branches = report.branches.results
+    for each in pairs:
         row |= {
-            "branch_steps_mean": float(branches.steps.mean()),
-            "branch_terminated_rate": float(branches.has_terminated.mean()),
-            "primitive_sigma": report.branches.work.generation.sigma,
-            "primitive_learning_rate": report.branches.learning_rate,
+            "branch_steps_mean": float(each.results.steps.mean()),
+            "branch_terminated_rate": float(each.results.has_terminated.mean()),
+            "primitive_sigma": each.generation.sigma,
+            "primitive_learning_rate": each.learning_rate,
         }
     row |= {"rollout_s": round(report.rollout_s, 4), "update_s": round(report.update_s, 4)}
     seconds = np.sum([each.results.seconds for each in report.populations], axis=0)

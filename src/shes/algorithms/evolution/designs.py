@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import replace
 from typing import Any
 
 from shes.algorithms.evolution.learned_levels import explores, is_alone, is_branched
@@ -10,16 +10,20 @@ from shes.algorithms.problem import Problem
 from shes.envs.bodies.symmetry import SymmetryGroup
 from shes.envs.episode_batch import EpisodeBatch
 from shes.errors import ConfigError
-from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.clock import Clock
-from shes.hierarchy.flat import FlatDesign
+from shes.hierarchy.agent import AgentDesign, Clock, FlatDesign
+from shes.hierarchy.goal_agent import Controller, GoalDesign
 from shes.hierarchy.goals import make_goal_encoding
-from shes.hierarchy.hierarchical import HierarchicalDesign
 from shes.hierarchy.outputs import SectorOutput, make_controller_output
-from shes.hierarchy.primitive import BranchDesign, PrimitiveDesign
 from shes.hierarchy.rewards import make_primitive_reward
-from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, Proprioception, ViewChoice
-from shes.hierarchy.views import ColumnsView, SectorsView, View
+from shes.hierarchy.views import (
+    CONTROLLER_VIEWS,
+    PRIMITIVE_VIEWS,
+    ColumnsView,
+    Proprioception,
+    SectorsView,
+    View,
+    ViewChoice,
+)
 from shes.policies.equivariant import EquivariantMLP, sector_actions
 from shes.policies.mlp import MLP
 from shes.settings import flag
@@ -32,35 +36,49 @@ def flat_design(problem: Problem) -> FlatDesign:
     return FlatDesign(policy=MLP(inputs, settings.networks.hidden, task.action_size), **_acting(settings, task))
 
 
-def primitive_design(problem: Problem) -> PrimitiveDesign:
-    """Return the design of a primitive alone.
+def goal_design(problem: Problem) -> GoalDesign:
+    """Return the design of a primitive, with its controller unless the environment sets the goals.
 
     Raises:
         ConfigError: A view, the symmetry or `hide_position` does not suit the environment, or the position is unknown.
     """
-    return PrimitiveDesign(**_reaching(problem.settings, problem.sample()))
-
-
-def hierarchical_design(problem: Problem) -> HierarchicalDesign:
-    """Return the design of a controller and its primitive; for the errors see `primitive_design`."""
     task, settings = problem.sample(), problem.settings
+    hierarchy = settings.hierarchy
+    task.check_position()
+    encoding, view = make_goal_encoding(hierarchy.goal_encoding, settings.values), primitive_view(settings, task)
+    inputs = encoding.size + _clock_size(settings) + view.size(task.observation_size)
+    return GoalDesign(
+        controller=None if is_alone(settings) else _controller(settings, task),
+        primitive=MLP(inputs, primitive_layers(settings), task.action_size),
+        primitive_view=view,
+        symmetry=_symmetry(settings, task),
+        goal_encoding=encoding,
+        primitive_reward=make_primitive_reward(hierarchy.primitive_reward, settings.values),
+        controller_interval=hierarchy.controller_interval,
+        **_acting(settings, task),
+    )
+
+
+def _controller(settings: Any, task: EpisodeBatch) -> Controller:
+    """Return the design of the controller."""
+    hierarchy, hidden = settings.hierarchy, settings.networks.hidden
     output, view = (
-        make_controller_output(settings.hierarchy.controller_output, settings.values),
+        make_controller_output(hierarchy.controller_output, settings.values),
         _controller_view(settings, task),
     )
-    hidden, controller = settings.networks.hidden, None
-    if settings.hierarchy.controller_network == "equivariant":
+    if hierarchy.controller_network == "equivariant":
         assert isinstance(view, SectorsView), "check_together has seen to it"
-        channels = (view.num_channels, *hidden, 1)
-        controller = EquivariantMLP([sector_actions(view.num_sectors, count) for count in channels])
         output = SectorOutput(view.num_sectors, output)
-    return HierarchicalDesign(
-        controller=controller or MLP(view.size(task.observation_size), hidden, output.size),
-        controller_output=output,
-        controller_view=view,
-        goal_distance=settings.hierarchy.goal_distance,
-        has_minimum_goal_distance=settings.hierarchy.minimum_goal_distance,
-        **_reaching(settings, task),
+        channels = (view.num_channels, *hidden, 1)
+        network: MLP = EquivariantMLP([sector_actions(view.num_sectors, count) for count in channels])
+    else:
+        network = MLP(view.size(task.observation_size), hidden, output.size)
+    return Controller(
+        network=network,
+        output=output,
+        view=view,
+        goal_distance=hierarchy.goal_distance,
+        has_minimum_goal_distance=hierarchy.minimum_goal_distance,
     )
 
 
@@ -72,32 +90,13 @@ def _acting(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
     return {"control_limit": task.control_limit, "clock": clock}
 
 
-def branch_design(settings: Any, design: AgentDesign) -> BranchDesign | None:
+def branch_design(settings: Any, design: AgentDesign) -> GoalDesign | None:
     """Return the design of the agents in branches under a controller, or None if there are no such branches."""
-    if not (is_branched(settings) or explores(settings)) or not isinstance(design, HierarchicalDesign):
+    if not (is_branched(settings) or explores(settings)) or not isinstance(design, GoalDesign) or not design.controller:
         return None
-    shared = {field.name: getattr(design, field.name) for field in fields(PrimitiveDesign)}
-    return BranchDesign(num_goals=settings.estimate.intervals if is_branched(settings) else 1, **shared)
-
-
-def _reaching(settings: Any, task: EpisodeBatch) -> dict[str, Any]:
-    """Return the fields of a design that concern the primitive."""
-    hierarchy = settings.hierarchy
-    task.check_position()
-    encoding, view = make_goal_encoding(hierarchy.goal_encoding, settings.values), primitive_view(settings, task)
-    return {
-        "primitive": MLP(
-            encoding.size + _clock_size(settings) + view.size(task.observation_size),
-            primitive_layers(settings),
-            task.action_size,
-        ),
-        "primitive_view": view,
-        "symmetry": _symmetry(settings, task),
-        "goal_encoding": encoding,
-        "primitive_reward": make_primitive_reward(hierarchy.primitive_reward, settings.values),
-        "controller_interval": hierarchy.controller_interval,
-        **_acting(settings, task),
-    }
+    return replace(
+        design, controller=None, num_recorded_goals=settings.estimate.intervals if is_branched(settings) else 1
+    )
 
 
 def primitive_layers(settings: Any) -> tuple[int, ...]:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from shes.algorithms.evolution.estimates import Hyperparameters, IntervalEstimate
 from shes.algorithms.evolution.learned_levels import explores, is_branched, learns
-from shes.algorithms.evolution.populations import Hyperparameters
 from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
 from shes.algorithms.evolution.way_search import SLICES, WaySearch
 from shes.algorithms.problem import Problem
@@ -20,7 +20,6 @@ from shes.es.schedules import Schedule
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.es.streams import Purpose, stream
 from shes.hierarchy.agent import AgentDesign
-from shes.hierarchy.intervals import IntervalEstimate
 from shes.options import make
 
 
@@ -83,9 +82,7 @@ def _interval_estimate(settings: Any, sigma: Schedule, learning_rate: Schedule) 
         population_size=values.get("primitive_population_size") or settings.evolution.population_size,
         intervals=settings.estimate.intervals,
         controller_interval=settings.hierarchy.controller_interval,
-        horizon=settings.episodes.horizon,
         goal_distance=settings.hierarchy.goal_distance,
-        update=make_update_rules(settings)[-1],
         sigma=own("primitive_sigma", sigma),
         learning_rate=own("primitive_learning_rate", learning_rate),
     )

@@ -14,7 +14,7 @@ from shes.algorithms.evolution.learned_levels import is_alone
 from shes.algorithms.level_transfer import LevelTransfer
 from shes.algorithms.problem import Problem
 from shes.es.level import TrainState
-from shes.hierarchy.view_choices import PRIMITIVE_VIEWS
+from shes.hierarchy.views import PRIMITIVE_VIEWS
 
 
 class _Transfer(LevelTransfer):

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
+from shes.algorithms.evolution.estimates import COMMON_RANDOM_NUMBERS
 from shes.envs.bodies.symmetry import SYMMETRIES
 from shes.es.mirror import MIRRORINGS
 from shes.es.noise import DEFAULT_TABLE_SIZE
@@ -21,9 +22,8 @@ from shes.es.schedules import SCHEDULES
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS
-from shes.hierarchy.population_tasks import COMMON_RANDOM_NUMBERS
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
-from shes.hierarchy.view_choices import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
+from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.policies.mlp import BIAS_INITIALISATIONS, OUTPUT_INITIALISATIONS
 from shes.registry import Registry
 from shes.settings import Choices, Example, Ge, Gt, Le, Needs, Settings, Shown

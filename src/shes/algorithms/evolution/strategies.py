@@ -16,8 +16,7 @@ from shes.algorithms.evolution.columns import columns
 from shes.algorithms.evolution.designs import (
     branch_design,
     flat_design,
-    hierarchical_design,
-    primitive_design,
+    goal_design,
 )
 from shes.algorithms.evolution.hyperparameters import make_hyperparameters, make_state
 from shes.algorithms.evolution.learned_levels import population, steps_per_generation
@@ -162,7 +161,7 @@ class PrimitiveES(EvolutionAlgorithm):
     sections: ClassVar[Mapping[str, type[Settings]]] = PRIMITIVE_SECTIONS
     presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
     transfers: ClassVar[Mapping[str, LevelTransfer]] = PRIMITIVE_TRANSFER
-    make_design = staticmethod(primitive_design)
+    make_design = staticmethod(goal_design)
 
 
 class SHES(EvolutionAlgorithm):
@@ -173,7 +172,7 @@ class SHES(EvolutionAlgorithm):
     sections: ClassVar[Mapping[str, type[Settings]]] = SHES_SECTIONS
     presets: ClassVar[Mapping[str, Preset]] = SHES_PRESETS
     transfers: ClassVar[Mapping[str, LevelTransfer]] = SHES_TRANSFERS
-    make_design = staticmethod(hierarchical_design)
+    make_design = staticmethod(goal_design)
 
 
 class SES(EvolutionAlgorithm):
