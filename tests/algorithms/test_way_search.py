@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.runs.recorder import recording
 
 import shes
 from shes.algorithms.evolution import way_search
@@ -20,6 +19,7 @@ from shes.runs.tables import read_csv
 from shes.training.make_config import make_config
 from tests.e2e import runs
 from tests.hierarchy.made_up import outcomes
+from tests.runs.recorder import recording
 
 SEARCH = {
     "explore": "archive", "primitive_view": "egocentric", "controller_interval": 4, "evaluation_target": (5.5, 0.0),
