@@ -42,6 +42,7 @@ from shes.backends.serial import SerialBackend
 from shes.cli.bench import evolution_strategy
 from shes.cores import core_numbers, on_one_core
 from shes.errors import ConfigError
+from shes.es.level import TrainState
 from shes.hierarchy.episodes import EpisodeTask
 from shes.runs.build import build_backend
 from shes.runs.config import TrainConfig

@@ -21,11 +21,10 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from shes.backends.registry import BACKENDS
-
 from experiments.design import ALONE, Experiment, Run
 from experiments.results import read_results, read_summary, write_summary, write_tables
 from experiments.summary import summarise
+from shes.backends.named_backends import BACKENDS
 from shes.cores import core_numbers
 from shes.errors import RunFolderError, ShesError, WorkerError
 from shes.runs.comparison import check_scipy

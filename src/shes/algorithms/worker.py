@@ -178,8 +178,8 @@ class RolloutWorker:
             _, rollout = self._rollouts.popitem()
             rollout.batch.close()
 
-    def run(self, work: EpisodeSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
-        """Run `work`, of which about `share` tasks are for this worker, and yield numbered results.
+    def run(self, tasks: EpisodeSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
+        """Run `tasks`, of which about `share` tasks are for this worker, and yield numbered results.
 
         If a device runs out of memory, tasks without a result are repeated with half as many policies at a time.
 
@@ -190,7 +190,7 @@ class RolloutWorker:
         with self._collector.listening():
             while True:
                 try:
-                    yield from self._run(work, pending, share)
+                    yield from self._run(tasks, pending, share)
                 except (MemoryError, RuntimeError) as error:
                     if self.plan.device == "cpu" or not is_out_of_memory(error):
                         raise
