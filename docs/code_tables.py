@@ -22,8 +22,8 @@ from shes.cli import main
 from shes.cli.command_table import COMMANDS
 from shes.envs.registry import ENVIRONMENTS
 from shes.runs.config import TrainConfig
+from shes.runs.make_config import make_config
 from shes.settings import Unasked, setting_fields
-from shes.training.make_config import make_config
 
 _SRC = Path(__file__).parents[1] / "src"
 _TERMINAL = {"NO_COLOR": "1", "TERM": "dumb"}

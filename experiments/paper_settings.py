@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from experiments.design import SMOKE
-from shes.training.make_config import make_config
+from shes.runs.make_config import make_config
 
 TASKS = ("gather", "maze", "push")
 PUBLISHED, PIECES = "published", "pieces"

@@ -118,7 +118,7 @@ def test_list_tells_of_runs_that_are_stopped_running_or_damaged(shes, tiny_run, 
     with RunFolder(tmp_path / "runs" / "b").lock():
         found = json.loads(shes("list", tmp_path / "runs", "--json"))["runs"]
     assert [(Path(run["run"]).name, run["state"]) for run in found] == [
-        ("a", "stopped"), ("b", "running"), ("c", "damaged"), ("d", "unreadable"),
+        ("a", "stopped"), ("b", "running"), ("c", "unreadable"), ("d", "unreadable"),
     ]  # fmt: skip
     assert "cannot be read" in found[-1]["problem"]
 
@@ -143,18 +143,16 @@ def test_list_shows_the_runs_that_cannot_be_read_with_the_reason(shes, tiny_run,
     (tmp_path / "another" / "config.json").write_text("{}")
 
     found = {Path(run["run"]).name: run for run in json.loads(shes("list", tmp_path, "--json"))["runs"]}
-    assert {name: run["state"] in ("unregistered", "damaged") for name, run in found.items()} == {
-        "huge": True, "theirs": True, "whole": False,
-    }  # fmt: skip
+    states = {"huge": "unreadable", "theirs": "unreadable", "whole": "finished"}
+    assert {name: run["state"] for name, run in found.items()} == states
     theirs = found["theirs"]
     assert (theirs["env"], theirs["algorithm"]) == ("point-gather", "their-own")
     reached = ("generation", "generations", "env_steps", "best_score")
     assert [theirs[name] for name in reached] == [found["whole"][name] for name in reached]
     assert "unknown algorithm 'their-own'" in theirs["problem"]
     text = shes("list", tmp_path)
-    assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unregistered", text)
-    assert "theirs is unregistered: " in text
-    assert json.loads(shes("info", tmp_path / "theirs", "--json")) == theirs
+    assert re.search(r"theirs +│ point-gather +│ 4 / 4 +│ \d+\.\d\d +│ unreadable", text)
+    assert "theirs is unreadable: " in text
     assert "--import MODULE" in text
 
 
@@ -300,14 +298,23 @@ def test_ctrl_c_says_how_to_go_on_if_there_is_a_run(capsys, tmp_path, tiny_run, 
     def interrupted(*arguments, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(f"shes.training.train.{where}", interrupted)
-    path = tmp_path / "a run"
-    words = ["point-gather", *TINY, "--out", str(path)] if command == "train" else [tiny_run, "--generations", "9"]
-    assert main([command, *map(str, words)]) == 130
+    monkeypatch.setattr("shes.runs.train._go_on", interrupted)
+    path, more = tmp_path / "a run", ["--out", str(tmp_path / "a run")]
+    words = ["point-gather", *TINY, *more] if command == "train" else [str(tiny_run), "--generations", "9"]
+    assert main([command, *words]) == 130
     out, err = capsys.readouterr()
     found = shlex.quote(str(path)) if command == "train" else tiny_run
     assert out.endswith(f"Go on: shes resume {found}\n") if where == "_go_on" else out == ""
     assert err == "Interrupted.\n"
+
+
+def test_ctrl_c_before_there_is_a_run_promises_nothing(capsys, tmp_path, monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("shes.runs.train.build_algorithm", interrupted)
+    assert main(["train", "point-gather", *TINY, "--out", str(tmp_path / "run")]) == 130
+    assert capsys.readouterr() == ("", "Interrupted.\n")
 
 
 # Videos and windows: what is behind them has its own tests.

@@ -16,9 +16,9 @@ from shes.es.level import LevelState, LevelUpdate, TrainState
 from shes.es.optimizers import Adam
 from shes.hierarchy.episodes import PARTS, Generation
 from shes.hierarchy.results import PopulationResults
+from shes.runs.build import build_algorithm
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training.build import build_algorithm
 from tests.e2e import runs
 
 

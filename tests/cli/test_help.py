@@ -15,9 +15,9 @@ from shes.console import LineConsole
 from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
+from shes.runs import comparison, export
+from shes.runs.make_config import make_config
 from shes.runs.sections import execution_settings
-from shes.training import comparison, export
-from shes.training.make_config import make_config
 from shes.viewing import plot, render
 
 

@@ -16,12 +16,12 @@ from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.mirror import MIRRORINGS, Mirroring
 from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
+from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
+from shes.runs.make_config import make_config
 from shes.runs.sections import known_settings
+from shes.runs.transfer import transferred_levels
 from shes.settings import Ge, Settings
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
-from shes.training.transfer import transferred_levels
 
 SRC = Path(shes.__file__).parent
 ABOVE = ("cli", "gymnasium", "runs", "training", "viewing")

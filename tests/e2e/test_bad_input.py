@@ -590,7 +590,7 @@ def test_a_read_only_folder_is_an_error_that_names_the_fix_and_its_run_can_be_ev
     done = in_a_process(WITHOUT_ROOT, json.dumps(lines), command=(sys.executable, "-c", IN_TURN))
     assert re.search(
         rf"Error: cannot write .*locked/run: permission denied: .*--out(?s:.*)exit code {MENDABLE}\n"
-        rf"Error: cannot write .*(\.lock|config\.json): permission denied(?s:.*)exit code {MENDABLE}\n"
+        rf"Error: cannot write .*(\.lock|config\.json|progress\.csv): permission denied(?s:.*)exit code {MENDABLE}\n"
         r"exit code 0\n$",
         done.stderr,
     ), done.stderr

@@ -16,7 +16,7 @@ from shes.envs.external.environment import ExternalEnvironment
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.envs.registry import find_environment, make_task, register_environment, register_external
 from shes.errors import ConfigError, MissingExtraError, ShapeError, UnknownNameError
-from shes.training.make_config import make_config
+from shes.runs.make_config import make_config
 from tests.e2e.own_classes import Corner
 from tests.envs.external_envs import (
     MAX_STEPS,

@@ -16,7 +16,7 @@ from experiments.results import read_tables
 from experiments.running import check_experiment, runs_left
 from shes.algorithms.evolution.presets import SHES_PRESETS
 from shes.errors import ConfigError, UnknownNameError
-from shes.training.make_config import make_config
+from shes.runs.make_config import make_config
 from tests.experiments.tiny import run
 
 RESULTS = Path(__file__).parents[2] / "results"

@@ -18,8 +18,8 @@ from shes.algorithms.evolution.algorithm import evolve
 from shes.algorithms.worker import RolloutWorker
 from shes.backends.serial import SerialBackend
 from shes.es.noise import NoiseTable
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 
 EVERY = {
     "hidden": (8,),

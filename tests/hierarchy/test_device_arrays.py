@@ -15,9 +15,9 @@ from shes.backends.serial import SerialBackend
 from shes.es.gradient import weighted_noise_sum
 from shes.es.noise import NoiseTable
 from shes.hierarchy.rollout import Rollout
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from shes.sim.cpu import CpuSimulator
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
 from tests.strict_arrays import strict_xp
 from tests.strict_simulator import DeviceSimulator
 

@@ -14,8 +14,8 @@ from shes.backends.serial import SerialBackend
 from shes.es.level import RunningEpisodes, draw_noise_index, update_level
 from shes.hierarchy.episodes import Snapshot
 from shes.hierarchy.results import PopulationResults
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from tests.hierarchy.formula import SETTINGS, bits, changing, constant, formula_state, start_state
 from tests.hierarchy.plain_loop import play
 

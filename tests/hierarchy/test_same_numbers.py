@@ -18,8 +18,8 @@ from shes.es.optimizers import OPTIMIZERS
 from shes.es.perturbation import PERTURBATIONS, OneToMany
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.options import make
-from shes.training.build import build_algorithm
-from shes.training.make_config import make_config
+from shes.runs.build import build_algorithm
+from shes.runs.make_config import make_config
 from tests.hierarchy import designs
 from tests.hierarchy.formula import SETTINGS, bits, changing, start_state
 from tests.hierarchy.workers import AnyWorker, fake_plan

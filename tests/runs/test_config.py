@@ -20,11 +20,11 @@ from shes.errors import ConfigError, UnknownNameError
 from shes.hierarchy.goals import GOAL_ENCODINGS
 from shes.hierarchy.outputs import CONTROLLER_OUTPUTS, VectorOutput
 from shes.hierarchy.rewards import PRIMITIVE_REWARDS
+from shes.runs.build import build_algorithm, build_task
 from shes.runs.config import TrainConfig
+from shes.runs.make_config import make_config
 from shes.runs.sections import WorkerSettings, execution_settings, known_settings
 from shes.settings import Gt, Settings, Shared, flag
-from shes.training.build import build_algorithm, build_task
-from shes.training.make_config import make_config
 from tests.e2e import own_classes, runs
 
 OF_BACKENDS = {"ray_address", "worker_timeout_s"}

@@ -11,12 +11,11 @@ import tyro
 from shes.cli.parsing import print_completion
 from shes.errors import ConfigError
 from shes.listing import Listing
+from shes.runs import train as run_training
 from shes.runs.folder import new_folder
+from shes.runs.runs_folder import RunsFolder, read_sweep, vary
 from shes.runs.sections import RunSettings
-from shes.training import train as run_training
-from shes.training.runs_folder import RunsFolder
-from shes.training.train import Run
-from shes.training.variations import read_sweep, vary
+from shes.runs.train import Run
 
 
 def train(

@@ -28,11 +28,11 @@ from shes.envs.registry import ENVIRONMENTS, GYMNASIUM
 from shes.errors import ConfigError
 from shes.listing import Listing
 from shes.runs.config import TrainConfig
+from shes.runs.make_config import make_config
 from shes.runs.sections import RunSettings, by_name, known_settings, settings_by_section
+from shes.runs.train import resumable_settings
+from shes.runs.transfer import transferred_levels
 from shes.settings import Setting, flag
-from shes.training.make_config import make_config
-from shes.training.train import resumable_settings
-from shes.training.transfer import transferred_levels
 
 DEFAULT_ENV = "ant-gather"
 """Environment whose settings the help shows if none is named."""
