@@ -43,7 +43,9 @@ def row_of(*populations):
         LevelUpdate(level=levels[1]),
     )
     state = TrainState(seed=0, generation=9, env_steps=1000, levels=levels)
-    return columns(GenerationReport(state=state, populations=populations, updates=updates, rollout_s=1.25, update_s=0.5))
+    return columns(
+        GenerationReport(state=state, populations=populations, updates=updates, rollout_s=1.25, update_s=0.5)
+    )
 
 
 WHOLE = population(
@@ -123,8 +125,9 @@ def test_the_numbers_of_a_primitive_on_branches_are_those_of_its_pairs():
 )
 def test_ties_and_noise_are_those_of_the_members_that_perturb(returns, share):
     returns = np.array([returns, [0] * 4])[:, :, None]
-    row = row_of(population(returns, [[0] * 4] * 2))
+    row = row_of(population(returns, [[0] * 4, [0, 5, 10, 14]]))
     assert (row["controller_rank_ties"], row["primitive_rank_ties"]) == (share, 1.0)
+    assert row["primitive_noise_overlapping"] == 2  # those that start at 10 and 14: vectors have 5 normals
     signs = np.array([[[1, 0]], [[1, 0]], [[0, 0]], [[0, 0]]])  # half of them the controller, nobody the primitive
     row = row_of(population(returns, [[0, 9, 9, 9], [7, 7, 7, 7]], signs))
     assert (row["controller_noise_distinct"], row["controller_rank_ties"]) == (2, float(np.ptp(returns[0, :2]) == 0))

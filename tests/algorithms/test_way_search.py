@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -131,8 +132,8 @@ def test_a_frozen_primitive_searches_until_a_way_is_known(quick, monkeypatch):
     assert found[0].env_steps > limited[0].env_steps > later > 0  # afterwards it is one slice
     frozen = {"primitive": "ant-walker", "explore": "archive", "target": (0.0, 16.0)}
     for settings, slices in ((frozen, way_search.SLICES), ({}, 1)):
-        settings = make_config("ant-maze", "laptop", settings)
-        assert build_algorithm(settings).hyperparameters.search.slices == slices
+        config = make_config("ant-maze", "laptop", settings)
+        assert build_algorithm(config).hyperparameters.search.slices == slices
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.1])
@@ -202,7 +203,7 @@ def test_the_reward_of_training_leads_through_the_way_alone(quick, tmp_path):
         batch.reset(np.array([0]), [0])
         batch.step(np.array([0]), np.zeros((batch.num_episodes, 2)))
         points = [batch.position[0].tolist(), *guide, batch.target[0].tolist()]
-        legs = [math.dist(one, other) for one, other in zip(points, points[1:], strict=False)]
+        legs = [math.dist(one, other) for one, other in pairwise(points)]
         skipped = [sum(legs[1:]) + math.dist(points[0], points[1])]
         skipped += [math.dist(points[0], points[i]) + sum(legs[i:]) for i in range(1, len(points))]
         assert min(abs(batch.reward[0] + each) for each in skipped) < 1e-6  # near waypoints are passed at once
@@ -236,10 +237,18 @@ def test_workers_and_a_resume_in_a_search_change_no_number(quick, tmp_path, prim
         ("point-maze", {"primitive_view": None, "algorithm": "es"}, r"explore is not a setting of .* algorithm 'es'"),
         ("point-maze", {}, r"the training target is random\. Set --target, e\.g\. --target 0 16, or --explore none"),
         ("point-maze", {"target": (8.0, 0.0)}, r"target \(0\.0, 16\.0\), but .* is \(8\.0, 0\.0\)\. Set --target 0 16"),
-        ("point-push", {"evaluation_target": (1.0, 2.5)}, r"target is \(0\.0, 19\.0\)\. Set --target 1 2\.5, or --expl"),
+        (
+            "point-push",
+            {"evaluation_target": (1.0, 2.5)},
+            r"target is \(0\.0, 19\.0\)\. Set --target 1 2\.5, or --expl",
+        ),
         ("point-push", {"explore_horizon": 9}, r"must be at least controller_interval, 25.*, got 9\. Set"),
         ("point-push", {"waypoints": (1.0, 2.0)}, r"waypoints \(1\.0, 2\.0\) are a way already\. Set --waypoints none"),
-        ("point-push", {"primitive_view": "observation"}, r"sees the task's .* Set --primitive-view egocentric or prop"),
+        (
+            "point-push",
+            {"primitive_view": "observation"},
+            r"sees the task's .* Set --primitive-view egocentric or prop",
+        ),
         ("point-push", {"explore": "none", "explore_horizon": 9}, r"explore_horizon has no effect with explore 'none'"),
         ("point-push", {"explore": "novelty"}, r"unknown explore 'novelty'\. Known: archive, none.*Set --explore"),
     ],

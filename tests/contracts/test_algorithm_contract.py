@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import shes
+from shes.algorithms.evolution import way_search
 from shes.algorithms.registry import ALGORITHMS, TAKEN_SECTIONS, algorithm_classes, find_algorithm
 from shes.errors import CheckpointError, ConfigError, UnknownNameError
 from shes.runs.checkpoint import restore
@@ -46,8 +47,9 @@ OF_THE_RUN = {"generation", "env_steps", "wall_time_s", "env_steps_per_s", "eval
 
 
 @pytest.fixture(autouse=True)
-def registered():
-    """The example is known while a test of this module runs."""
+def registered(monkeypatch):
+    """The example is known while a test of this module runs, in which searches have short slices."""
+    monkeypatch.setattr(way_search, "SLICE_STEPS", 500)
     runpy.run_path(str(EXAMPLE), run_name="random_search")
     yield
     ALGORITHMS.pop("random-search", None)
@@ -87,47 +89,36 @@ def test_every_learner_is_tried_here():
     assert tried == set(algorithm_classes())
 
 
-def test_it_starts_by_the_seed_alone(learner):
+def test_it_starts_by_the_seed_alone_with_the_agents_of_its_design(learner):
     state = learner.start(7)
     assert (state.seed, state.generation, state.env_steps) == (7, 0, 0)
     assert same(learner, state, learner.start(7))
-
-
-def test_its_agents_are_those_of_its_design(learner):
-    parameters = learner.parameters(learner.start(3))
+    parameters = learner.parameters(state)
     assert learner.level_names == learner.design.level_names
     assert tuple(len(level.theta) for level in parameters) == learner.design.dims
     assert tuple(len(level.mean) for level in parameters) == learner.design.observation_sizes
-    kept = learner.without_training(learner.start(3))
-    assert [level.theta.tobytes() for level in learner.parameters(kept)] == [
-        each.theta.tobytes() for each in parameters
-    ]
+    kept = learner.parameters(learner.without_training(state))
+    assert [level.theta.tobytes() for level in kept] == [level.theta.tobytes() for level in parameters]
 
 
 def test_a_generation_depends_on_the_state_alone(learner):
-    """A learner that keeps something beside its state would go on otherwise after a crash."""
+    """A learner that keeps something beside its state, or arrays with objects, would go on otherwise after a crash."""
     first, second, third = reports(learner, learner.start(5), 3)
     assert [each.state.generation for each in (first, second, third)] == [1, 2, 3]
     assert 0 < first.state.env_steps < second.state.env_steps < third.state.env_steps
     assert list(first.columns) == list(third.columns)
     assert not OF_THE_RUN & first.columns.keys()
-    restored = learner.from_arrays({name: array.copy() for name, array in learner.to_arrays(first.state).items()})
-    again = reports(learner, restored, 2)
-    assert same(learner, again[-1].state, third.state)
-    assert [no_times(each.columns) for each in again] == [no_times(each.columns) for each in (second, third)]
-    assert not same(learner, second.state, third.state)
-
-
-def test_its_state_is_arrays_without_objects(learner):
-    (report,) = reports(learner, learner.start(5), 1)
-    arrays = learner.to_arrays(report.state)
+    arrays = learner.to_arrays(first.state)
     assert {"seed", "generation", "env_steps"} <= arrays.keys()
     assert all(isinstance(array, np.ndarray) and not array.dtype.hasobject for array in arrays.values())
-    assert same(learner, report.state, learner.from_arrays(arrays))
     for name in arrays:
         broken = SimpleNamespace(arrays={key: array for key, array in arrays.items() if key != name})
         with pytest.raises(CheckpointError, match=r"^a\.npz (is not|has) "):
             restore(broken, learner.from_arrays, Path("a.npz"))
+    again = reports(learner, learner.from_arrays({name: array.copy() for name, array in arrays.items()}), 2)
+    assert same(learner, again[-1].state, third.state)
+    assert [no_times(each.columns) for each in again] == [no_times(each.columns) for each in (second, third)]
+    assert not same(learner, second.state, third.state)
 
 
 @pytest.mark.parametrize("name", OVER_LEARNERS)
@@ -141,8 +132,7 @@ def test_a_run_of_it_goes_on_and_its_agent_acts(name, tmp_path):
     evaluations = [shes.evaluate(whole, episodes=3, num_workers=workers).summary() for workers in (1, 2)]
     assert evaluations[0] == evaluations[1]
     agent = shes.load(whole)
-    action = agent.act(np.zeros(agent.observation_size))
-    assert np.isfinite(action).all()
+    assert np.isfinite(agent.act(np.zeros(agent.observation_size))).all()
 
 
 @pytest.mark.parametrize(

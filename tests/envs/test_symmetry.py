@@ -23,8 +23,8 @@ from shes.envs.worlds import empty_world
 from shes.es.level import LevelParameters
 from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.frames import Frames
-from shes.hierarchy.goals import AngleEncoding
 from shes.hierarchy.goal_agent import GoalDesign
+from shes.hierarchy.goals import AngleEncoding
 from shes.hierarchy.rewards import ProgressReward
 from shes.hierarchy.views import EgocentricView
 from shes.policies.mlp import MLP

@@ -11,7 +11,6 @@ from shes.algorithms.evolution.estimates import Hyperparameters
 from shes.backends.backend import Backend
 from shes.es.level import LevelState, TrainState, UpdateRule
 from shes.es.schedules import Schedule
-from shes.es.statistics import ObservationStatistics
 from shes.hierarchy.episodes import EpisodeResults
 from shes.hierarchy.moments import Moments
 from tests.es.textbook import TextbookES

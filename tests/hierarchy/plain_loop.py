@@ -69,7 +69,12 @@ def play(design, make_batch, task, generation, table, horizon):
     for step in range(horizon):
         noise = {"decision_noise": decision[None, :, step // interval]} if design.decision_size else {}
         action = agent.act(
-            batch.observe(), batch.position, batch.heading, goal=batch.goal, control_noise=control[None, :, step], **noise
+            batch.observe(),
+            batch.position,
+            batch.heading,
+            goal=batch.goal,
+            control_noise=control[None, :, step],
+            **noise,
         )
         if hasattr(batch, "states"):
             seen.states.append(batch.states(np.arange(rows)))

@@ -317,7 +317,11 @@ def test_what_cannot_be_registered_is_refused(kind, name, own, message):
 @pytest.mark.parametrize(
     ("kind", "own", "message"),
     [
-        ("goal encoding", Forgetful, r"write .* each of its 4 features .*left \[1\.0, 1\.0, 1\.414.*, nan\]\. .*`size`"),
+        (
+            "goal encoding",
+            Forgetful,
+            r"write .* each of its 4 features .*left \[1\.0, 1\.0, 1\.414.*, nan\]\. .*`size`",
+        ),
         ("controller output", Sideways, r"return an array \[N, 2\].*for 3 episodes .* shape \(2, 3\), not \(3, 2\)"),
         ("primitive reward", Column, r"return an array \[N\].*for 2 episodes it returned shape \(2, 1\), not \(2,\)"),
     ],

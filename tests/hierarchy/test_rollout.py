@@ -207,7 +207,9 @@ def test_no_part_of_a_step_is_left_out(monkeypatch):
 @pytest.mark.parametrize(("level", "name"), [(0, "controller"), (1, "primitive")])
 def test_a_policy_of_nan_is_refused_by_member_and_level(level, name):
     table = table_of(8000)
-    tasks = [replace(task, noise_index=(500 * m, 4000 + 500 * m), signs=((1, 1),)) for m, task in enumerate(tasks_of())][:4]
+    tasks = [
+        replace(task, noise_index=(500 * m, 4000 + 500 * m), signs=((1, 1),)) for m, task in enumerate(tasks_of())
+    ][:4]
     table.values[tasks[3].noise_index[level] + DESIGN.dims[level] - 1] = np.nan
     message = rf"member 3 returned NaN or infinity at step 0 \(parameters of its {name} are not finite\).*--sigma"
     for order in (tasks, tasks[::-1]):
@@ -226,7 +228,9 @@ def test_an_observation_of_nan_is_refused_without_blaming_parameters():
     def on_step(task, *_):
         task.observes_nan[4] = task.age[4] == 6
 
-    tasks = [replace(task, seeds=tuple(make_seed(draw=10 * m + k) for k in range(3))) for m, task in enumerate(tasks_of())]
+    tasks = [
+        replace(task, seeds=tuple(make_seed(draw=10 * m + k) for k in range(3))) for m, task in enumerate(tasks_of())
+    ]
     with pytest.raises(PolicyError, match=rf"member 9 returned NaN .* at step 7; episode seed {tasks[9].seeds[1]}\."):
         results_of(rollout_of(2, make=lambda n: FakeTask(n, on_step)), tasks[8:10])
 

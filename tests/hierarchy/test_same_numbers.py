@@ -81,7 +81,7 @@ CASES = {
 
 # Each kind of agent on a point robot ----------------------------------------------------------------------------------
 
-BRANCHES = {"primitive_estimate": "interval", "primitive_view": "egocentric", "primitive_reward": "metres", "sigma": 0.1}
+BRANCHES = {"primitive_estimate": "interval", "primitive_view": "egocentric", "sigma": 0.1}
 POINTS = {
     "point, both": ("point-gather", {"hidden": (8,)}),
     "point, alone": ("point-flagrun", {"hidden": (9,)}),
@@ -211,4 +211,5 @@ def test_generations_on_a_point_do_something(case, expected):
         assert report.state.levels[-1].statistics.count == number * (branches or whole)
         if len(report.state.levels) == 2:
             assert report.state.levels[0].statistics.count == number * 8 * 3 * 4  # decisions at 0, 8, 16, 24
-    assert [report.state.running is None for report in run] == [case != "point, running", True, case != "point, running"]
+    is_never = case != "point, running"
+    assert [report.state.running is None for report in run] == [is_never, True, is_never]

@@ -321,7 +321,9 @@ ROWS: dict[str, Row] = {
     ),
     "hide_position": Row(True, design(lambda d: d.observation_sizes[1]), [26], [28]),
     "minimum_goal_distance": Row(False, design(lambda d: d.controller.has_minimum_goal_distance), [False], [True]),
-    "controller_output": Row("one_hot", design(lambda d: type(d.controller.output).__name__), ["OneHotOutput"], ["VectorOutput"]),
+    "controller_output": Row(
+        "one_hot", design(lambda d: type(d.controller.output).__name__), ["OneHotOutput"], ["VectorOutput"]
+    ),
     "controller_view": Row("egocentric", designed("controller_view"), ["EgocentricView"], ["ColumnsView"]),
     "controller_network": Row(
         "equivariant", design(lambda d: type(d.controller.network).__name__), ["EquivariantMLP"], ["MLP"],
