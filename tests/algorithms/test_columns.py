@@ -99,7 +99,7 @@ def test_a_row_holds_what_the_generation_saw():
     }
 
 
-def test_the_numbers_of_a_primitive_on_branches_are_those_of_its_pairs():
+def test_a_primitive_on_branches_has_the_numbers_of_its_pairs():
     """The returns, ties and noise of its level, and columns of their own; the other columns are whole episodes'."""
     pairs = population([[[1], [2], [2], [9]]], [[6, 8]], [[[1], [-1]]] * 2, (1,), 0.07,
                        steps=[[50], [50], [50], [30]], has_terminated=[[False]] * 3 + [[True]])  # fmt: skip
@@ -169,7 +169,7 @@ def test_update_columns_are_what_the_checkpoints_say(path):
 
 
 @pytest.mark.parametrize("generation", [1, 3])
-def test_the_cosine_is_that_of_the_gradients_of_two_half_populations(path, generation):
+def test_the_cosine_is_that_of_two_half_populations(path, generation):
     learner, table = build_algorithm(RunFolder.open(path).read_config()), read_csv(path / "progress.csv")
     state = runs.state(path, generation - 1)
     with SerialBackend(partial(RolloutWorker, learner.plan())) as backend:

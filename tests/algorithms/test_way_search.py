@@ -81,7 +81,7 @@ def searched(speed, generations, horizon=200, **settings):
     return found, backend
 
 
-def test_a_search_finds_a_way_that_was_walked_shortens_it_and_ends():
+def test_a_search_finds_a_way_shortens_it_and_ends():
     found, backend = searched(1.0, 40)
     archive = found[-1].archive
     assert (archive.is_over, archive.stalled) == (True, PATIENCE)
@@ -137,7 +137,7 @@ def test_a_frozen_primitive_searches_until_a_way_is_known(quick, monkeypatch):
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.1])
-def test_a_primitive_that_does_not_walk_is_asked_in_every_generation(speed):
+def test_a_primitive_that_does_not_walk_is_asked_again(speed):
     found, _ = searched(speed, 3)
     assert [state.env_steps for state in found] == [number * WALKERS * 5 * 10 for number in (1, 2, 3)]
     assert [len(state.archive.cells) for state in found] == [1, 1, 1]
@@ -155,7 +155,7 @@ def known_way(state, way=((0.0, 0), (3, 0.1), (6, 0), (6, 4))):
 
 
 @pytest.mark.parametrize("estimate", ["episode", "interval"])
-def test_goals_wander_and_the_controller_waits_until_a_way_is_known(estimate):
+def test_goals_wander_until_a_way_is_known(estimate):
     algorithm = built(primitive_estimate=estimate)
     state = algorithm.start(3)
     before, after = (

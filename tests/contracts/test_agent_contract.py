@@ -199,7 +199,7 @@ def test_no_bit_depends_on_lanes_company_or_what_was_before(name, episodes):
         assert play(members, delays) == {member: alone[member] for member in members}
 
 
-def test_members_that_share_noise_act_as_with_policies_of_their_own(name):
+def test_members_that_share_noise_act_as_without(name):
     """Two members in a lane: the mean plus and minus the noise."""
     of, sigma = subject(name), 0.2
     levels = levels_of(of.design)

@@ -89,7 +89,7 @@ def test_every_learner_is_tried_here():
     assert tried == set(algorithm_classes())
 
 
-def test_it_starts_by_the_seed_alone_with_the_agents_of_its_design(learner):
+def test_it_starts_by_the_seed_with_agents_of_its_design(learner):
     state = learner.start(7)
     assert (state.seed, state.generation, state.env_steps) == (7, 0, 0)
     assert same(learner, state, learner.start(7))
@@ -160,7 +160,7 @@ class Vague(Settings):
     tries: int
 
 
-def test_a_section_or_an_option_of_an_algorithm_has_a_name_of_its_own(monkeypatch):
+def test_a_section_of_an_algorithm_has_a_name_of_its_own(monkeypatch):
     monkeypatch.setattr(ALGORITHMS, "_entries", dict(ALGORITHMS))
     example = runpy.run_path(str(EXAMPLE), run_name="random_search")["RandomSearch"]
     for section in ("run", "body", "values"):
@@ -174,7 +174,7 @@ def test_a_section_or_an_option_of_an_algorithm_has_a_name_of_its_own(monkeypatc
     shes.register_algorithm("own", type("Own", (example,), {"sections": {"evolution": Search}}))
 
 
-def test_the_taken_sections_are_those_of_every_run_and_the_attributes_of_its_settings():
+def test_the_taken_sections_are_those_of_every_run():
     attributes = {name for name in dir(TrainConfig) if not name.startswith("_")}
     sections = (
         make_config("point-gather", "smoke", {"algorithm": "td3"}).sections.keys() - ALGORITHMS["td3"].sections.keys()

@@ -70,7 +70,7 @@ class OwnSettings(Settings):
     many: Annotated[int, Ge(1)] = 10
     """A larger number."""
     primitive: float = 0.5
-    """No level, although it has the name of one."""
+    """No level."""
 
 
 class Alone(Algorithm):

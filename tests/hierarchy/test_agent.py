@@ -65,7 +65,7 @@ def test_a_goal_is_reached_once_and_the_next_one_again():
     assert [*counts, agent.goals_reached.tolist()] == [[0], [1], [1], [1], [2]]
 
 
-def test_parameters_come_with_the_normalisation_of_their_statistics():
+def test_parameters_come_with_their_normalisation():
     statistics = ObservationStatistics.empty(2).merge(4, np.array([8.0, 0.0]), np.array([32.0, 0.0]))
     level = LevelParameters.of(np.ones(3, np.float32), statistics)
     assert level.mean.tolist() == [2, 0]

@@ -101,7 +101,7 @@ def assert_same(found, expected):
         ("gather", 3, 3),  # a population that does not fit goes in waves
     ],
 )
-def test_a_device_gives_the_numbers_of_the_cpu_with_two_waits_a_step(name, lanes, episodes):
+def test_a_device_gives_the_cpus_numbers_with_two_waits_a_step(name, lanes, episodes):
     found, waits = run(name, DeviceSimulator, lanes, strict_xp, episodes)
     assert_same(found, run(name, CpuSimulator, 8, episodes=episodes)[0])
     assert waits.min() == np.median(waits) == 2  # more where episodes ended

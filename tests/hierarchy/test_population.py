@@ -216,7 +216,7 @@ def test_a_level_is_worth_the_ranks_of_those_who_perturb_it(perturbation, genera
     assert population.results.outcomes.tobytes() == before
 
 
-def test_every_level_has_its_own_shaping_and_refuses_what_is_not_finite():
+def test_every_level_has_its_own_shaping():
     population = rolled_out()
     fitness = population.results.returns.mean(axis=2)
     first = population.shaped_fitness(0, UpdateRule(shaping=ZScore()))
@@ -228,7 +228,7 @@ def test_every_level_has_its_own_shaping_and_refuses_what_is_not_finite():
         population.shaped_fitness(1, UpdateRule())
 
 
-def test_the_price_of_a_fall_goes_past_ranks_where_one_of_a_pair_falls():
+def test_the_price_of_a_fall_goes_past_ranks():
     """Where both of a pair fall it changes nothing; where all fall alike it changes no bit."""
     population = rolled_out(signs=np.tile(np.array([[[1], [-1]]], np.int8), (4, 1, 1)), episodes=1)
     rule = UpdateRule(shaping=PairRanks())

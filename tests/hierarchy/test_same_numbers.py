@@ -184,7 +184,7 @@ def test_the_number_of_members_in_lockstep_changes_no_bit(table, case, chunk_siz
 # What the runs above do, so that they say something -------------------------------------------------------------------
 
 
-def test_every_option_changes_numbers_and_every_level_that_learns(expected):
+def test_every_option_changes_the_levels_that_learn(expected):
     """Otherwise an option that nobody looks at would pass all tests here."""
     ends = {case: bits([level.theta for level in expected(case)[-1].state.levels]) for case in CASES}
     for one, other in itertools.combinations(CASES, 2):
