@@ -10,7 +10,7 @@ PY := $(VENV)/bin/python
 # Bytecode: without it every process that a test starts compiles all of shes again, and pytest every test.
 # Two processes, each with whole files, so that a file's fixtures are made once.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile
-SOURCES := $(wildcard src tests benchmarks examples docs)
+SOURCES := $(wildcard src tests benchmarks experiments examples docs)
 DEMO_COMMAND := .venv/bin/python -m shes.cli.demo
 # The Python that .venv is made of: `make setup PYTHON=/path/to/python3.12`. Empty: the first candidate that works.
 PYTHON :=
@@ -113,4 +113,4 @@ bench: $(STAMP) ## measure speed on this machine
 
 clean: ## remove .venv, caches and build artefacts; runs/ stays
 	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache
-	find src tests $(wildcard benchmarks examples) -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests $(wildcard benchmarks experiments examples) -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -18,8 +18,9 @@ from time import perf_counter
 
 from run import write_csv
 
+from shes.algorithms.evolution.algorithm import evolve
 from shes.algorithms.roll_out import roll_out_tasks
-from shes.bench.evolution import evolution_strategy, evolve, generation_work
+from shes.cli.bench import evolution_strategy
 from shes.training.build import build_backend
 from shes.training.make_config import make_config
 
@@ -38,7 +39,8 @@ def measure(backend: str, preset: str, workers: int) -> float:
     algorithm = evolution_strategy(config)
     state = algorithm.start(config.run.seed)
     with build_backend(config, algorithm.plan()) as started:
-        work = generation_work(state, algorithm.hyperparameters, algorithm.table.size)
+        settings = algorithm.hyperparameters
+        work = settings.estimates[0](state, settings, algorithm.table.size, ())
         roll_out_tasks([task.part(0, 1) for task in work.tasks[:workers]], work.generation, started)
         start = perf_counter()
         next(evolve(state, algorithm.hyperparameters, algorithm.table, started))

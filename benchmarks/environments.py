@@ -33,7 +33,7 @@ def tasks() -> list[dict[str, object]]:
     print(f"|{'-' * 18}|------------:|---------------:|------:|---------:|")
     rows: list[dict[str, object]] = []
     for name in ENVIRONMENTS:
-        found = bench(f"rollout {name} --workers 1 {LAPTOP} {SECONDS}")
+        found = bench(f"{name} --workers 1 {LAPTOP} {SECONDS}")
         speed, bare, ratio = found["env_steps_per_s"], found["bare_steps_per_s"], found["ratio"]
         print(f"| {name:16} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {REQUIRED:>8} |", flush=True)
         rows.append({"what": name, "steps_per_s": speed, "bare_per_s": bare, "ratio": ratio})

@@ -1,4 +1,4 @@
-"""Speed of rollouts and of the update: `make bench`, on an idle machine. Each row is `shes bench` in its own process.
+"""Speed of rollouts: `make bench`, on an idle machine. Each row is `shes bench rollout` in a process of its own.
 
 Prints the table of `results/README.md` and, with `--out FILE`, writes every number as CSV.
 """
@@ -35,8 +35,8 @@ ROLLOUTS = [
 
 
 def bench(arguments: str) -> dict[str, float]:
-    """Return what `shes bench ARGUMENTS` measures."""
-    command = [sys.executable, "-m", "shes", "bench", *arguments.split(), "--json"]
+    """Return what `shes bench rollout ARGUMENTS` measures."""
+    command = [sys.executable, "-m", "shes", "bench", "rollout", *arguments.split(), "--json"]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
@@ -78,21 +78,16 @@ def main() -> None:
     print(f"|{'-' * 36}|------------:|---------------:|------:|---------:|")
     found: dict[str, float] = {}
     for name, required, arguments in ROLLOUTS:
-        measured = bench(f"rollout {arguments} {SECONDS}")
+        measured = bench(f"{arguments} {SECONDS}")
         speed, bare, ratio = (measured[key] for key in ("env_steps_per_s", "bare_steps_per_s", "ratio"))
         found |= {f"{name}: env_steps_per_s": speed, f"{name}: bare_steps_per_s": bare, f"{name}: ratio": ratio}
         print(f"| {name:34} | {speed:11,.0f} | {bare:14,.0f} | {ratio:5.2f} | {required or '':>8} |", flush=True)
     one, two = (found[f"{name}: env_steps_per_s"] for name, *_ in ROLLOUTS[:2])
     print(f"\nSpeed-up of two workers: {two / one:.2f}.")
-    update = bench("update ant-gather --preset paper")
-    print("\nWork of the parent process between generations at the paper's size, in milliseconds (medians):")
-    for key, value in update.items():
-        print(f"  {key:14} {value:,.1f}")
     memory = worker_memory_mb()
     print(f"\nA worker of the paper's size holds at most {memory:,.0f} MB beyond the noise table.")
     if out is not None:
         found |= {"worker at paper size: MB beyond the noise table": memory, "two workers against one": two / one}
-        found |= {f"update at paper size: {key}": value for key, value in update.items()}
         write_csv(out, [{"measure": measure, "value": value} for measure, value in found.items()])
 
 

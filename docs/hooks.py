@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from code_tables import commands, deviations, public_names, settings
+from code_tables import commands, deviations, hyperparameters, public_names, settings
 from environment_pages import environment_page, environment_table, picture
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -25,6 +25,7 @@ _RESULTS = _REPOSITORY / "results"
 _GENERATED = {
     "differences.md": deviations,
     "environments/index.md": environment_table,
+    "paper.md": hyperparameters,
     "reference/command-line.md": commands,
     "reference/settings.md": settings,
     "reference/shes.md": public_names,

@@ -1,17 +1,16 @@
 """Drives headless Chromium by the DevTools protocol over a pipe, for tests of pages."""
 
-import base64
 import itertools
 import json
 import os
+import shutil
 import subprocess
 import time
 from pathlib import Path
 
-from tests.page_layout import FLAGS, find_browser
-
-__all__ = ["Browser", "find_browser"]
-
+LAYOUT = Path(__file__).with_name("page_layout.js")
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-dev-shm-usage")
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _READS, _WRITES = 3, 4
 """File descriptors of the pipes in Chromium."""
 
@@ -83,11 +82,9 @@ class Browser:
             self.requests.append(content["request"]["url"])
         return found
 
-    def open(self, path, width=1280, height=900, *, is_dark=False):
-        """Open the file at `path` in a window of this size and scheme."""
+    def open(self, path, width=1280, height=900):
+        """Open the file at `path` in a window of this size."""
         self.resize(width, height)
-        scheme = [{"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}]
-        self.call("Emulation.setEmulatedMedia", features=scheme)
         self.call("Page.navigate", url=Path(path).as_uri())
         self.wait_for("document.readyState === 'complete'")
 
@@ -113,15 +110,21 @@ class Browser:
         """Send a mouse event: `Moved`, `Pressed` or `Released`."""
         self.call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, **buttons)
 
-    def drag(self, start, end):
-        """Press the left button at `start`, move to `end`, and release it."""
-        left = {"button": "left", "clickCount": 1}
-        self.mouse("Moved", *start)
-        self.mouse("Pressed", *start, buttons=1, **left)
-        for part in (0.25, 0.5, 0.75, 1.0):
-            self.mouse("Moved", *(a + part * (b - a) for a, b in zip(start, end, strict=True)), buttons=1)
-        self.mouse("Released", *end, **left)
 
-    def screenshot(self, path):
-        """Write a picture of the window."""
-        Path(path).write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+def find_browser():
+    """Return the path of Chromium, or None."""
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
+def layout_faults(binary, site, pages, widths, profile):
+    """Return what does not fit on `pages` of folder `site` at `widths` in pixels: [width, page, fault, text]."""
+    faults = []
+    with Browser(binary, profile) as browser:
+        for page in pages:
+            browser.open(Path(site) / page)
+            for width in widths:
+                browser.resize(width, 900)
+                browser.evaluate("new Promise((done) => setTimeout(done, 50))")  # for scripts that listen to the width
+                found = browser.evaluate(LAYOUT.read_text(encoding="utf-8"))
+                faults += [[width, page, *fault] for fault in found]
+    return faults

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.ship import ship
 from shes.cli import main
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS
 from shes.envs.registry import ENVIRONMENTS
@@ -23,9 +24,7 @@ from shes.errors import ConfigError
 from shes.runs import shipped
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import read_agent
-from shes.training.ship import ship
-from shes.viewing import render, watch
-from shes.viewing.report import report
+from shes.viewing import render, report, watch
 from tests.e2e import runs
 
 TINY = runs.flags(**runs.TINY)
@@ -298,23 +297,6 @@ def test_plot_says_where_the_picture_is(shes, tiny_run, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"curves.png", "b.pdf"}
 
 
-def test_bench_speedup_passes_settings_folder_and_network(shes, monkeypatch, tmp_path):
-    heard = []
-    monkeypatch.setattr("shes.bench.bench.speedup_of", lambda *told: heard.append(told) or {"shes_error": 0.5})
-    words = ("--workers", "2", "--out", str(tmp_path), "--latency-us", "20", "--gigabits-per-s", "100", "--json")
-    assert json.loads(shes("bench", "speedup", "point-gather", *words)) == {"shes_error": 0.5}
-    assert heard == [("point-gather", {"num_workers": 2}, tmp_path, 20.0, 100.0, 0.0)]
-    assert f"{tmp_path}/speedup.csv" in shes("bench", "speedup", "point-gather", *words[:-1])
-
-
-def test_bench_prints_a_table_or_json(shes, monkeypatch):
-    monkeypatch.setattr("shes.bench.measure._REPLAY_S", 0.02)  # how exact it is does not matter here
-    small = ["point-gather", *TINY, "--population-size", 4, "--horizon", 5]
-    found = json.loads(shes("bench", "update", *small, "--json"))
-    assert found["total_ms"] > 0
-    assert re.search(r"ratio +│ +[\d.]+ ", shes("bench", "rollout", *small))
-
-
 def test_flags_may_be_written_with_underscores_before_the_environment_and_none_is_a_value(shes, tmp_path):
     path = tmp_path / "run"
     words = ["--preset", "smoke", "--population_size", "4", "point-gather", "--hidden", "4", "3", "--horizon", "5"]
@@ -371,10 +353,10 @@ def test_render_hands_on_its_flags_and_says_where_the_video_is(shes, monkeypatch
     monkeypatch.setattr(render, "render", fake)
     assert shes("render", "a run") == "Video: walk.mp4\n"
     rest = ["--camera", "top", "--episode", 3, "--seed", 7, "--size", 240, "--steps", 50, "--out", "b.mp4"]
-    rest += ["--labels", "A", "B", "--speed", 2, "--sensors"]
+    rest += ["--speed", 2, "--sensors"]
     assert shes("render", "--checkpoint", "0", "last", "--out=x.mp4", "a run", "b", *rest) == "Video: b.mp4\n"
-    plain = {"checkpoints": ("best",), "labels": (), "camera": "both", "episode": 0, "seed": None, "size": 480}
-    asked = {"checkpoints": ("0", "last"), "labels": ("A", "B"), "camera": "top", "episode": 3, "seed": 7, "size": 240}
+    plain = {"checkpoints": ("best",), "camera": "both", "episode": 0, "seed": None, "size": 480}
+    asked = {"checkpoints": ("0", "last"), "camera": "top", "episode": 3, "seed": 7, "size": 240}
     assert given == [
         (("a run",), "walk.mp4", {**plain, "steps": None, "speed": 1.0, "sensors": False}),
         (("a run", "b"), "b.mp4", {**asked, "steps": 50, "speed": 2.0, "sensors": True}),
@@ -390,10 +372,10 @@ def test_watch_hands_on_its_flags(shes, monkeypatch):
 
     monkeypatch.setattr(watch, "watch", fake)
     shes("watch", "a run")
-    shes("watch", "a run", "--checkpoint", "12", "--seed", 3, "--no-sensors")
+    shes("watch", "a run", "--checkpoint", "12", "--seed", 3)
     assert given == [
-        ("a run", {"checkpoint": "best", "seed": None, "sensors": True}),
-        ("a run", {"checkpoint": "12", "seed": 3, "sensors": False}),
+        ("a run", {"checkpoint": "best", "seed": None}),
+        ("a run", {"checkpoint": "12", "seed": 3}),
     ]
 
 
@@ -407,11 +389,11 @@ def test_report_hands_on_its_flags_and_says_where_the_page_is(shes, monkeypatch)
         return "report.html"
 
     monkeypatch.setattr(report, "report", fake)
-    rest = ["--out", "a.html", "--labels", "A", "B", "--episodes", 7, "--seed", 3, "--workers", 2, "--no-video"]
+    rest = ["--out", "a.html", "--episodes", 7, "--seed", 3, "--workers", 2, "--no-video"]
     assert shes("report", "a run") == "Report: report.html\n"
     assert shes("report", "a run", "b", *rest) == "Report: report.html\n"
-    plain = {"labels": (), "episodes": 20, "seed": None, "num_workers": 0, "video": True}
-    asked = {"labels": ("A", "B"), "episodes": 7, "seed": 3, "num_workers": 2, "video": False}
+    plain = {"episodes": 20, "seed": None, "num_workers": 0, "video": True}
+    asked = {"episodes": 7, "seed": 3, "num_workers": 2, "video": False}
     assert given == [(("a run",), None, plain), (("a run", "b"), "a.html", asked)]
 
 

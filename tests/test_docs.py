@@ -24,7 +24,7 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.runs.sections import known_settings
 from shes.settings import flag, setting_fields
 from shes.training.make_config import make_config
-from tests.page_layout import find_browser, layout_faults
+from tests.browser import find_browser, layout_faults
 
 pytestmark = pytest.mark.timeout(400)  # the first test that needs the site waits for its build
 
@@ -295,6 +295,7 @@ def flags():
 def test_flags_and_commands_exist(path, flags):
     text = path.read_text(encoding="utf-8")
     own = {"--logdir", "--head", "--address", "--oversubscribe"}  # of TensorBoard, Ray and MPI
+    own |= {"--scale", "--seeds", "--only", "--no-run", "--description", "--command"}  # of `python -m experiments`
     own |= {flag(name) for name in re.findall(r"^ +(\w+): Annotated\[", text, flags=re.MULTILINE)}  # of an example
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= flags | own
     commands = re.findall(r"(?:^|`)(?:PYTHONPATH=\. )?shes ([a-z]+)", text, flags=re.MULTILINE)
@@ -305,17 +306,6 @@ def test_flags_and_commands_exist(path, flags):
 def test_code_that_a_page_links_to_exists(path):
     for name in re.findall(r"\]\[(shes[\w.]*)\]", path.read_text(encoding="utf-8")):
         pkgutil.resolve_name(name)
-
-
-@pytest.mark.extras
-def test_the_settings_of_the_report_are_those_of_the_presets(monkeypatch):
-    monkeypatch.syspath_prepend(DOCS)
-    import code_tables
-
-    found = (
-        (DOCS / "paper.md").read_text(encoding="utf-8").partition("<!-- settings -->")[2].partition("<!-- end -->")[0]
-    )
-    assert found.strip() == code_tables.hyperparameters()
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(DOCS).as_posix())

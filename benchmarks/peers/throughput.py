@@ -53,7 +53,8 @@ def make_env() -> Any:
 
 def shes_speeds(cores: int, seconds: float) -> list[float]:
     """Return the steps per second of generations of SHES."""
-    from shes.bench.evolution import evolution_strategy, evolve
+    from shes.algorithms.evolution.algorithm import evolve
+    from shes.cli.bench import evolution_strategy
     from shes.training.build import build_backend
     from shes.training.make_config import make_config
 

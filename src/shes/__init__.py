@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from shes.training.train import Run, resume, train
     from shes.viewing.plot import plot
     from shes.viewing.render import render
-    from shes.viewing.report.report import report
+    from shes.viewing.report import report
 
 __all__ = [
     "Agent",
@@ -74,7 +74,7 @@ _HOMES = {
     "register_goal_encoding": "shes.hierarchy.goals",
     "register_primitive_reward": "shes.hierarchy.rewards",
     "render": "shes.viewing.render",
-    "report": "shes.viewing.report.report",
+    "report": "shes.viewing.report",
     "resume": "shes.training.train",
     "train": "shes.training.train",
 }

@@ -5,13 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import ceil
+
+from shes.control_groups import cpu_quotas
 
 __all__ = ["core_numbers", "num_cores", "on_one_core"]
 
 
 def num_cores() -> int:
-    """Return how many cores this process may use: those of its CPU affinity where the system has one, else all."""
-    return len(core_numbers())
+    """Return how many cores this process may use.
+
+    They are those of its CPU affinity where the system has one, else all; fewer if a control group (a container, a
+    cluster's job) has a quota of CPU time, rounded up.
+    """
+    return max(1, min([len(core_numbers()), *map(ceil, cpu_quotas())]))
 
 
 def core_numbers() -> list[int]:

@@ -6,6 +6,8 @@ A message says what is wrong, the value received, what is allowed (the nearest n
 from __future__ import annotations
 
 import difflib
+import sysconfig
+import traceback
 from collections.abc import Iterable
 
 __all__ = [
@@ -21,6 +23,7 @@ __all__ = [
     "UnknownNameError",
     "WorkerError",
     "nearest_first",
+    "place_of",
 ]
 
 
@@ -88,6 +91,23 @@ class WorkerError(ShesError, RuntimeError):
     exit_code = 1
     task: int | None = None
     """Number of the task at which workers keep dying; None if it is not that of one task."""
+
+
+def place_of(error: BaseException, *, outside: Iterable[str]) -> str:
+    """Return file and line of the user's code in the traceback of `error`: `/home/me/robot.py:12`.
+
+    It is the last frame whose module is in none of the packages `outside`, nor in one that is installed if another one
+    is not; empty if there is none.
+    """
+    packages = set(outside)
+    frames = [
+        (frame.f_code.co_filename, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if str(frame.f_globals.get("__name__", "")).partition(".")[0] not in packages
+    ]
+    library = tuple(sysconfig.get_paths()[name] for name in ("stdlib", "purelib", "platlib"))
+    own = [each for each in frames if not each[0].startswith((*library, "<"))]
+    return "{}:{}".format(*(own or frames)[-1]) if frames else ""
 
 
 def nearest_first(name: str, known: Iterable[str]) -> list[str]:

@@ -8,11 +8,11 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["free_disk", "free_memory"]
+from shes.control_groups import memory_limits
 
-_MEMINFO = Path("/proc/meminfo")
-_OWN_GROUPS = Path("/proc/self/cgroup")
-_GROUPS = Path("/sys/fs/cgroup")
+__all__ = ["free_disk", "free_memory", "resident_memory"]
+
+_MEMINFO, _STATM = Path("/proc/meminfo"), Path("/proc/self/statm")
 
 
 def free_memory() -> int:
@@ -26,19 +26,14 @@ def free_memory() -> int:
         line = next(line for line in _MEMINFO.read_text().splitlines() if line.startswith("MemAvailable:"))
         available = 1024 * int(line.split()[1])
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return min([available, *_group_limits(), *([] if limit == resource.RLIM_INFINITY else [limit])])
+    return min([available, *memory_limits(), *([] if limit == resource.RLIM_INFINITY else [limit])])
 
 
-def _group_limits() -> list[int]:
-    """Return the memory limit of the control group and of each group that contains it, where there is one."""
-    limits = []
+def resident_memory() -> int:
+    """Return the bytes of memory that this process has at present; 0 where the system does not tell."""
     with suppress(OSError):
-        own = next((line[3:] for line in _OWN_GROUPS.read_text().splitlines() if line.startswith("0::")), "/")
-        group = _GROUPS / own.strip("/")
-        for each in (group, *group.parents):
-            with suppress(OSError, ValueError):  # no file, or "max"
-                limits.append(int((each / "memory.max").read_text()))
-    return limits
+        return int(_STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return 0
 
 
 def free_disk(path: Path) -> int:

@@ -7,7 +7,7 @@ from functools import lru_cache
 import pytest
 
 from shes.algorithms.worker import RolloutWorker, lanes_that_fit
-from shes.backends.work import TaskList
+from shes.backends.backend import TaskList
 from shes.errors import StorageError
 from shes.hierarchy.episodes import EpisodeTask, Generation
 from shes.training.build import build_algorithm
@@ -72,6 +72,8 @@ def test_environments_that_do_not_fit_are_closed_and_others_kept():
     made, closed = [], []
 
     class Counting:
+        has_own_physics = False
+
         def make(self, num_episodes, options, simulator):
             task = a_plan().env.make(num_episodes, options, simulator)
             made.append((num_episodes, options.evaluation))
@@ -111,10 +113,10 @@ def test_no_more_tasks_are_taken_at_once_than_an_even_share():
 )
 def test_what_the_simulator_says_comes_with_the_results_once(said, first, most, caplog):
     class Saying(TaskList):
-        def take(self, units, enough=None):
+        def take(self, most, least=None):
             while said:
                 logging.getLogger("shes.mujoco").warning(said.pop(0))
-            return super().take(units, enough)
+            return super().take(most, least)
 
     worker = RolloutWorker(a_plan())
     worker.receive(generation_of(worker.plan))

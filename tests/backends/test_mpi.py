@@ -1,7 +1,6 @@
 """The mpi backend under mpiexec, with 2 and 3 ranks on this machine: the same numbers as serial."""
 
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -54,6 +53,7 @@ from threading import Timer
 
 import shes.backends.mpi as mpi
 from mpi4py import MPI
+from shes.backends import supervision
 from tests.backends.workers import Worker
 
 class Slow(Worker):
@@ -62,7 +62,8 @@ class Slow(Worker):
         if MPI.COMM_WORLD.Get_rank() == 2:
             time.sleep(2)
 
-with mpi.MpiBackend(Slow, 2, worker_warning_s=0.5) as backend:
+mpi.REPORTED_S, supervision.REPORTED_S = 1.5, 0.5
+with mpi.MpiBackend(Slow, 2) as backend:
     backend.on_event = lambda event: print(event, flush=True)
     backend.broadcast(1)
     late = max(pid for pid, _ in backend.map([("where", 0.1)] * 4))
@@ -111,7 +112,7 @@ def test_without_mpi_the_error_names_the_extras(monkeypatch):
         (1, r"needs an MPI library that several threads may call \(MPI_THREAD_MULTIPLE\), and Own MPI v1\.2 was not"),
     ],
 )
-def test_a_second_backend_and_a_library_for_one_thread_are_refused(monkeypatch, level, message):
+def test_a_second_backend_and_one_thread_are_refused(monkeypatch, level, message):
     library = types.SimpleNamespace(
         COMM_WORLD=types.SimpleNamespace(Get_size=lambda: 3),
         THREAD_MULTIPLE=3,
@@ -140,7 +141,7 @@ class TestUnderMpiexec:
         assert runs.differences(tiny_run, path) == []
         assert any(line.endswith(f"with {num_ranks - 1} workers") for line in runs.log_lines(path))
 
-    def test_a_run_that_lost_a_rank_resumes_on_fewer_ranks_with_the_same_numbers(self, tmp_path, tiny_run):
+    def test_a_run_that_lost_a_rank_resumes_on_fewer_ranks(self, tmp_path, tiny_run):
         path = tmp_path / "run"
         process = train(3, path, horizon=20, generations=400)
         runs.wait_for_generation(process, path, 2)
@@ -163,7 +164,7 @@ class TestUnderMpiexec:
         srun.write_text('#!/bin/sh\necho "$@"\n')
         assert submit(srun, run, "point-gather", *flags).endswith(f"-m shes resume {run} --backend mpi\n")
 
-    def test_a_rank_that_cannot_begin_is_an_error_and_no_endless_wait(self, tmp_path, monkeypatch):
+    def test_a_rank_that_cannot_begin_is_an_error(self, tmp_path, monkeypatch):
         (tmp_path / "broken_rank.py").write_text(BROKEN_RANK)
         monkeypatch.syspath_prepend(tmp_path)
         process = start(3, "broken_rank")
@@ -171,16 +172,15 @@ class TestUnderMpiexec:
         assert process.returncode != 0
         assert "WorkerError: an MPI rank could not begin to work (ModuleNotFoundError: No module named 'own')" in err
 
-    def test_ranks_that_begin_late_or_stop_are_told_of_and_waited_for(self, tmp_path, monkeypatch):
+    def test_ranks_that_begin_late_or_stop_are_waited_for(self, tmp_path, monkeypatch):
         (tmp_path / "late_ranks.py").write_text(LATE_RANKS)
         monkeypatch.syspath_prepend(tmp_path)
         process = start(3, "late_ranks")
         out, err = process.communicate(timeout=runs.patient(60))
         assert process.returncode == 0, err
-        unready, unreached, done = out.splitlines()
-        assert re.fullmatch(r"MPI ranks? (1, )?2 cannot work yet after \d s; the run waits", unready)
-        assert re.fullmatch(r"the state has not reached every MPI rank after \d s; the run waits", unreached)
-        assert done == "4 results"
+        assert "worker rank 2 has given no answer for" in out
+        assert "the state has not reached every MPI rank yet; the run waits" in out
+        assert out.endswith("4 results\n")
 
     def test_the_backend_contract_holds(self):
         out = finish(start(3, "pytest", "-q", "-p", "no:cacheprovider", "tests/contracts/test_backend_contract.py",

@@ -4,8 +4,10 @@ import os
 import signal
 import sys
 import time
-from itertools import islice
 from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_info
 
 from shes.errors import ConfigError, PolicyError, ShapeError, UnknownNameError
 
@@ -18,40 +20,29 @@ ERRORS = {
 """Errors that a task may ask for."""
 
 
-class Letters:
-    """A divisible task: its units are the letters of a text, and its result says which process did which of them."""
-
-    def __init__(self, text):
-        self.text = text
-
-    @property
-    def num_units(self):
-        return len(self.text)
-
-    def part(self, start, stop):
-        return type(self)(self.text[start:stop])
-
-    def join(self, results):
-        return [each for result in results for each in result]
-
-    def __iter__(self):  # as any other task, a verb and its argument
-        return iter(("spell", self.text))
-
-
 class Worker:
-    """Runs tasks (verb, argument), a few at a time, and yields their results last first."""
+    """Runs tasks (verb, argument), a few at a time, and yields their results last first.
 
-    def __init__(self, at_once=3):
-        self.at_once = at_once
+    If it has a diary, it writes there that it is closed.
+    """
+
+    def __init__(self, at_once=3, diary=None):
+        self.at_once, self.diary = at_once, diary
         self.state = None
 
     def receive(self, state):
         self.state = state
 
-    def run(self, work, share):
-        while taken := list(islice(work, min(self.at_once, share))):
+    def run(self, tasks, share):
+        while taken := tasks.take(min(self.at_once, share)):
             for number, task in reversed(taken):
+                self.tasks = tasks
                 yield number, self.do(*task)
+
+    def close(self):
+        if self.diary is not None:
+            with Path(self.diary).open("a") as file:
+                file.write(f"{os.getpid()}\n")
 
     def do(self, verb, argument=None, *more):
         return getattr(self, verb)(argument, *more)
@@ -60,15 +51,18 @@ class Worker:
         """Add the state to a number."""
         return self.state + number
 
-    def spell(self, text):
-        """Return a pair of a process and letters, with the state behind."""
-        time.sleep(0.01 * len(text))
-        return [(os.getpid(), f"{text}{self.state}")]
-
     def where(self, seconds):
         """Take some time; return the process and the state."""
         time.sleep(seconds)
         return os.getpid(), self.state
+
+    def step(self, seconds):
+        """Take some time in small steps, and show progress after each."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            time.sleep(0.01)
+            self.tasks.note_progress()
+        return os.getpid()
 
     def node(self, seconds):
         """Take some time; return the name of the node of a test's cluster, and the state."""
@@ -90,21 +84,32 @@ class Worker:
         return self.state
 
     def oversleep(self, folder):
-        """Leave a file named after this process in `folder`, then take ten minutes."""
+        """Leave a file named after this process in `folder`, then take ten minutes, in which it notices nothing."""
         (Path(folder) / str(os.getpid())).touch()
         time.sleep(600)
 
     def environment(self, name):
         return os.environ.get(name)
 
+    def threads(self, _):
+        """Return the number of threads of linear algebra."""
+        np.ones((2, 2)) @ np.ones((2, 2))
+        return max(pool["num_threads"] for pool in threadpool_info())
+
     def raises(self, name):
         raise ERRORS[name]
+
+    def doubt(self, _):
+        assert self is None
 
     def import_path(self, _):
         return sys.path
 
     def divide(self, number):
         return 1 / number
+
+    def closed_pipe(self, _):
+        raise BrokenPipeError("of its own")
 
     def closure(self, value):
         """Return what cannot be pickled."""
@@ -127,11 +132,6 @@ class Worker:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-def start_sigterm():
-    """Stand for a worker whose process is ended by a signal before it can do anything."""
-    os.kill(os.getpid(), signal.SIGTERM)
-
-
 def start_failing():
     """Stand for a worker that cannot be made."""
     raise ValueError("no such model")
@@ -145,3 +145,8 @@ def start_refusing():
 def start_dying():
     """Stand for a worker whose process dies before it can do anything."""
     os._exit(3)
+
+
+def start_killed():
+    """Stand for a worker whose process is ended by a signal before it can do anything."""
+    os.kill(os.getpid(), signal.SIGABRT)

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from shes.cli import demo
 from shes.cli.demo import _draw, _show
-from shes.drawing import opengl
+from shes.drawing import make_drawer
 from shes.es.streams import Purpose
 from shes.training.evaluate import evaluation_seeds
 from shes.viewing.playback import Playback
@@ -20,9 +20,9 @@ from shes.viewing.playback import Playback
 def flat(monkeypatch):
     """Draw without OpenGL, which is fast and works on every machine."""
     monkeypatch.setenv("MUJOCO_GL", "off")
-    opengl.find_opengl.cache_clear()
+    make_drawer.find_opengl.cache_clear()
     yield
-    opengl.find_opengl.cache_clear()
+    make_drawer.find_opengl.cache_clear()
 
 
 @pytest.mark.parametrize("is_terminal", [True, False])

@@ -17,8 +17,7 @@ from shes.drawing.renderer import CAMERAS
 from shes.envs.registry import ENVIRONMENTS
 from shes.listing import Listing
 from shes.runs.sections import execution_settings
-from shes.studies import run_comparison
-from shes.training import export
+from shes.training import comparison, export
 from shes.training.make_config import make_config
 from shes.viewing import plot, render
 
@@ -62,8 +61,8 @@ def test_every_command_explains_itself(shes, command):
 def test_the_help_breaks_lines_where_the_terminal_does_and_not_where_the_source_does(shes, monkeypatch):
     monkeypatch.setenv("COLUMNS", "1000")
     text = shes("bench", "--help")
-    assert "update: milliseconds of the parent's work between generations, by part; speedup: SHES and S-ES on" in text
-    assert "\n\nshes bench rollout --seconds 60\n" in text
+    assert "relative to a bare mj_step loop on one core, which replays the same episodes. The ratio" in text
+    assert "\n\nshes bench rollout ant-gather --seconds 60\n" in text
 
 
 def test_no_module_of_the_command_line_knows_one_that_knows_it():
@@ -86,7 +85,7 @@ def test_the_choices_are_those_there_are():
         (plot.plot, "x", plot.X_AXES),
         (render.render, "camera", ("both", *CAMERAS)),
         (export.export, "format", export.FORMATS),
-        (run_comparison.compare_runs, "measure", run_comparison.MEASURES),
+        (comparison.compare_runs, "measure", comparison.MEASURES),
     ):
         assert set(get_args(get_type_hints(function)[name])) == set(known)
 
@@ -186,7 +185,6 @@ def test_the_short_help_leaves_out_what_all_of_the_help_says(shes):
 
 
 def test_no_values_are_shown_as_a_word(shes):
-    assert "are a group. (default: none)" in " ".join(shes("report", "--help").replace("│", "").split())
     assert "(default: none (linear))" in " ".join(shes("train", "ant-flagrun", "--help-all").split())
 
 
@@ -297,7 +295,6 @@ def test_the_value_of_every_setting_can_be_written_on_the_command_line(given, pr
         (["train", "ant-gater"], "unknown environment 'ant-gater'. Did you mean 'ant-gather'?"),
         (["train", "ant-gather", "--preset", "lap"], "unknown preset 'lap'. Did you mean 'laptop'?"),
         (["evaluate", "x", "--targets", "traning"], "--targets: unknown name 'traning'. Did you mean 'training'?"),
-        (["experiment", "ablatoin"], "unknown name 'ablatoin'. Did you mean 'ablation'?"),
     ],
 )
 def test_a_misspelled_choice_is_answered_with_the_nearest(capsys, monkeypatch, words, message):

@@ -48,26 +48,14 @@ def test_gymnasiums_checker_warns_of_unbounded_observations_alone(variant):
     assert len(caught) <= 2
 
 
-def test_making_and_playing_warns_of_nothing(variant):
-    env = variant.make_env()  # with Gymnasium's passive checker; warnings are errors
-    env.reset(seed=0)
-    for action in draw_actions(env, 5):
-        env.step(action)
-    env.close()
-    vector = make_vector(variant)
-    vector.reset(seed=0)
-    vector.step(vector.action_space.sample())
-    vector.close()
-
-
 def test_spaces_are_those_of_the_task(variant):
     env, task = variant.make_env(), variant.make_task(1)
     assert env.observation_space.shape == (task.observation_size,)
     assert env.observation_space.dtype == np.float64
     assert env.action_space == gymnasium.spaces.Box(-1, 1, (task.action_size,), np.float32)
-    for shown in rollout(env, draw_actions(env, 60), seed=3):
+    for shown in rollout(env, draw_actions(env, 20), seed=3):  # by Gymnasium's passive checker; warnings are errors
         assert shown[0] in env.observation_space
-    assert {element.name for element in task.observation_spec}.__len__() == task.observation_size
+    assert len({element.name for element in task.observation_spec}) == task.observation_size
 
 
 def test_an_episode_is_the_tasks_with_that_seed(variant):
@@ -88,20 +76,6 @@ def test_an_episode_is_the_tasks_with_that_seed(variant):
     assert info["score"] == task.score[0]
 
 
-def test_a_seed_gives_the_same_trajectory_single_and_vector(variant):
-    env, vector = variant.make_env(), make_vector(variant)
-    seeds = [5, 6, 7, 8]
-    actions = draw_actions(vector, 25)
-    many = rollout(vector, actions, seed=5)
-    for i, seed in enumerate(seeds):
-        alone = rollout(env, actions[:, i], seed)
-        for one, all_of_them in zip(alone, many, strict=False):
-            for left, right in zip(one[:-1], all_of_them[:-1], strict=True):
-                np.testing.assert_array_equal(left, right[i])
-            for key, value in one[-1].items():
-                np.testing.assert_array_equal(value, all_of_them[-1][key][i], err_msg=key)
-
-
 def test_episodes_without_a_seed_follow_from_the_seed_before(variant):
     env, same, other = variant.make_env(), variant.make_env(), variant.make_env()
     starts = []
@@ -111,12 +85,7 @@ def test_episodes_without_a_seed_follow_from_the_seed_before(variant):
     np.testing.assert_array_equal(starts[0], starts[1])
     assert (starts[0][0] != starts[0][1]).any()
     assert (np.array(starts[0]) != np.array(starts[2])).any()
-
-
-def test_without_any_seed_episodes_differ(variant):
-    assert (variant.make_env().reset()[0] != variant.make_env().reset()[0]).any()
-    starts = make_vector(variant).reset()[0]
-    assert len(np.unique(starts, axis=0)) == NUM_ENVS
+    assert len(np.unique(make_vector(variant).reset()[0], axis=0)) == NUM_ENVS  # without any seed they differ
 
 
 @pytest.mark.parametrize("mode", ["NextStep", pytest.param("SameStep", marks=pytest.mark.slow)])
@@ -202,39 +171,23 @@ def test_a_diverged_simulation_ends_its_episode(variant):
     env.reset(seed=0)
     env._adapter.task.sim.qvel[0, 0] = 1e12
     _, reward, terminated, _, info = env.step(np.zeros(env.action_space.shape))
-    assert terminated
-    assert info["diverged"]
-    assert (reward, info["score"], info["success"]) == (0, 0, False)
+    assert (reward, terminated, info["diverged"], info["score"], info["success"]) == (0, True, True, 0, False)
 
 
-def test_actions_are_scaled_to_the_controls(variant):
-    env = variant.make_env().unwrapped
-    env.reset(seed=0)
-    env.step(np.full(env.action_space.shape, 0.5))
-    task = env._adapter.task
-    np.testing.assert_array_equal(task.sim.ctrl[0], 0.5 * task.control_limit)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_an_action_that_is_no_number_is_refused(variant, value):
-    env, vector = variant.make_env().unwrapped, make_vector(variant)
-    env.reset(seed=0)
-    vector.reset(seed=0)
-    with pytest.raises(PolicyError, match=r"NaN or infinity; actions lie in \[-1, 1\]"):
-        env.step(np.full(env.action_space.shape, value))
-    with pytest.raises(PolicyError, match="NaN or infinity"):
-        vector.step(np.full(vector.action_space.shape, value))
-
-
-def test_an_action_of_another_shape_is_refused(variant):
+def test_an_action_that_is_no_number_or_of_another_shape_is_refused(variant):
     env, vector = variant.make_env().unwrapped, make_vector(variant)
     size = env.action_space.shape[0]
-    env.reset(seed=0)
-    vector.reset(seed=0)
-    with pytest.raises(ShapeError, match=rf"{variant.name} has shape \({size},\); got \({size + 1},\)"):
-        env.step(np.zeros(size + 1))
-    with pytest.raises(ShapeError, match=rf"in each of {NUM_ENVS} environments; got \({NUM_ENVS + 1}, {size}\)"):
-        vector.step(np.zeros((NUM_ENVS + 1, size)))
+    vector_message = rf"in each of {NUM_ENVS} environments; got \({NUM_ENVS + 1}, {size}\)"
+    for each, shape, message in (
+        (env, (size + 1,), rf"{variant.name} has shape \({size},\); got \({size + 1},\)"),
+        (vector, (NUM_ENVS + 1, size), vector_message),
+    ):
+        each.reset(seed=0)
+        with pytest.raises(ShapeError, match=message):
+            each.step(np.zeros(shape))
+        for value in (np.nan, np.inf):
+            with pytest.raises(PolicyError, match=r"NaN or infinity; actions lie in \[-1, 1\]"):
+                each.step(np.full(each.action_space.shape, value))
 
 
 @pytest.mark.parametrize(
@@ -274,8 +227,6 @@ def test_a_wrong_use_of_the_vector_environment_is_refused(variant):
         vector.reset(options={"reset_mask": np.zeros(4, bool)})
     with pytest.raises(ConfigError, match=r"autoreset_mode must be one of .*NextStep.*; got 'later'"):
         make_vector(variant, autoreset_mode="later")
-    with pytest.raises(ConfigError, match="num_envs must be"):
-        make_vector(variant, num_envs=0)
 
 
 def test_render_needs_a_mode(variant):

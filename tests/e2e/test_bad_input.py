@@ -213,7 +213,7 @@ WORDS = {
     "render_without_a_run": (["render"], r"render needs at least one run: shes render RUN"),
     "unknown_shell": (["completion", "bsh"], r"unknown name 'bsh'\. Did you mean 'bash'"),
     "negative_seconds": (
-        ["bench", "update", "point-gather", "--preset", "smoke", "--seconds", "-1"],
+        ["bench", "rollout", "point-gather", "--preset", "smoke", "--seconds", "-1"],
         r"seconds must be zero or a positive number, got -1\.0\. Set --seconds",
     ),
     "unknown_bench": (["bench", "rolout"], r"unknown name 'rolout'\. Did you mean 'rollout'"),

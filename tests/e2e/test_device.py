@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import shes
-from shes.bench.measure import bench_rollout
+from shes.cli.bench import bench_rollout
 from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
 from shes.sim.warp_device import load_warp
@@ -90,10 +90,9 @@ def test_a_buffer_that_overflows_ends_the_run_which_goes_on_with_the_size_that_t
     assert RunFolder.open(path).load("last").generation == 3
 
 
-def test_the_rollout_bench_compares_a_device_with_bare_physics_on_a_core(monkeypatch):
-    monkeypatch.setattr("shes.bench.measure._REPLAY_S", 0.02)
+def test_the_rollout_bench_compares_a_device_with_bare_physics_on_a_core():
     config = make_config("ant-gather", "smoke", {"population_size": 8, "horizon": 10, "device": "warp-cpu"})
-    found = bench_rollout(config, repeats=1)
+    found = bench_rollout(config, repeats=1, replay_s=0.02)
     assert (found["device"], found["num_workers"]) == ("warp-cpu", 1)
     assert found["env_steps_per_s"] > 0
 

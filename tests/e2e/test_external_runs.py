@@ -13,7 +13,6 @@ import pytest
 from PIL import Image
 
 import shes
-from shes.bench.measure import bench_rollout
 from shes.cli import main
 from shes.envs.external.included import EXTERNAL_ENVIRONMENTS, INCLUDED
 from shes.errors import ConfigError, ShesError
@@ -140,7 +139,7 @@ def test_watching_uses_the_environments_own_window(run, monkeypatch):
         if len(shown) == 12:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("shes.drawing.passthrough.PassthroughWindow.show", show)
+    monkeypatch.setattr("shes.drawing.window.PassthroughWindow.show", show)
     with pytest.raises(KeyboardInterrupt):
         watch(run.path)
     assert [number for number, is_new in enumerate(shown) if is_new] == [0, 10]
@@ -209,11 +208,6 @@ def test_a_primitive_that_learned_there_serves_there_again(run, tmp_path):
     assert before.theta.tobytes() == after.theta.tobytes()
     with pytest.raises(ConfigError, match=r"It was trained on car: 9 inputs .*car\[0\], .*\nHere there is: 28 "):
         shes.train("point-gather", out=tmp_path / "other", primitive=run.path, goal_encoding="angle", **TINY)
-
-
-def test_bench_rollout_has_no_bare_loop_of_it():
-    with pytest.raises(ConfigError, match=r"bench rollout compares with MuJoCo alone, but car has its own physics"):
-        bench_rollout(make_config("car", "smoke"))
 
 
 # Gymnasium's own, on the command line.

@@ -9,13 +9,10 @@ import pytest
 from shes.errors import ShesError
 from shes.hierarchy.results import PopulationResults
 from shes.runs.checkpoint import load_checkpoint
-from shes.runs.folder import RunFolder
 from shes.runs.tables import read_csv
-from shes.training import session
 from shes.training import train as training
 from shes.training.train import resume
 from tests.e2e import runs
-from tests.e2e.conftest import KILLED
 
 INTERRUPTED = 130
 pytestmark = pytest.mark.timeout(3600)  # on a machine with a load of 100; what they wait for has its own limit
@@ -58,12 +55,7 @@ def interrupted_run(started):
     return path
 
 
-def test_ctrl_c_in_a_terminal_stops_with_a_checkpoint(interrupted_run):
-    assert RunFolder.open(interrupted_run).read_config().run.seed == KILLED["seed"]
-
-
-@pytest.mark.extras
-def test_a_run_interrupted_in_a_terminal_goes_on_with_the_same_numbers(interrupted_run, undisturbed):
+def test_a_run_interrupted_in_a_terminal_goes_on_as_before(interrupted_run, undisturbed):
     go_on(interrupted_run, undisturbed)
 
 
@@ -76,21 +68,10 @@ def test_ctrl_c_while_the_workers_start_is_quiet(started):
 
 @pytest.mark.extras
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_to_the_main_process_alone_stops_it_with_a_checkpoint(started, undisturbed, number):
+def test_a_signal_to_the_main_process_stops_it(started, undisturbed, number):
     process, path = started()
     inside, workers = interrupt_inside(process, path, lambda: os.kill(process.pid, number))
     assert assert_interrupted(process, path, workers) == inside - 1
-    go_on(path, undisturbed)
-
-
-@pytest.mark.extras
-def test_ctrl_c_before_the_first_generation_ended_keeps_the_start(started, undisturbed):
-    process, path = started()
-    runs.wait_for_generation(process, path, 1)
-    workers = runs.workers_of(process.pid)
-    os.killpg(process.pid, signal.SIGINT)
-    assert assert_interrupted(process, path, workers) == 0
-    assert runs.log_lines(path)[-1] == "generation 1 begins"
     go_on(path, undisturbed)
 
 
@@ -129,25 +110,6 @@ def test_ctrl_c_in_a_generation_ends_it_at_once(tmp_path, tiny_run, monkeypatch)
     monkeypatch.setattr(PopulationResults, "add", add)
     interrupted(tmp_path / "run")
     assert runs.generation_under_way(tmp_path / "run") == 2
-    monkeypatch.undo()
-    resume(tmp_path / "run")
-    assert runs.differences(tiny_run, tmp_path / "run") == []
-
-
-def test_ctrl_c_in_an_evaluation_does_the_generation_again(tmp_path, tiny_run, monkeypatch):
-    evaluations = []
-
-    def evaluate(*arguments):
-        evaluations.append(arguments)
-        if len(evaluations) == 2:
-            signal.raise_signal(signal.SIGINT)
-            raise AssertionError("the evaluation went on")
-        return original(*arguments)
-
-    original = session.EvaluationBeside
-    monkeypatch.setattr(session, "EvaluationBeside", evaluate)
-    interrupted(tmp_path / "run")
-    assert load_checkpoint(tmp_path / "run" / "checkpoints" / "last.npz").generation == 1
     monkeypatch.undo()
     resume(tmp_path / "run")
     assert runs.differences(tiny_run, tmp_path / "run") == []

@@ -1,6 +1,6 @@
 """The same numbers for any number of workers, any chunk size, any backend."""
 
-import shutil
+from itertools import product
 
 import numpy as np
 import pytest
@@ -45,34 +45,21 @@ def reference(tmp_path_factory):
     return make
 
 
-# With 3 workers, 20 policies leave 2 over, which go out episode by episode.
-@pytest.mark.parametrize(("episodes", "workers", "chunk_size"), [(1, 2, 7), (3, 3, 7)])
-def test_workers_and_chunks_change_no_number(reference, tmp_path, episodes, workers, chunk_size):
-    path = trained(tmp_path / "run", episodes_per_policy=episodes, num_workers=workers, chunk_size=chunk_size)
-    assert runs.differences(reference(episodes), path) == []
+EVERY_DAY = {(1, 2, 7), (3, 3, 7)}  # with 3 workers, 20 policies do not come out even
 
 
-@pytest.mark.extras
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("chunk_size", [0, 1, 3, 7])
-@pytest.mark.parametrize("workers", [0, 1, 2, 3], ids=["serial", "1", "2", "3"])
-@pytest.mark.parametrize("episodes", [1, 3])
-def test_every_spread_gives_the_same_numbers(reference, tmp_path, episodes, workers, chunk_size):
+@pytest.mark.parametrize(
+    ("episodes", "workers", "chunk_size"),
+    [
+        pytest.param(*each, marks=[] if each in EVERY_DAY else [pytest.mark.extras])
+        for each in product((1, 3), (0, 1, 2, 3), (0, 1, 3, 7))
+    ],
+)
+def test_workers_and_chunks_change_no_number(reference, tmp_path, episodes, workers, chunk_size):
     spread = {"num_workers": workers} if workers else {"backend": "serial"}
     path = trained(tmp_path / "run", episodes_per_policy=episodes, chunk_size=chunk_size, **spread)
     assert runs.differences(reference(episodes), path) == []
-
-
-@pytest.mark.extras
-def test_the_ant_has_the_same_numbers_on_one_and_three_workers(tmp_path):
-    paths = []
-    for workers in (1, 3):
-        path = tmp_path / str(workers)
-        settings = {**SETTINGS, "episodes_per_policy": 3, "workers": workers, "out": path}
-        code, out, err = runs.run("train", "ant-gather", *runs.flags(**settings))
-        assert (code, err) == (0, ""), out
-        paths.append(path)
-    assert runs.differences(*paths) == []
 
 
 @pytest.mark.parametrize(
@@ -82,7 +69,7 @@ def test_the_ant_has_the_same_numbers_on_one_and_three_workers(tmp_path):
         for each in VARIANTS
     ],
 )
-def test_neither_workers_nor_a_resume_change_the_numbers_of_any_task(tmp_path, variant):
+def test_neither_workers_nor_a_resume_change_any_task(tmp_path, variant):
     settings = {"spec": variant.spec, "population_size": 12, "evaluation_interval": 1, "keep_checkpoints": 1}
     one = runs.train_tiny(tmp_path / "one", variant.name, **settings, generations=2)
     two = tmp_path / "two"
@@ -140,8 +127,8 @@ def companions(name, choice):
     return {**WITH.get(name, {}), **WITH.get(f"{name}={choice}", {}), **scheduled}
 
 
-OF_HIRO = {"algorithm": {"hiro", "td3"}, "critic_loss": {"huber", "mse"}, "noise_unit": {"range", "raw"}}
-"""Choices of algorithms that have no population, and tests of their own in tests/algorithms/hiro."""
+OF_HIRO = {"algorithm": {"hiro", "td3"}, "noise_unit": {"range", "raw"}}
+"""Choices of algorithms that have no population, and tests of their own in tests/baselines."""
 CHOICES = {
     name: tuple(choice for choice in each.choices if choice not in OF_HIRO.get(name, ()))
     for name, each in known_settings().items()
@@ -271,7 +258,7 @@ def source(tmp_path_factory):
         for env, name, settings in METHODS
     ],
 )
-def test_neither_workers_nor_a_resume_change_the_numbers_of_any_method(tmp_path, source, env, settings):
+def test_neither_workers_nor_a_resume_change_any_method(tmp_path, source, env, settings):
     if settings.get("primitive") == SOURCE:
         settings = {**settings, "primitive": str(source)}
     one = runs.train_tiny(tmp_path / "one", env, **method(settings))
@@ -307,7 +294,7 @@ def test_every_choice_but_the_usual_one_changes_numbers(tmp_path, usual, name):
     assert (not found) is is_usual
 
 
-def test_a_primitive_alone_on_branches_leaves_episodes_that_go_on(tmp_path):
+def test_a_primitive_on_branches_leaves_episodes_that_go_on(tmp_path):
     """So that the comparison of such a run says that they survive its end."""
     path = runs.train_tiny(tmp_path / "run", "ant-flagrun", **{**METHOD, **WALKER, "generations": 2})
     found = runs.numbers(path)
@@ -323,18 +310,13 @@ def test_every_choice_of_every_name_is_compared():
     assert {(env, name) for env, name, _ in METHODS} >= QUICK
 
 
+# What the comparison sees.
+
+
 def test_the_comparison_sees_every_kind_of_number(tiny_run):
     names = runs.numbers(tiny_run)
-    files = {name.split("/")[0] for name in names}
-    assert files == {
-        "best.npz",
-        "evaluation.csv",
-        "generation_000000.npz",
-        "generation_000002.npz",
-        "generation_000004.npz",
-        "last.npz",
-        "progress.csv",
-    }
+    checkpoints = {"best.npz", "last.npz", *(f"generation_00000{i}.npz" for i in (0, 2, 4))}
+    assert {name.split("/")[0] for name in names} == {"evaluation.csv", "progress.csv", *checkpoints}
     assert {
         "last.npz/controller/theta",
         "last.npz/primitive/optimizer_second",
@@ -344,36 +326,39 @@ def test_the_comparison_sees_every_kind_of_number(tiny_run):
     assert runs.differences(tiny_run, tiny_run) == []
 
 
-def test_the_comparison_detects_another_seed(tiny_run, tmp_path):
-    other = runs.train_tiny(tmp_path / "run", seed=6)
-    assert {"last.npz/seed", "last.npz/controller/theta", "progress.csv/primitive_return_mean"} <= set(
-        runs.differences(tiny_run, other)
-    )
-
-
-def test_the_comparison_detects_one_bit_in_one_array(tiny_run, tmp_path):
-    path = shutil.copytree(tiny_run, tmp_path / "run")
+def change_a_bit(path):
     last = path / "checkpoints" / "last.npz"
     with np.load(last) as file:
         arrays = dict(file)
     arrays["primitive/theta"].view(np.int32)[-1] ^= 1
     np.savez(last, **arrays)
-    assert runs.differences(tiny_run, path) == ["last.npz/primitive/theta"]
 
 
-def test_the_comparison_detects_a_digit_in_a_table(tiny_run, tmp_path):
-    path = shutil.copytree(tiny_run, tmp_path / "run")
-    text = (path / "evaluation.csv").read_text().rstrip()
-    numbers, _, process_time_s = text.rpartition(",")
+def change_a_digit(path):
+    numbers, _, process_time_s = (path / "evaluation.csv").read_text().rstrip().rpartition(",")
     (path / "evaluation.csv").write_text(f"{numbers[:-1]}9,{process_time_s}\n")
-    assert runs.differences(tiny_run, path) == ["evaluation.csv/diverged_episodes"]
 
 
-def test_the_comparison_detects_a_missing_checkpoint_and_a_missing_row(tiny_run, tmp_path):
-    path = shutil.copytree(tiny_run, tmp_path / "run")
+def remove_a_checkpoint(path):
     (path / "checkpoints" / "generation_000002.npz").unlink()
-    assert all(name.startswith("generation_000002.npz/") for name in runs.differences(tiny_run, path))
-    assert runs.differences(tiny_run, path)
+
+
+def remove_a_row(path):
     rows = (path / "progress.csv").read_text().splitlines(keepends=True)
     (path / "progress.csv").write_text("".join(rows[:-1]))
-    assert "progress.csv/generation" in runs.differences(tiny_run, path)
+
+
+@pytest.mark.parametrize(
+    ("change", "first"),
+    [
+        (change_a_bit, "last.npz/primitive/theta"),
+        (change_a_digit, "evaluation.csv/diverged_episodes"),
+        (remove_a_checkpoint, "generation_000002.npz/"),
+        (remove_a_row, "progress.csv/"),
+    ],
+)
+def test_the_comparison_detects(run_copy, tiny_run, change, first):
+    change(run_copy)
+    found = runs.differences(tiny_run, run_copy)
+    assert found
+    assert all(name.startswith(first) for name in found)

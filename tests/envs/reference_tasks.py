@@ -1,4 +1,4 @@
-"""Plain reference of Maze, Push, Fall, Flagrun and the hiro Gather, written independently of the package for tests.
+"""Plain reference of every task, written independently of the package for tests.
 
 Sources: docs/environments/index.md and docs/algorithm.md (they decide); then sash-a/HrlMuJoCoEnvs.jl (JR)
 for `shes`, Nachum et al. 2018's efficient-hrl and rllab's GatherEnv for `hiro`. One episode, one `MjData`, plain loops.
@@ -46,7 +46,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tests.envs import reference_worlds as worlds
-from tests.envs.reference_gather import DIVERGENCE_WARNINGS, PHYSICS_STEPS, yaw
 from tests.envs.reference_worlds import BodyName
 
 Array = NDArray[np.float64]
@@ -57,6 +56,31 @@ VELOCITY_LIMIT = 10.0
 LOWEST_TORSO = 0.2
 HIGHEST_TORSO = 1.0
 SPECS = ("shes", "hiro")
+PHYSICS_STEPS = 5
+DIVERGENCE_WARNINGS = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+    mujoco.mjtWarning.mjWARN_BADCTRL,
+)
+
+
+def yaw(quaternion: ArrayLike) -> float:
+    """Direction in the xy plane of the rotated x axis; the quaternion is w x y z."""
+    w, x, y, z = (float(value) for value in np.asarray(quaternion, dtype=np.float64))
+    length_squared = w * w + x * x + y * y + z * z
+    rotation = (
+        np.array(
+            [
+                [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+            ]
+        )
+        / length_squared
+    )
+    rotated_x_axis = rotation @ np.array([1.0, 0.0, 0.0])
+    return math.atan2(rotated_x_axis[1], rotated_x_axis[0])
 
 
 def distance_between(one: ArrayLike, other: ArrayLike) -> float:
@@ -228,11 +252,9 @@ class ReferenceNavigation(ReferenceEpisode):
         self.target = np.array(self.fixed_target)
 
     def xml(self, **options: Any) -> str:
-        """The world of `grid`."""
         return worlds.world_xml(self.grid, self.body, **options)
 
     def observation(self) -> Array:
-        """As the class says."""
         if self.spec == "hiro":
             return np.array([*self.low_level_observation(), *self.target])
         values = self.data.qpos.tolist() + clipped(self.data.qvel)
@@ -243,7 +265,6 @@ class ReferenceNavigation(ReferenceEpisode):
         return np.array([*self.robot_observation(), self.steps * 0.001])
 
     def play_task(self) -> float:
-        """-distance."""
         return -self.distance
 
     @property
@@ -253,12 +274,10 @@ class ReferenceNavigation(ReferenceEpisode):
 
     @property
     def success(self) -> bool:
-        """Whether the target is nearer than 5."""
         return not self.diverged and self.distance < SUCCESS_DISTANCE
 
     @property
     def score(self) -> float:
-        """1 for success, else 0."""
         return float(self.success)
 
 
@@ -286,7 +305,6 @@ class ReferenceMaze(ReferenceNavigation):
         self.free_cells = free_cells
 
     def start_task(self) -> None:
-        """Draw the target."""
         if self.evaluation:
             self.target = np.array(self.fixed_target)
             return
@@ -348,11 +366,9 @@ class ReferenceFlagrun(ReferenceEpisode):
         self.was_near = False
 
     def xml(self, **options: Any) -> str:
-        """The arena of Gather."""
         return worlds.world_xml(worlds.GATHER, self.body, **options)
 
     def start_task(self) -> None:
-        """Draw the first goal."""
         self.was_near = False
         self._draw_goal()
 
@@ -374,23 +390,19 @@ class ReferenceFlagrun(ReferenceEpisode):
         self.start_distance = self.distance
 
     def is_over(self) -> bool:
-        """Whether the ant has fallen."""
         return self.has_fallen
 
     def observation(self) -> Array:
-        """Goal features, then the robot."""
         dx, dy = self.goal - self.position
         angle = np.arctan2(dy, dx) - self.heading
         return np.array([np.sin(angle), np.cos(angle), self.distance / 1000, *self.robot_observation()])
 
     @property
     def distance(self) -> float:
-        """Distance to the goal."""
         return distance_between(self.position, self.goal)
 
     @property
     def score(self) -> float:
-        """The return."""
         return 0.0 if self.diverged else self.running_return
 
     @property
@@ -399,64 +411,61 @@ class ReferenceFlagrun(ReferenceEpisode):
         return not self.diverged and self.was_near
 
 
-class ReferenceHiroGather(ReferenceEpisode):
-    """rllab's Gather: robot's qpos, unclipped qvel, t, 10 food readings, 10 poison readings; 50 or 25 numbers.
+class ReferenceGather(ReferenceEpisode):
+    """Gather: +1 food, -1 poison nearer than 1. Score: the highest running return, at least 0. Ends on a fall.
 
-    +1 food, -1 poison nearer than 1; the step of an ant's fall pays -10 in place of its pickups (`fall_penalty`). Ends
-    on a fall and when nothing is left. Score: the highest running return, at least 0.
+    shes: robot's qpos, clipped qvel, 10 food readings, 10 poison readings, t; 50 or 25 numbers. The step of a fall pays
+    its pickups. hiro: t stands before the readings, qvel is unclipped; the step of an ant's fall pays -10 in place of
+    its pickups (`fall_penalty`), and the episode ends when nothing is left, too.
 
-    Draws of a reset, behind the robot's: `permutation(99)`. The first 8 are the food and the next 8 the poison, as
-    places in this list: x = -10, -8, ..., 8, for each x y = -10, -8, ..., 8, without (0, 0).
+    Draws of a reset, behind the robot's. shes: `uniform(-10, 10, (32, 2))`, of which those at least 2 from the origin
+    count, again until there are 16. hiro: `permutation(99)`, as places in this list: x = -10, -8, ..., 8, for each x
+    y = -10, -8, ..., 8, without (0, 0). The first 8 are the food and the next 8 the poison.
     """
 
-    num_objects = 8
     num_bins = 10
-    sensor_range = 6.0
     catch_distance = 1.0
     penalty = -10.0
 
     def __init__(
         self,
         body: BodyName,
-        spec: str = "hiro",
+        spec: str = "shes",
         model: mujoco.MjModel | None = None,
         *,
         fall_penalty: bool = True,
         **options: Any,
     ) -> None:
-        if spec != "hiro":
-            raise ValueError("reference_gather.py is the reference of the shes Gather")
         super().__init__(body, spec, model, **options)
-        self.fall_penalty = fall_penalty
+        self.fall_penalty = fall_penalty and spec == "hiro"
+        self.sensor_range = {"shes": 8.0, "hiro": 6.0}[spec]
         self.food: list[tuple[float, float]] = []
         self.poison: list[tuple[float, float]] = []
-        self.food_count = 0
-        self.poison_count = 0
         self.best_return = 0.0
 
     def xml(self, **options: Any) -> str:
-        """Walls at +-10.5."""
-        return worlds.hiro_gather_xml(self.body, **options)
+        """The arena; with hiro its walls are at +-10.5."""
+        if self.spec == "hiro":
+            return worlds.hiro_gather_xml(self.body, **options)
+        return worlds.world_xml(worlds.GATHER, self.body, **options)
 
     def start_task(self) -> None:
-        """Lay out the objects."""
-        lattice = [(float(x), float(y)) for x in range(-10, 10, 2) for y in range(-10, 10, 2) if x * x + y * y >= 4]
-        order = self.rng.permutation(len(lattice)).tolist()
-        self.food = [lattice[number] for number in order[:8]]
-        self.poison = [lattice[number] for number in order[8:16]]
-        self.food_count = 0
-        self.poison_count = 0
+        places: list[tuple[float, float]] = []
+        if self.spec == "hiro":
+            lattice = [(float(x), float(y)) for x in range(-10, 10, 2) for y in range(-10, 10, 2) if x * x + y * y >= 4]
+            places = [lattice[number] for number in self.rng.permutation(len(lattice)).tolist()]
+        while len(places) < 16:
+            drawn = self.rng.uniform(-10, 10, (32, 2)).tolist()
+            places += [(x, y) for x, y in drawn if x * x + y * y >= 4]
+        self.food, self.poison = places[:8], places[8:16]
         self.best_return = 0.0
 
     def play_task(self) -> float:
-        """Fall or pickups."""
         if self.has_fallen and self.fall_penalty:
             reward = self.penalty
         else:
             food, self.food = self._pick_up(self.food)
             poison, self.poison = self._pick_up(self.poison)
-            self.food_count += food
-            self.poison_count += poison
             reward = float(food - poison)
         if not self.diverged:
             self.best_return = max(self.best_return, self.running_return + reward)
@@ -468,16 +477,18 @@ class ReferenceHiroGather(ReferenceEpisode):
         return len(things) - len(left), left
 
     def is_over(self) -> bool:
-        """Whether the ant has fallen or nothing is left."""
-        return self.has_fallen or not (self.food or self.poison)
+        """Whether the ant has fallen or, with hiro, nothing is left."""
+        return self.has_fallen or (self.spec == "hiro" and not (self.food or self.poison))
 
     def observation(self) -> Array:
-        """Robot, time, readings."""
-        time = self.steps * 0.001
-        return np.array([*self.robot_observation(), time, *self._readings(self.food), *self._readings(self.poison)])
+        time, readings = [self.steps * 0.001], self._readings(self.food) + self._readings(self.poison)
+        return np.array([*self.robot_observation(), *(time + readings if self.spec == "hiro" else readings + time)])
 
     def _readings(self, things: list[tuple[float, float]]) -> list[float]:
-        """1 - distance / range of the nearest thing in each bin; bin 0 begins behind the robot, at bearing -pi."""
+        """The reading of the nearest thing in each bin; bin 0 begins behind the robot, at bearing -pi.
+
+        shes: 1 - distance^2 / range^2, hiro: 1 - distance / range.
+        """
         result = [0.0] * self.num_bins
         x, y = self.position
         for thing_x, thing_y in things:
@@ -486,7 +497,9 @@ class ReferenceHiroGather(ReferenceEpisode):
                 continue
             turn = (math.atan2(thing_y - y, thing_x - x) - self.heading + math.pi) / (2 * math.pi) % 1.0
             bin_number = min(math.floor(turn * self.num_bins), self.num_bins - 1)
-            result[bin_number] = max(result[bin_number], 1.0 - distance / self.sensor_range)
+            squared = (thing_x - x) * (thing_x - x) + (thing_y - y) * (thing_y - y)
+            part = distance / self.sensor_range if self.spec == "hiro" else squared / self.sensor_range**2
+            result[bin_number] = max(result[bin_number], 1.0 - part)
         return result
 
     @property
@@ -501,5 +514,4 @@ class ReferenceHiroGather(ReferenceEpisode):
 
     @property
     def success(self) -> bool:
-        """Whether the score is above 0."""
         return self.score > 0

@@ -1,7 +1,7 @@
 """Worlds of Maze, Push, Fall, Flagrun and Gather as MJCF text, written independently of the package, for its tests.
 
 Sources: docs/environments/index.md (it decides), then sash-a/HrlMuJoCoEnvs.jl (src/WorldStructure.jl), then
-Nachum et al. 2018, efficient-hrl's maze_env.py. The ant itself is the text in reference_gather.py.
+Nachum et al. 2018, efficient-hrl's maze_env.py. The ant is easier_ant.xml of HrlMuJoCoEnvs.jl.
 
 What these leave open about worlds, and how it is decided here:
 - Unmerged boxes, one per cell, are the base; `merged=True` joins runs along a row, then equal runs of rows that follow
@@ -22,8 +22,6 @@ What these leave open about worlds, and how it is decided here:
 
 from typing import Literal
 
-from tests.envs.reference_gather import ant_gather_xml
-
 BodyName = Literal["ant", "point"]
 Box = tuple[float, float, float, float, float, float]
 """x, y, z of the centre and half sizes."""
@@ -43,8 +41,55 @@ INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicitfast": "implicitfast"}
 PLAIN_SOLIMP = "0.8 0.8 0.01"
 BLOCK_SOLIMP = "0.995 0.995 0.01"
 
-ANT_WALLS_START, ANT_WALLS_END = '    <geom name="wall_north"', "  </worldbody>"
-
+ANT = """
+<mujoco model="reference_ant_gather">
+  <compiler angle="degree" inertiafromgeom="true"/>
+  <option timestep="0.02" integrator="Euler"/>
+  <default>
+    <joint limited="true" armature="1" damping="1"/>
+    <geom contype="1" conaffinity="0" condim="3" density="5" margin="0.01" friction="1 0.5 0.5"
+          solref="0.02 1" solimp="0.8 0.8 0.01"/>
+    <motor gear="1" ctrllimited="true" ctrlrange="-30 30"/>
+  </default>
+  <worldbody>
+    <geom name="floor" type="plane" pos="0 0 0" size="40 40 40" conaffinity="1"/>
+    <body name="torso" pos="0 0 0.75">
+      <joint name="root" type="free" limited="false" margin="0.01" armature="0" damping="0"/>
+      <geom name="torso" type="sphere" size="0.25"/>
+LEGS
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="hip_4" joint="hip_4"/>
+    <motor name="ankle_4" joint="ankle_4"/>
+    <motor name="hip_1" joint="hip_1"/>
+    <motor name="ankle_1" joint="ankle_1"/>
+    <motor name="hip_2" joint="hip_2"/>
+    <motor name="ankle_2" joint="ankle_2"/>
+    <motor name="hip_3" joint="hip_3"/>
+    <motor name="ankle_3" joint="ankle_3"/>
+  </actuator>
+</mujoco>
+"""
+LEG = """
+      <body name="leg_{0}" pos="0 0 0">
+        <geom name="fixed_{0}" type="capsule" size="0.08" fromto="0 0 0 {1} {2} 0"/>
+        <body name="upper_{0}" pos="{1} {2} 0">
+          <joint name="hip_{0}" type="hinge" axis="0 0 1" range="-30 30"/>
+          <geom name="upper_{0}" type="capsule" size="0.08" fromto="0 0 0 {1} {2} 0"/>
+          <body name="lower_{0}" pos="{1} {2} 0">
+            <joint name="ankle_{0}" type="hinge" axis="{3}" range="{4}"/>
+            <geom name="lower_{0}" type="capsule" size="0.08" fromto="0 0 0 {5} {6} 0"/>
+          </body>
+        </body>
+      </body>"""
+LEGS = (
+    (1, 0.2, 0.2, "-1 1 0", "30 70", 0.4, 0.4),
+    (2, -0.2, 0.2, "1 1 0", "-70 -30", -0.4, 0.4),
+    (3, -0.2, -0.2, "-1 1 0", "-70 -30", -0.4, -0.4),
+    (4, 0.2, -0.2, "1 1 0", "30 70", 0.4, -0.4),
+)
+"""Number, x and y of the upper parts, axis and range of the ankle, and x and y of the lower part."""
 POINT = """
 <mujoco model="reference_point">
   <option timestep="0.02" integrator="Euler" gravity="0 0 GRAVITY"/>
@@ -106,6 +151,11 @@ def hiro_gather_xml(body: BodyName, *, integrator: str = "rk4", gear: float = 3.
     ]
     text = _robot_xml(body, elevated=False, gear=gear, damping=damping)
     return _finish(text, _boxes_xml(boxes), integrator)
+
+
+def ant_gather_xml() -> str:
+    """The ant in the arena of the shes Gather."""
+    return world_xml(GATHER, "ant", merged=True)
 
 
 def is_elevated(grid: tuple[str, ...]) -> bool:
@@ -171,9 +221,7 @@ def _join(rectangles: list[tuple[int, int, int, int]], along_row: bool) -> list[
 def _robot_xml(body: BodyName, *, elevated: bool, gear: float, damping: float) -> str:
     """The robot and the floor without anything else."""
     if body == "ant":
-        text = ant_gather_xml()
-        start, end = text.index(ANT_WALLS_START), text.index(ANT_WALLS_END)
-        text = text[:start] + text[end:]
+        text = ANT.replace("LEGS", "".join(LEG.format(*each) for each in LEGS))
         return text.replace(f'pos="0 0 {TORSO}"', f'pos="0 0 {TORSO_ABOVE_CHASM if elevated else TORSO}"')
     if body != "point":
         raise ValueError(f"unknown body {body!r}")

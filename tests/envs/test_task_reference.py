@@ -1,7 +1,7 @@
 """Every task against the plain reference, which steps its own `MjData` of the same model and draws from the same seeds.
 
 The task steps all episodes at once; the reference handles one episode and one number at a time. They are bit-identical,
-except for Flagrun's three features of the goal. The shes Gather has its own test, `test_gather_reference.py`.
+except for Flagrun's three features of the goal.
 """
 
 from itertools import count
@@ -16,26 +16,39 @@ from shes.envs.tasks.task_options import TaskOptions
 from shes.envs.worlds import INTEGRATORS
 from tests.envs import reference_tasks
 from tests.envs.compare_models import model_differences
-from tests.envs.test_gather_reference import draw_independent, draw_lasting
 
 REFERENCES = {
     "maze": reference_tasks.ReferenceMaze,
     "push": reference_tasks.ReferencePush,
     "fall": reference_tasks.ReferenceFall,
     "flagrun": reference_tasks.ReferenceFlagrun,
-    "gather": reference_tasks.ReferenceHiroGather,
+    "gather": reference_tasks.ReferenceGather,
 }
 VARIANTS = [
     pytest.param(name, spec, id=f"{name}-{spec}")
     for name, environment in ENVIRONMENTS.items()
     for spec in environment.task.specs
-    if (environment.task.name, spec) != ("gather", "shes")
 ]
 WITH_BLOCK = [variant for variant in VARIANTS if variant.values[0].endswith(("-push", "-fall"))]
 FALL_LIMIT_SOLIMP = "0.995 0.995 0.01"
 """Our deviation: the falling block's limit along y is as stiff as the contacts."""
 
 of_every_variant = pytest.mark.parametrize(("name", "spec"), VARIANTS)
+
+
+def draw_independent(rng, num_episodes, size):
+    """Yield actions in [-1, 1] that are drawn for every step."""
+    while True:
+        yield rng.uniform(-1, 1, (num_episodes, size))
+
+
+def draw_lasting(rng, num_episodes, size):
+    """Yield actions of -1, 0 or 1 that each episode keeps for about ten steps, so that it travels."""
+    actions = rng.integers(-1, 2, (num_episodes, size)).astype(float)
+    while True:
+        yield actions
+        changes = rng.random(num_episodes) < 0.1
+        actions = np.where(changes[:, None], rng.integers(-1, 2, actions.shape), actions)
 
 
 def make_reference(task, **options):
@@ -96,6 +109,8 @@ def compare(task, references, steps, draw, *, arrange=None, observe=None, seed=1
         arrange(task, rng)
         for i, reference in enumerate(references):
             reference.data.qpos[:], reference.data.qvel[:] = task.sim.qpos[i], task.sim.qvel[i]
+            if task.name == "gather":
+                reference.food, reference.poison = (list(map(tuple, each)) for each in task.objects[i].tolist())
     limits, is_resting = rng.integers(steps // 2, 2 * steps, n), np.zeros(n, dtype=bool)
     for step, action in zip(range(steps), draw(rng, n, task.action_size), strict=False):
         begins = is_resting & (rng.random(n) < 0.3)
@@ -132,6 +147,18 @@ def launch(task, rng):
         task.sim.qvel[:, 5] = rng.normal(0, 3, n)
 
 
+def launch_among_objects(task, rng):
+    """Launch every ant at up to 6 m/s, some upwards, and place its objects around the path ahead."""
+    n = task.num_episodes
+    direction = rng.uniform(-np.pi, np.pi, n)
+    unit = np.stack([np.cos(direction), np.sin(direction)], axis=1)
+    task.sim.qvel[:, :2] = unit * rng.uniform(2, 6, (n, 1))
+    task.sim.qvel[:, 2] = rng.uniform(0, 3, n)
+    task.sim.qvel[:, 5] = rng.normal(0, 3, n)
+    along = rng.uniform(0.5, 4, (n, 2, 8, 1))
+    task.objects[:] = along * unit[:, None, None, :] + rng.normal(0, 0.7, task.objects.shape)
+
+
 # Episodes.
 
 
@@ -145,6 +172,15 @@ def test_a_task_equals_its_reference_where_robots_hit_walls_and_blocks(name, spe
     ends = play(name, 6, 25, draw_independent, arrange=launch, spec=spec)
     if name in ("ant-flagrun", "ant-gather"):
         assert ends > 0  # an ant that is thrown falls
+
+
+@pytest.mark.parametrize("spec", ["shes", "hiro"])
+def test_gather_equals_its_reference_where_ants_meet_objects_and_fall(spec):
+    task = make_task("ant-gather", 20, TaskOptions(spec=spec))
+    references = [make_reference(task) for _ in range(20)]
+    assert 3 < compare(task, references, 40, draw_lasting, arrange=launch_among_objects) < 40
+    assert task.food.sum() > 10
+    assert task.poison.sum() > 10
 
 
 @pytest.mark.slow
@@ -257,10 +293,8 @@ def test_a_diverged_episode_equals_the_references():
 def reference_model(name, spec, integrator):
     """Return the reference's own model of environment `name`, with the package's deviations."""
     body, task = name.split("-")
-    if task == "gather":
-        more = {}
-    else:
-        more = {"merged": True} | ({"limit_solimp": FALL_LIMIT_SOLIMP} if task == "fall" else {})
+    more = {} if (task, spec) == ("gather", "hiro") else {"merged": True}
+    more |= {"limit_solimp": FALL_LIMIT_SOLIMP} if task == "fall" else {}
     kind = REFERENCES[task]
     return kind(body, spec, integrator=integrator, gear=GEAR_N, damping=DAMPING, **more).model
 

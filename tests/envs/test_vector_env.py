@@ -1,13 +1,15 @@
-"""Arguments of the vector environment: limits, threads, seeds."""
+"""Actions, seeds, limits and threads that a user gives to a Gymnasium environment."""
 
 import re
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import data_equivalence
+from gymnasium.vector import AutoresetMode
 
 import shes  # registers
-from shes.errors import ConfigError
+from shes.errors import ConfigError, PolicyError
 from shes.gymnasium.vector_env import TaskVectorEnv
 
 assert shes
@@ -17,38 +19,75 @@ def make(num_envs=3, **options):
     return gymnasium.make_vec("shes/PointGather-v0", num_envs=num_envs, **options)
 
 
+def begun(num_envs):
+    """Return an environment of the ant, single if `num_envs` is 0, that has begun."""
+    name = "shes/AntGather-v0"
+    env = gymnasium.make_vec(name, num_envs=num_envs) if num_envs else gymnasium.make(name).unwrapped
+    env.reset(seed=0)
+    return env
+
+
+@pytest.mark.parametrize("num_envs", [0, 2])
+def test_a_finite_action_of_any_size_is_the_strongest(num_envs):
+    shown = []
+    for size in (1.0, 1e308):  # warnings are errors: 1e308 times 30 overflows
+        env = begun(num_envs)
+        shown.append(env.step(np.full(env.action_space.shape, -size))[0])
+    np.testing.assert_array_equal(*shown)
+
+
+@pytest.mark.parametrize("num_envs", [0, 2])
+@pytest.mark.parametrize("wrong", ["forward", None, {"leg": 1}, ["1"] * 8, [[0.0], [0.0, 1.0]], np.full(8, 1j)])
+def test_an_action_without_numbers_is_refused(num_envs, wrong):
+    message = rf"an action must be an array of numbers in \[-1, 1\], got .*{re.escape(repr(wrong)[:6])}"
+    with pytest.raises(PolicyError, match=message):
+        begun(num_envs).step(wrong)
+
+
+def test_whole_numbers_and_lists_are_actions_too():
+    one, other = begun(0), begun(0)
+    np.testing.assert_array_equal(one.step([0, 1, 0, -1, 0, 0, 0, 0])[0], other.step(np.eye(8)[1] - np.eye(8)[3])[0])
+
+
 def test_minus_one_takes_the_time_limit_away_as_in_gymnasium():
-    for env in (make(max_episode_steps=-1), make(max_episode_steps=-1, vectorization_mode="sync")):
-        env.reset(seed=0)
-        for _ in range(520):
-            _, _, _, truncated, _ = env.step(np.zeros(env.action_space.shape, np.float32))
-            assert not truncated.any()
+    env = make(max_episode_steps=-1)
+    env.reset(seed=0)
+    for _ in range(520):
+        assert not env.step(np.zeros(env.action_space.shape, np.float32))[3].any()
 
 
-@pytest.mark.parametrize("wrong", [0, -3, 2.5, "a", True])
-def test_another_limit_is_a_whole_number_of_at_least_one(wrong):
-    with pytest.raises(ConfigError, match=rf"max_episode_steps must be a whole number of at least 1, got {wrong!r}"):
-        make(max_episode_steps=wrong)
+SEED = "seed must be a whole number or a list of them, got {}"
+LIMIT = "max_episode_steps must be a whole number of at least 1, got {}"
+THREADS = "num_threads must be a whole number of at least 0, got {}"
+NUMBER = "num_envs must be a whole number of at least 1, got {}"
 
 
-@pytest.mark.parametrize("wrong", [1.5, "a", True, [1.5, 2, 3], [1, "2", 3], [1, 2, True], {1, 2, 3}, np.array(3.0)])
-def test_a_seed_is_a_whole_number_or_a_list(wrong):
-    message = rf"seed must be a whole number or a list of them, got {re.escape(repr(wrong))}"
-    with pytest.raises(ConfigError, match=message):
-        make().reset(seed=wrong)
+@pytest.mark.parametrize(
+    ("use", "message", "values"),
+    [
+        (lambda it: make(max_episode_steps=it), LIMIT, (0, -3, 2.5, "a", True)),
+        (lambda it: make(num_threads=it), THREADS, (-1, 1.5, "two", None, True)),
+        (lambda it: TaskVectorEnv("point-gather", num_envs=it), NUMBER, (0, -2, 2.5, "two", None, True)),
+        (lambda it: make().reset(seed=it), SEED, (1.5, "a", True, [1.5, 2, 3], [1, "2", 3], {1, 2, 3}, np.array(3.0))),
+    ],
+    ids=["max_episode_steps", "num_threads", "num_envs", "seed"],
+)
+def test_a_wrong_argument_is_refused(use, message, values):
+    for wrong in values:
+        with pytest.raises(ConfigError, match=re.escape(message.format(repr(wrong)))):
+            use(wrong)
 
 
 def test_seeds_may_be_numpys_and_some_may_be_left_open():
     env = make()
-    by_number, by_list = env.reset(seed=np.int64(5))[0], env.reset(seed=[5, 6, 7])[0]
-    by_array, partly = env.reset(seed=np.array([5, 6, 7]))[0], env.reset(seed=(5, None, 7))[0]
-    for other in (by_list, by_array):
+    by_number, *same = (env.reset(seed=seed)[0] for seed in (np.int64(5), [5, 6, 7], np.array([5, 6, 7])))
+    for other in same:
         np.testing.assert_array_equal(other, by_number)
-    np.testing.assert_array_equal(partly[[0, 2]], by_number[[0, 2]])
+    np.testing.assert_array_equal(env.reset(seed=(5, None, 7))[0][[0, 2]], by_number[[0, 2]])
 
 
 def test_threads_change_no_bit():
-    envs = [make(num_envs=8, num_threads=threads) for threads in (1, 2, 3)]
+    envs = [make(num_envs=8, num_threads=threads) for threads in (1, 3, 64)]
     starts = [env.reset(seed=1)[0] for env in envs]
     actions = np.random.default_rng(0).uniform(-1, 1, (50, *envs[0].action_space.shape)).astype(np.float32)
     played = [np.array([env.step(action)[0] for action in actions]) for env in envs]
@@ -57,17 +96,14 @@ def test_threads_change_no_bit():
         np.testing.assert_array_equal(observations, played[0])
 
 
-@pytest.mark.parametrize("wrong", [-1, 1.5, "two", None, True])
-def test_a_number_of_threads_is_a_whole_number_that_is_not_negative(wrong):
-    with pytest.raises(ConfigError, match=rf"num_threads must be a whole number of at least 0, got {wrong!r}"):
-        make(num_threads=wrong)
-
-
-@pytest.mark.parametrize("wrong", [0, -2, 2.5, "two", None, True])
-def test_a_number_of_environments_is_a_whole_number_of_at_least_one(wrong):
-    with pytest.raises(ConfigError, match=rf"num_envs must be a whole number of at least 1, got {wrong!r}"):
-        TaskVectorEnv("point-gather", num_envs=wrong)
-
-
-def test_there_may_be_more_threads_than_environments():
-    assert make(num_envs=2, num_threads=64).reset(seed=0)[0].shape[0] == 2
+def test_episodes_may_begin_anew_in_the_step_in_which_they_end():
+    """Both specifications and all tasks are compared in the contract, if slow tests are run."""
+    options = {"max_episode_steps": 3, "target": (1.0, 2.0)}
+    mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    ours = gymnasium.make_vec("shes/PointMaze-v0", num_envs=4, **mode, **options)
+    theirs = gymnasium.make_vec(
+        "shes/PointMaze-v0", num_envs=4, vectorization_mode="sync", vector_kwargs=mode, **options
+    )
+    assert data_equivalence(ours.reset(seed=3), theirs.reset(seed=3))
+    for action in np.random.default_rng(0).uniform(-1, 1, (8, *ours.action_space.shape)).astype(np.float32):
+        assert data_equivalence(ours.step(action), theirs.step(action))

@@ -1,12 +1,10 @@
 """Worlds: the boxes of a grid cover each of its wall cells once, and no other cell."""
 
 import mujoco
-import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shes.envs.worlds import ARENA, CELL_SIZE_M, INTEGRATORS, add_grid, empty_world, merged_boxes
+from shes.envs.worlds import ARENA, CELL_SIZE_M, add_grid, empty_world, merged_boxes
 
 INNER_WALLS = (
     "#######",
@@ -17,7 +15,6 @@ INNER_WALLS = (
     "#...#.#",
     "#######",
 )
-MAZE = ("#####", "#r..#", "###.#", "#...#", "#####")
 
 
 def cell_centres(grid):
@@ -37,11 +34,6 @@ def assert_boxes_are_the_walls(grid, boxes):
             for dy in (-3.9, 0, 3.9):
                 inside = sum(abs(x + dx - bx) < hx and abs(y + dy - by) < hy for bx, by, hx, hy in boxes)
                 assert inside == (cell == "#"), (cell, x + dx, y + dy)
-
-
-@pytest.mark.parametrize("grid", [ARENA, MAZE, INNER_WALLS, ("r",), ("#r#",), ("..#", "r#.", "#..")])
-def test_boxes_cover_exactly_the_wall_cells(grid):
-    assert_boxes_are_the_walls(grid, merged_boxes(grid, "#"))
 
 
 @given(st.data())
@@ -86,13 +78,3 @@ def test_the_floor_lies_under_the_whole_world():
     assert floor.pos.tolist() == [0, 0, 0]
     assert floor.size.min() >= 4 * CELL_SIZE_M
     assert floor.conaffinity[0] == 1
-
-
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_a_world_has_the_integrator_asked_for(integrator):
-    wanted = {"euler": 0, "rk4": 1, "implicitfast": 3}
-    assert empty_world("world", integrator).compile().opt.integrator == wanted[integrator]
-
-
-def test_the_physics_step_is_20_ms():
-    assert empty_world("world", "euler").compile().opt.timestep == np.float64(0.02)

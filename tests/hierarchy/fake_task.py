@@ -130,6 +130,7 @@ class FakeEnvironment:
     """Makes fake tasks: in place of an environment of the registry."""
 
     goal_interval: int = 0
+    has_own_physics = False
 
     def make(self, num_episodes, options=None, simulator=None):
         return FakeTask(num_episodes, goal_interval=self.goal_interval)

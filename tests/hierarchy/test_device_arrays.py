@@ -151,13 +151,16 @@ class Worker:
     def receive(self, state):
         self.generation = state
 
+    def close(self):
+        pass
+
     def run(self, work, share):
         plan, of = self.plan, self.generation
         design = plan.branch_design if of.branch_steps and plan.branch_design is not None else plan.design
         make_batch = lambda n: plan.env.make(n, plan.training, self.simulator)  # noqa: E731 - a line for a call
         horizon = of.branch_steps or plan.horizon
         rollout = Rollout(design, make_batch, 8, of.rows_per_lane, horizon, of.members_per_lane)
-        return rollout.run(work, of, self.table)
+        return rollout.run(iter(work), of, self.table)
 
 
 BRANCHED = {"primitive_estimate": "interval", "primitive_view": "egocentric", "controller_interval": 3}

@@ -36,3 +36,7 @@ class AnyWorker:
 
     def run(self, work, share):
         return self.at_work.run(work, share)
+
+    def close(self):
+        for worker in self.workers.values():
+            worker.close()

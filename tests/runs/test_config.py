@@ -30,7 +30,7 @@ from tests.e2e import own_classes, runs
 
 EXECUTION = {
     "preset", "backend", "num_workers", "chunk_size", "device", "nconmax", "njmax", "generations", "env_steps",
-    "minutes", "keep_checkpoints", "worker_warning_s", "ray_address", "worker_timeout_s",
+    "minutes", "keep_checkpoints", "ray_address", "worker_timeout_s",
     "max_diverged_generations",
 }  # fmt: skip
 

@@ -11,7 +11,6 @@ import shes.algorithms.worker
 import shes.runs.device
 import shes.training.build
 from shes.backends.serial import SerialBackend
-from shes.bench.measure import bench_update
 from shes.errors import ConfigError
 from shes.runs.config import TrainConfig
 from shes.runs.device import check_asked_device, device_changes, device_facts
@@ -204,11 +203,6 @@ def test_an_evaluation_is_on_the_cpu_unless_said(stand_in, run_copy, monkeypatch
     for asked, message in (({"device": "cuda", "num_workers": 2}, "num_workers is 2"), ({"njmax": 2}, "njmax is 2")):
         with pytest.raises(ConfigError, match=message):
             evaluate(run_copy, **asked)
-
-
-def test_the_update_bench_is_for_the_cpu():
-    with pytest.raises(ConfigError, match=r"measures the CPU, got device 'cuda'\. Omit --device"):
-        bench_update(make_config("point-gather", "smoke", {"device": "cuda"}))
 
 
 def test_too_little_memory_for_one_episode_is_an_error_before_there_is_a_folder(monkeypatch, tmp_path):

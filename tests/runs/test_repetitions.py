@@ -8,11 +8,10 @@ import pytest
 from shes.errors import ConfigError
 from shes.runs.folder import RunFolder
 from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
-from shes.studies.run_comparison import compare_runs
+from shes.training.comparison import compare_runs
 from shes.training.train import resume
-from shes.viewing.groups import group_runs
+from shes.viewing.groups import group_runs, read_run
 from shes.viewing.plot import plot
-from shes.viewing.report.reading import read_runs
 from tests.e2e import runs
 
 
@@ -35,7 +34,7 @@ def transferred(tmp_path_factory):
 
 def groups_of(*paths):
     """Return the number of runs of each group, by its label."""
-    return {group.label: len(group.folders) for group in group_runs([RunFolder.open(path) for path in paths])}
+    return {group.label: len(group.runs) for group in group_runs([read_run(RunFolder.open(path)) for path in paths])}
 
 
 def seeds_below(*folders):
@@ -44,8 +43,7 @@ def seeds_below(*folders):
 
 def test_runs_whose_primitives_differ_in_the_seed_are_one_group(transferred, tmp_path):
     folder = transferred / "gather" / "a"
-    (group,) = read_runs([folder]).groups
-    assert (group.label, len(group.runs)) == ("point-gather smoke (2 runs)", 2)
+    assert groups_of(*seeds_below(folder)) == {"point-gather smoke (2 runs)": 2}
     assert "point-gather smoke (2 runs)" in plot(folder, tmp_path / "a.svg").read_text()
     shared = train_on(transferred / "flagrun" / "a" / "seed-1", tmp_path / "shared", seed=3)
     assert list(groups_of(*seeds_below(folder), shared).values()) == [3]

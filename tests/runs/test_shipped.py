@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 import shes
+from experiments.ship import ship
 from shes import cli
 from shes.errors import CheckpointError, ConfigError, RunFolderError, UnknownNameError
 from shes.runs import shipped
-from shes.runs.checkpoint import load_checkpoint, save_checkpoint
+from shes.runs.checkpoint import load_checkpoint
 from shes.runs.folder import RunFolder
 from shes.runs.shipped import find_run, read_agent, shipped_name, shipped_names, shipped_path
 from shes.runs.tables import read_csv
@@ -24,7 +25,6 @@ from shes.settings import setting_fields
 from shes.training.build import build_task
 from shes.training.evaluate import evaluate
 from shes.training.make_config import make_config
-from shes.training.ship import main, ship
 from shes.viewing.plot import plot
 from shes.viewing.render import render
 from tests.e2e import runs
@@ -160,172 +160,6 @@ def test_a_copy_of_a_shipped_agent_can_be_trained_on(agents):
     shutil.copy("mine/checkpoints/best.npz", "mine/checkpoints/last.npz")
     best = read_agent("point-gather").generation
     assert shes.resume("mine", generations=best + 1).generation == best + 1
-
-
-# What `ship` makes.
-
-
-def test_an_agent_is_a_small_run_folder(agents, walker_run):
-    folder = agents / "point-walker"
-    assert {path.name for path in folder.iterdir()} == FILES
-    assert [path.name for path in (folder / "checkpoints").iterdir()] == ["best.npz"]
-    assert {path.name for path in agents.iterdir()} == {"point-gather", "point-walker"}  # nothing else is left
-    whole, small = walker_run / "checkpoints" / "best.npz", folder / "checkpoints" / "best.npz"
-    assert small.stat().st_size < whole.stat().st_size
-    one, other = load_checkpoint(whole), load_checkpoint(small)
-    assert (one.best, one.generation, one.env_steps) == (other.best, other.generation, other.env_steps)
-    states = (runs.state(path, "best") for path in (walker_run, folder))
-    for level, copy in zip(*(state.levels for state in states), strict=True):
-        assert level.theta.tobytes() == copy.theta.tobytes()
-        assert level.statistics.total.tobytes() == copy.statistics.total.tobytes()
-        assert (copy.optimizer.steps, copy.optimizer.slots.keys()) == (0, level.optimizer.slots.keys())
-        assert not any(values.any() for values in copy.optimizer.slots.values())
-
-
-def test_what_is_told_of_an_agent_is_what_evaluation_finds_again(agents, tiny_run):
-    told, checkpoint = read_agent("point-gather"), RunFolder.open(tiny_run).load("best")
-    assert (told.description, told.commands) == (TOLD["description"], tuple(TOLD["commands"]))
-    assert (told.env, told.cores, told.env_steps) == ("point-gather", 1, 640)
-    assert told.generation == checkpoint.generation
-    assert 0 <= told.hours < 0.1
-    result, scores = told.to_dict()["evaluation"], {"episodes", "score_mean", "score_std", "success_rate"}
-    for controller in ("constant", "random"):
-        found = evaluate("point-gather", episodes=3, seed=7, num_workers=1, controller=controller)
-        other = result.pop(controller)
-        assert other == {"controller": found.controller, **{name: found.summary()[name] for name in scores}}
-    found = evaluate("point-gather", episodes=3, seed=7, num_workers=1).summary()
-    assert (result.pop("seed"), result.pop("controller")) == (7, "trained")
-    assert result == {name: found[name] for name in result}
-    assert set(result) == {
-        "episodes",
-        "score_mean",
-        "score_std",
-        "return_mean",
-        "success_rate",
-        "episode_steps_mean",
-    }
-    walker = read_agent("point-walker").evaluation
-    assert (walker.seed, walker.controller, walker.constant, walker.random) == (None, None, None, None)
-
-
-def test_no_path_of_this_machine_is_shipped(walker_run, tmp_path):
-    run = runs.train_tiny(tmp_path / "run", primitive=str(walker_run), generations=1)
-    record = json.loads((run / "config.json").read_text())
-    record["command"] = ["shes", "train", "point-gather", "--out", str(run), f"--primitive={walker_run}", "--sigma=1"]
-    (run / "config.json").write_text(json.dumps(record))
-    ship(run, "gatherer", **TOLD, episodes=1, num_workers=1, into=tmp_path / "agents")
-    folder = RunFolder.open(tmp_path / "agents" / "gatherer")
-    text = folder.config.read_text()
-    assert str(tmp_path) not in text
-    assert str(walker_run) not in text
-    record = json.loads(text)
-    assert record["command"] == ["shes", "train", "point-gather", "--out", "run", "--primitive=run", "--sigma=1"]
-    assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "run"
-    assert folder.load("best").numbers["primitive"] == "run"
-
-
-def test_the_record_names_runs_as_the_commands_do(walker_run, tmp_path):
-    run = runs.train_tiny(tmp_path / "gather_b", primitive=str(walker_run), generations=1)
-    record = json.loads((run / "config.json").read_text())
-    record["command"] = ["shes", "train", "run", f"--primitive={walker_run}", "--out", str(run)]
-    record["resumed"] = [{"command": ["shes", "resume", str(run), "--generations", "9"]}]
-    (run / "config.json").write_text(json.dumps(record))
-    told = {**TOLD, "commands": ["shes train a --out walker", "shes train run --primitive walker --out=gather"]}
-    ship(run, "gatherer", **told, episodes=1, num_workers=1, into=tmp_path / "agents")
-    folder = RunFolder.open(tmp_path / "agents" / "gatherer")
-    record = folder.read_record()
-    assert record["command"] == ["shes", "train", "run", "--primitive=walker", "--out", "gather"]
-    assert record["resumed"][0]["command"] == ["shes", "resume", "gather", "--generations", "9"]
-    assert record["config"]["transfer"]["primitive"] == record["primitive"]["run"] == "walker"
-    assert folder.load("best").numbers["primitive"] == "walker"
-
-
-def test_long_tables_are_thinned_and_rounded(run_copy, tmp_path):
-    generations = range(1, 1001)
-    rows = [f"{number},{number * 12345678},{number / 7!r},nan" for number in generations]
-    for table in ("progress.csv", "evaluation.csv"):
-        header = "generation,env_steps,wall_time_s,score_mean"
-        (run_copy / table).write_text("\n".join([header, *rows]) + "\n")
-    best = RunFolder.open(run_copy).load("best").generation
-    told = ship(run_copy, "long", **TOLD, episodes=1, num_workers=1, into=tmp_path / "agents")
-    assert told.env_steps == 12345678000
-    for table in ("progress.csv", "evaluation.csv"):
-        columns = read_csv(tmp_path / "agents" / "long" / table)
-        assert 290 <= len(columns["generation"]) <= 300
-        assert {1, best, 1000} <= set(columns["generation"])
-        assert columns["env_steps"] == [number * 12345678 for number in columns["generation"]]
-        assert columns["wall_time_s"][-1] == 142.857
-        assert np.isnan(columns["score_mean"]).all()
-
-
-def test_the_optimizer_of_an_agent_begins_anew_however_little_its_state_takes(tmp_path):
-    run = runs.train_tiny(tmp_path / "run", "point-flagrun", hidden=(1,), generations=1)
-    ship(run, "small", **TOLD, episodes=1, num_workers=1, into=tmp_path)
-    one, other = (runs.state(path, "best").levels[0].optimizer for path in (run, tmp_path / "small"))
-    assert (one.steps, other.steps) == (1, 0)
-    for slot, values in one.slots.items():
-        assert (other.slots[slot].dtype, other.slots[slot].shape) == (values.dtype, values.shape)
-        assert values.any()
-        assert not other.slots[slot].any()
-
-
-def test_an_agent_keeps_no_episodes_that_go_on(tmp_path):
-    branches = {"primitive_estimate": "interval", "primitive_view": "proprioception", "controller_interval": 5}
-    run = runs.train_tiny(tmp_path / "run", "point-flagrun", generations=1, horizon=40, **branches)
-    ship(run, "small", **TOLD, episodes=1, num_workers=1, into=tmp_path)
-    assert runs.state(run, "best").running is not None
-    assert runs.state(tmp_path / "small", "best").running is None
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        (
-            {"name": "Ant Walker"},
-            r"name must be small letters, digits and hyphens, e\.g\. ant-walker, got 'Ant Walker'",
-        ),
-        ({"name": "../x"}, r"name must be small letters, .*got '\.\./x'"),
-        ({"description": "two\nlines"}, r"description must be one line of text, got .*Set --description"),
-        ({"description": " "}, r"description must be one line of text, got ' '"),
-        ({"commands": []}, r"commands must name at least one, got \[\]\. Set --command"),
-        ({"commands": ["shes train '"]}, r"commands must be a shell's, got \"shes train '\" \(No closing quotation\)"),
-        ({"episodes": 0}, r"episodes must be a whole number of at least 1, got 0\. Set --episodes"),
-    ],
-)
-def test_wrong_words_ship_nothing(tiny_run, tmp_path, changed, message):
-    words = {"name": "good", **TOLD, "episodes": 1, "num_workers": 1, "into": tmp_path, **changed}
-    with pytest.raises(ConfigError, match=message):
-        ship(tiny_run, **words)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_run_without_an_evaluation_and_a_name_that_is_taken_are_refused(agents, tiny_run, run_copy):
-    with pytest.raises(RunFolderError, match=r"point-gather exists already\. Delete it first, or choose another name"):
-        ship(tiny_run, "point-gather", **TOLD)
-    start = RunFolder.open(run_copy).load("0")
-    save_checkpoint(run_copy / "checkpoints" / "best.npz", start)
-    with pytest.raises(RunFolderError, match=r"has no evaluation yet, .*Train it further first"):
-        ship(run_copy, "early", **TOLD)
-
-
-def test_the_command_ships_an_agent_and_prints_what_is_told_of_it(tiny_run, tmp_path, capsys):
-    words = [
-        str(tiny_run),
-        "mine",
-        "--description",
-        "A point.",
-        "--command",
-        "shes train a",
-        "--command",
-        "shes train b",
-    ]
-    assert main([*words, "--episodes", "2", "--workers", "1", "--into", str(tmp_path / "agents")]) == 0
-    out, err = capsys.readouterr()
-    told = json.loads(out)
-    assert (err, told["commands"], told["evaluation"]["episodes"]) == ("", ["shes train a", "shes train b"], 2)
-    assert json.loads((tmp_path / "agents" / "mine" / "agent.json").read_text()) == told
-    assert main([*words, "--into", str(tmp_path / "agents")]) == 2
-    assert capsys.readouterr().err.startswith("Error: ")
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"commands": [], "evaluation": {}}', "without random"])

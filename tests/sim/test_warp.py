@@ -20,7 +20,7 @@ from shes.sim.cpu import CpuSimulator
 from shes.sim.warp import WarpSimulator
 from shes.sim.warp_buffers import default_sizes
 from tests.contracts import test_simulator_contract as contract
-from tests.envs.reference_gather import ant_gather_xml
+from tests.envs.reference_worlds import ant_gather_xml
 
 pytestmark = [
     pytest.mark.extras,
@@ -197,15 +197,6 @@ def test_a_simulation_goes_the_same_way_whatever_the_others_do_and_whenever_they
         assert_array_equal(crowd.qpos[4], alone.qpos[0])
         assert_array_equal(crowd.qvel[4], alone.qvel[0])
     assert alone.peaks().contacts > 0, "nothing touched"
-
-
-def test_a_reset_clears_the_controls_of_that_simulation():
-    simulator = WarpCpu(ant_model(), 2)
-    simulator.ctrl[:] = 30
-    simulator.step(np.arange(2), 5)
-    simulator.reset(np.array([0]))
-    assert not simulator.ctrl[0].any()
-    assert simulator.ctrl[1].all()
 
 
 @pytest.mark.parametrize("field", FIELDS)

@@ -9,16 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import shes.sim.warp
 import shes.sim.warp_device
-import shes.sim.warp_memory
 from shes.errors import ConfigError, MissingExtraError
+from shes.sim.warp import bytes_per_sim
 from shes.sim.warp_device import WarpDevice, is_out_of_memory, load_warp
-from shes.sim.warp_memory import bytes_per_sim
 
-VERSIONS = {"mujoco": "4.0.0", "mujoco-warp": "4.0.1", "warp-lang": "1.19.0"}
+VERSIONS = {"mujoco": "4.0.0", "mujoco-warp": "4.0.1", "warp-lang": "1.20.0"}
 NEEDS = {
     "shes": ["mujoco~=4.0", 'mujoco-warp~=4.0; extra == "warp"', 'warp-lang>=1.19; extra == "warp"', "numpy>=2.0"],
-    "mujoco-warp": ["mujoco>=3.13.0", "warp-lang>=1.15", 'warp-lang>=9; extra == "dev"'],
+    "mujoco-warp": ["mujoco>=3.13.0", "warp-lang>=1.20", 'warp-lang>=9; extra == "dev"'],
 }
 
 
@@ -96,6 +96,7 @@ def test_a_missing_extra_is_named(machine, monkeypatch, module):
         ("mujoco", "5.0.0", r"shes needs mujoco~=4\.0, got 5\.0\.0"),
         ("mujoco-warp", "3.3.1", r"shes needs mujoco-warp~=4\.0, got 3\.3\.1"),
         ("warp-lang", "1.10.0", r"shes needs warp-lang>=1\.19, got 1\.10\.0"),
+        ("warp-lang", "1.19.5", r"mujoco-warp needs warp-lang>=1\.20, got 1\.19\.5"),  # more than we need
     ],
 )
 def test_versions_that_do_not_go_together_are_refused(machine, versions, package, version, message):
@@ -104,49 +105,52 @@ def test_versions_that_do_not_go_together_are_refused(machine, versions, package
         load_warp()
 
 
-def test_mujoco_warp_may_need_more_than_we_do(machine, versions, monkeypatch):
-    needs = {**NEEDS, "mujoco-warp": ["mujoco>=4.1"]}
-    monkeypatch.setattr(metadata, "requires", needs.get)
-    with pytest.raises(ConfigError, match=r"mujoco-warp needs mujoco>=4\.1, got 4\.0\.0"):
-        load_warp()
-
-
 def test_a_version_before_its_release_counts(machine, versions):
-    versions["warp-lang"] = "1.20.0.dev20270101"
+    versions["warp-lang"] = "1.21.0.dev20270101"
     load_warp()
 
 
-def test_without_a_card_the_error_says_what_warp_says(machine, monkeypatch):
-    monkeypatch.setattr(machine.warp, "get_cuda_device_count", lambda: 0)
+def fail(text):
+    """Return a function of CuPy that fails with `text`."""
+
+    def zeros(_):
+        raise RuntimeError(text)
+
+    return {"zeros": zeros}
+
+
+@pytest.mark.parametrize(
+    ("warp", "cupy", "message"),
+    [
+        (
+            {"get_cuda_device_count": lambda: 0},
+            {},
+            r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\.",
+        ),
+        (
+            {"is_conditional_graph_supported": lambda: False, "get_cuda_driver_version": lambda: (12, 2)},
+            {},
+            r"driver for CUDA 12\.4 or newer .* got one for CUDA 12\.2\. Update the",
+        ),
+        (
+            {"get_cuda_driver_version": lambda: (12, 8)},
+            fail("cudaErrorInsufficientDriver: CUDA driver version is insufficient for CUDA runtime version"),
+            r"newer driver: CuPy says .*for CUDA 12\.8\. Update it .*--device cpu",
+        ),
+        (
+            {},
+            fail("Out of memory allocating 512 bytes"),
+            r"no free memory \(Out of memory .*nvidia-smi.*--device cpu\.",
+        ),
+    ],
+    ids=["no card", "old driver", "driver older than CuPy", "full GPU"],
+)
+def test_a_card_that_cannot_be_used_is_a_clear_error(machine, monkeypatch, warp, cupy, message):
     monkeypatch.setattr(shes.sim.warp_device, "_start", lambda: "Could not find the NVIDIA CUDA driver.")
-    message = r"needs an NVIDIA GPU .*Warp found none \(Could not find the NVIDIA CUDA driver\)\. .*Use --device cpu\."
+    for module, changes in ((machine.warp, warp), (machine.cupy, cupy)):
+        for name, value in changes.items():
+            monkeypatch.setattr(module, name, value)
     with pytest.raises(ConfigError, match=message):
-        WarpDevice("cuda")
-
-
-def test_a_driver_that_is_too_old_is_an_error_with_its_version(machine, monkeypatch):
-    monkeypatch.setattr(machine.warp, "is_conditional_graph_supported", lambda: False)
-    monkeypatch.setattr(machine.warp, "get_cuda_driver_version", lambda: (12, 2))
-    with pytest.raises(ConfigError, match=r"driver for CUDA 12\.4 or newer .* got one for CUDA 12\.2\. Update the"):
-        WarpDevice("cuda")
-
-
-def test_a_driver_older_than_cupys_libraries_is_an_error_with_its_version(machine, monkeypatch):
-    def zeros(_):
-        raise RuntimeError("cudaErrorInsufficientDriver: CUDA driver version is insufficient for CUDA runtime version")
-
-    monkeypatch.setattr(machine.cupy, "zeros", zeros)
-    monkeypatch.setattr(machine.warp, "get_cuda_driver_version", lambda: (12, 8))
-    with pytest.raises(ConfigError, match=r"newer driver: CuPy says .*for CUDA 12\.8\. Update it .*--device cpu"):
-        WarpDevice("cuda")
-
-
-def test_a_full_gpu_is_no_missing_package(machine, monkeypatch):
-    def zeros(_):
-        raise RuntimeError("Out of memory allocating 512 bytes")
-
-    monkeypatch.setattr(machine.cupy, "zeros", zeros)
-    with pytest.raises(ConfigError, match=r"no free memory \(Out of memory .*nvidia-smi.*--device cpu\."):
         WarpDevice("cuda")
 
 
@@ -160,12 +164,12 @@ def test_the_record_of_a_card_has_its_name_driver_and_versions(machine):
     assert WarpDevice("cuda").facts == {
         "name": "cuda",
         "mujoco-warp": "4.0.1",
-        "warp-lang": "1.19.0",
+        "warp-lang": "1.20.0",
         "cupy": "14.2.0",
         "card": "Card 1",
         "driver": "CUDA 13.0",
     }
-    assert WarpDevice("warp-cpu").facts == {"name": "warp-cpu", "mujoco-warp": "4.0.1", "warp-lang": "1.19.0"}
+    assert WarpDevice("warp-cpu").facts == {"name": "warp-cpu", "mujoco-warp": "4.0.1", "warp-lang": "1.20.0"}
 
 
 def test_free_memory_is_that_of_the_card_once_cupy_has_given_back_its_own(machine):
@@ -189,7 +193,7 @@ def test_an_error_for_lack_of_memory_is_told_from_others(error, expected):
     assert is_out_of_memory(error) is expected
 
 
-def test_what_warps_native_code_says_of_the_card_is_kept_and_what_others_say_is_not(machine, capfd, monkeypatch):
+def test_messages_of_warps_native_code_alone_are_kept(machine, capfd, monkeypatch):
     monkeypatch.undo()
     said = b"Warp CUDA warning: Could not find the driver.\nsomebody else\n"
     monkeypatch.setitem(sys.modules, "warp", SimpleNamespace(init=lambda: os.write(2, said)))
@@ -209,7 +213,7 @@ def test_stderr_comes_back_where_warp_cannot_start(capfd, monkeypatch):
     assert capfd.readouterr().err == "why\n"
 
 
-def test_the_memory_of_a_simulation_is_what_many_take_without_what_the_first_brought(monkeypatch):
+def test_the_memory_of_a_simulation_excludes_what_is_loaded_once(monkeypatch):
     state = SimpleNamespace(free=10**9, loaded=False)
 
     class Simulator:
@@ -224,8 +228,8 @@ def test_the_memory_of_a_simulation_is_what_many_take_without_what_the_first_bro
             state.loaded = True
 
     device = SimpleNamespace(free_bytes=lambda: state.free)
-    monkeypatch.setattr(shes.sim.warp_memory, "WarpSimulator", Simulator)
-    monkeypatch.setattr(shes.sim.warp_memory, "WarpDevice", lambda _: device)
+    monkeypatch.setattr(shes.sim.warp, "WarpSimulator", Simulator)
+    monkeypatch.setattr(shes.sim.warp, "WarpDevice", lambda _: device)
     assert bytes_per_sim("model", "cuda", 5, nconmax=3) == 1000
 
 

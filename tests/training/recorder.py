@@ -102,7 +102,7 @@ def recording() -> Iterator[Record]:
     record, of_step = Record(), Exploration.of_step
 
     class RecordedRollout(Rollout):
-        def run(self, work: Iterable[Any], generation: Generation, table: NoiseTable) -> Iterator[Any]:
+        def run(self, work: Iterable[Any], generation: Generation, table: NoiseTable, *_: Any) -> Iterator[Any]:
             own = RolledOut(rollout=self, generation=generation, table=table, tasks=[])
             record.rolled_out.append(own)
             for number, results in super().run(_noted(work, own.tasks), generation, table):
@@ -166,7 +166,7 @@ def _record(env: str, settings: tuple[tuple[str, Any], ...], generations: tuple[
         others = psutil.Process().children()
         with build_backend(config, algorithm.plan()) as backend:
             record.backend = type(backend).__name__
-            names = ("worker_warning_s", "worker_timeout_s")
+            names = ("worker_timeout_s",)
             record.limits = {name: getattr(backend, name) for name in names if hasattr(backend, name)}
             record.num_processes = len(set(psutil.Process().children()) - set(others))
             for generation in generations:

@@ -106,10 +106,9 @@ def test_the_presets_of_hiro_have_the_published_numbers():
     assert (learner.actor_learning_rate, learner.critic_learning_rate) == (1e-4, 1e-3)
     assert (learner.discount, learner.target_rate, learner.policy_delay) == (0.99, 0.005, 2)
     assert (learner.exploration_noise, goals.goal_noise, learner.noise_unit) == (1.0, 1.0, "raw")
-    assert (learner.target_noise, learner.target_noise_clip, learner.reward_scale) == (0.2, 0.5, 0.1)
-    assert (goals.controller_interval, goals.goal_distance, goals.goal_candidates) == (10, 10.0, 10)
+    assert (goals.controller_interval, goals.goal_distance, learner.reward_scale) == (10, 10.0, 0.1)
     assert (config.environment.spec, config.episodes.horizon, config.run.env_steps) == ("hiro", 500, 10_000_000)
-    assert (learner.critic_loss, learner.normalise_inputs, learner.bootstrap_terminal) == ("huber", False, False)
+    assert (learner.normalise_inputs, learner.bootstrap_terminal) == (False, False)
     assert (learner.update_interval, goals.controller_update_interval, learner.warmup_steps) == (1, 10, 2500)
     assert learner.generation_steps * config.evaluation.evaluation_interval == 50_000
     assert config.evaluation.evaluation_episodes == 50

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from shes.algorithms.evolution.estimates import draw_pairs
-from shes.algorithms.hiro.sections import HIRO_SECTIONS
+from shes.baselines.learner_settings import HIRO_SECTIONS
 from shes.envs.tasks.maze import Maze
 from shes.envs.worlds import is_free
 from shes.errors import ConfigError, DivergenceError
@@ -399,7 +399,6 @@ ROWS: dict[str, Row] = {
     ),
     # workers
     "num_workers": Row(2, lambda r: r.num_processes, 2, 1, beside={"backend": "processes"}),
-    "worker_warning_s": Row(5.0, limit("worker_warning_s"), 5.0, 60.0, beside={"backend": "processes"}),
     "worker_timeout_s": Row(None, limit("worker_timeout_s"), None, 600.0, beside={"backend": "processes"}),
     "backend": Row(
         "processes", lambda r: r.backend, "ProcessesBackend", "SerialBackend", beside={"num_workers": 2}
@@ -502,7 +501,8 @@ def test_a_setting_shows_in_the_run(name, source, tmp_path):
 
 
 def test_the_address_of_a_ray_cluster_arrives(monkeypatch):
-    package = SimpleNamespace(remote=lambda **_: lambda cls: cls, is_initialized=lambda: False)
+    exceptions = SimpleNamespace(RayError=OSError)
+    package = SimpleNamespace(remote=lambda **_: lambda cls: cls, is_initialized=lambda: False, exceptions=exceptions)
     monkeypatch.setattr("shes.backends.ray._import_ray", lambda: package)
     config = make_config("point-gather", "smoke", {"backend": "ray", "ray_address": "localhost:1"})
     with pytest.raises(ConfigError, match="no Ray cluster answers at 'localhost:1'"):
@@ -510,7 +510,7 @@ def test_the_address_of_a_ray_cluster_arrives(monkeypatch):
 
 
 def test_every_setting_has_a_row():
-    of_hiro = {name for section in HIRO_SECTIONS.values() for name in setting_fields(section)}  # tests/algorithms/hiro
+    of_hiro = {name for section in HIRO_SECTIONS.values() for name in setting_fields(section)}  # tests/baselines
     rows = {setting_of(row) for row in ROWS} | SHOWN.keys() | {"ray_address"}
     assert rows | of_hiro == known_settings().keys()
 

@@ -1,6 +1,6 @@
 """The contract between a run and a learning algorithm.
 
-Training, evaluation, checkpoints, tables, videos and studies use an algorithm only through this contract. A new one is
+Training, evaluation, checkpoints, tables and videos use an algorithm only through this contract. A new one is
 one class, registered with `register_algorithm`; `examples/random_search.py` is an example of 80 lines.
 """
 

@@ -7,8 +7,9 @@ from typing import Any
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.evolution.strategies import SES, SHES
-from shes.algorithms.hiro.algorithm import HIRO, TD3
 from shes.algorithms.presets import PRESETS
+from shes.baselines.hiro import HIRO
+from shes.baselines.td3 import TD3
 from shes.errors import ConfigError
 from shes.options import check_options
 from shes.registry import Registry, check_class, full_name

@@ -24,14 +24,14 @@ from shes.hierarchy.episodes import EpisodeResults, EpisodeTask, Generation
 from shes.hierarchy.rollout import NumberedTask, Rollout
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
-from shes.sim.warp import WarpSimulator
+from shes.sim.warp import WarpSimulator, bytes_per_sim
 from shes.sim.warp_device import WarpDevice, is_out_of_memory
-from shes.sim.warp_memory import bytes_per_sim
 
 _SIMULATOR_LOG = logging.getLogger("shes.mujoco")
 _MAX_LOG_LINES = 20  # of the simulator, kept with the results of one task
 _CACHE_BYTES = 24 * 2**20  # more weights than this would leave the shared cache between two steps
 _MIN_ROWS, _MAX_ROWS = 32, 640  # episodes in lockstep: enough to share Python's overhead, few enough for the caches
+_EXTERNAL_ROWS = 16  # of an environment that is stepped alone: each is an instance, which may be large
 _SHARE_OF_MEMORY = 0.75  # of a GPU's memory; tasks and policies need some as well
 
 
@@ -67,11 +67,14 @@ class WorkerPlan(EpisodeSetup):
         return simulator_factory(self.device, self.nconmax, self.njmax)
 
 
-def lanes_that_fit(parameters: int, rows: int) -> int:
+def lanes_that_fit(parameters: int, rows: int, *, are_external: bool = False) -> int:
     """Return how many lanes, of `parameters` parameters and `rows` episodes each, a CPU worker runs in lockstep.
 
-    More rows share the overhead of a step in Python, but weights that do not fit the cache are slower.
+    More rows share the overhead of a step in Python, but weights that do not fit the cache are slower. Each row of an
+    external environment is an instance of it.
     """
+    if are_external:
+        return max(1, _EXTERNAL_ROWS // rows)
     cached = _CACHE_BYTES // (4 * parameters)
     return max(1, -(-_MIN_ROWS // rows), min(cached, _MAX_ROWS // rows))
 
@@ -96,23 +99,26 @@ def lanes_in_memory(free_bytes: int, sim_bytes: float, design: AgentDesign, epis
 class EpisodeSource(Protocol):
     """The tasks of all workers, from which one takes its own."""
 
-    def take(self, units: int, enough: int) -> Sequence[NumberedTask]:
-        """Return the next tasks with up to `units` episodes, or near the end at least `enough`; none at the end."""
+    def take(self, most: int, least: int) -> Sequence[NumberedTask]:
+        """Return the next tasks, at most `most`, or near the end at least `least`; none at the end."""
         ...
 
+    def note_progress(self) -> None:
+        """Show that the worker is alive."""
 
-def _tasks(
-    work: EpisodeSource, pending: dict[int, EpisodeTask], rows: int, enough: int
+
+def _pending_tasks(
+    work: EpisodeSource, pending: dict[int, EpisodeTask], lanes: int, least: int
 ) -> Generator[NumberedTask | None, None, None]:
-    """Yield tasks of `work` and note them in `pending`, so that up to `rows` episodes are pending.
+    """Yield tasks of `work` and note them in `pending`, so that there are up to `lanes` of them.
 
     None stands for no task until another one has its result.
     """
     asked_at = sys.maxsize  # number of pending tasks after the last question
     while True:
-        room = rows - sum(len(task.slots) for task in pending.values())
+        room = lanes - len(pending)
         if room > 0 and (not pending or len(pending) < asked_at):
-            taken = work.take(room, min(room, enough))
+            taken = work.take(room, min(room, least))
             if not taken:
                 return
             pending.update(taken)
@@ -166,8 +172,14 @@ class RolloutWorker:
         """Store the generation that the next tasks belong to."""
         self._generation = state
 
-    def run(self, work: EpisodeSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
-        """Run `work`, of which about `share` episodes are for this worker, and yield numbered results.
+    def close(self) -> None:
+        """Close the environments; they are made again when they are needed."""
+        while self._rollouts:
+            _, rollout = self._rollouts.popitem()
+            rollout.batch.close()
+
+    def run(self, tasks: EpisodeSource, share: int) -> Iterator[tuple[int, EpisodeResults]]:
+        """Run `tasks`, of which about `share` tasks are for this worker, and yield numbered results.
 
         If a device runs out of memory, tasks without a result are repeated with half as many policies at a time.
 
@@ -178,7 +190,7 @@ class RolloutWorker:
         with self._collector.listening():
             while True:
                 try:
-                    yield from self._run(work, pending, share)
+                    yield from self._run(tasks, pending, share)
                 except (MemoryError, RuntimeError) as error:
                     if self.plan.device == "cpu" or not is_out_of_memory(error):
                         raise
@@ -192,36 +204,30 @@ class RolloutWorker:
         """Run tasks that are `pending` already, then `work`. Tasks are `pending` until they have a result."""
         assert self._generation is not None, "receive() comes first"
         generation = self._generation
-        rows, enough = self.rounds(generation, share)
-        rollout = self._rollout(generation, rows)
-        tasks = chain(tuple(pending.items()), _tasks(work, pending, rows, enough))
-        for number, results in rollout.run(tasks, generation, self.table.on(rollout.batch.xp)):
+        self._lanes, least = self.lockstep(generation, share)
+        rollout = self._rollout(generation)
+        tasks = chain(tuple(pending.items()), _pending_tasks(work, pending, self._lanes, least))
+        table = self.table.on(rollout.batch.xp)
+        for number, results in rollout.run(tasks, generation, table, work.note_progress):
             del pending[number]
             lines, self._collector.lines = tuple(self._collector.lines), []
             yield number, replace(results, log=lines) if lines else results
         rollout.batch.check_buffers()
 
-    def rounds(self, generation: Generation, share: int) -> tuple[int, int]:
-        """Return how many episodes of `share` to run in lockstep, and how many suffice near the end.
+    def lockstep(self, generation: Generation, share: int) -> tuple[int, int]:
+        """Return how many of `share` tasks to run in lockstep, and how few suffice near the end.
 
         There are as few rounds as possible, all of the same size. Only many rounds end with smaller ones: each round
         has a cost of its own.
         """
-        per_lane = generation.rows_per_lane
-        rounds = max(1, -(-share // (self._chunk(generation, -(-share // per_lane)) * per_lane)))
-        rows = max(1, -(-share // rounds))
-        if rounds == 1:
-            return rows, rows
-        rows += -rows % per_lane  # whole tasks
-        return rows, min(rows, _MIN_ROWS) if rounds > 2 else rows
+        rounds = max(1, -(-share // self._most_lanes(generation, share)))
+        lanes = max(1, -(-share // rounds))
+        return lanes, min(lanes, -(-_MIN_ROWS // generation.rows_per_lane)) if rounds > 2 else lanes
 
-    def _rollout(self, generation: Generation, rows: int) -> Rollout:
-        """Return the rollout for this generation with lanes for any `rows` successive episodes. Create it if needed."""
+    def _rollout(self, generation: Generation) -> Rollout:
+        """Return the rollout for this generation. Create it if needed."""
         plan, shape = self.plan, (generation.rows_per_lane, generation.members_per_lane)
         rollout = self._rollouts.get(generation.kind)
-        per_lane = generation.rows_per_lane
-        # Episodes that do not fill their lanes may begin and end in the middle of a task.
-        self._lanes = -(-(rows - 1) // per_lane) + 1 if rows % per_lane else rows // per_lane
         is_old = rollout is not None and (rollout.rows_per_lane, rollout.members_per_lane) != shape
         if is_old or (rollout is not None and rollout.num_lanes != self._lanes):
             rollout = self._drop(generation)
@@ -241,12 +247,13 @@ class RolloutWorker:
         if rollout is not None:
             rollout.batch.close()
 
-    def _chunk(self, generation: Generation, share: int) -> int:
+    def _most_lanes(self, generation: Generation, share: int) -> int:
         """Return the maximum number of lanes in lockstep: on a device all of them, if they fit into its memory."""
         plan, kind = self.plan, (generation.kind, generation.rows_per_lane)
         asked = -(-plan.chunk_size // generation.members_per_lane)  # the setting counts policies
         if plan.device == "cpu":
-            return asked or lanes_that_fit(sum(self._design(generation).dims), generation.rows_per_lane)
+            size, is_external = sum(self._design(generation).dims), plan.env.has_own_physics
+            return asked or lanes_that_fit(size, generation.rows_per_lane, are_external=is_external)
         if kind not in self._room and not plan.chunk_size:
             self._lanes = 1  # if even the measurement fails, a single lane does not fit
             self._room[kind] = self._measure_room(generation)

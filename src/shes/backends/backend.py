@@ -1,14 +1,44 @@
-"""The Backend contract: an ordered map and a broadcast over workers. A backend does not know what the work is."""
+"""The Backend contract: an ordered map and a broadcast over workers. A backend does not know what the tasks are."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, Protocol, TypeAlias
 
-from shes.backends.work import TaskSource
 from shes.cores import num_cores
 from shes.settings import Settings
+
+
+class TaskSource(ABC):
+    """The numbered tasks of a `map` call, from which each worker takes its own: one by one, or several by `take`."""
+
+    @abstractmethod
+    def take(self, most: int, least: int | None = None) -> Sequence[tuple[int, Any]]:
+        """Return the next tasks, at most `most` of them; an empty sequence at the end.
+
+        Near the end there are fewer, so that all workers finish at the same time, but not fewer than `least` while
+        there are any. By default `least` is `most`.
+        """
+
+    def note_progress(self) -> None:  # noqa: B027 - a worker in the same process need not prove that it is alive
+        """Show that the worker is alive. A worker whose tasks take longer than seconds calls this now and then."""
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        while taken := self.take(1):
+            yield from taken
+
+
+class TaskList(TaskSource):
+    """The tasks of a single worker."""
+
+    def __init__(self, numbered: Iterable[tuple[int, Any]]) -> None:
+        self._left = deque(numbered)
+
+    def take(self, most: int, least: int | None = None) -> Sequence[tuple[int, Any]]:
+        """Return the next tasks, `most` of them if there are as many."""
+        return [self._left.popleft() for _ in range(min(most, len(self._left)))]
 
 
 class Worker(Protocol):
@@ -17,41 +47,19 @@ class Worker(Protocol):
     def receive(self, state: Any) -> None:
         """Store the state that the following tasks refer to."""
 
-    def run(self, work: TaskSource, share: int) -> Iterator[tuple[int, Any]]:
-        """Take numbered tasks from `work` and yield numbered results in any order.
+    def run(self, tasks: TaskSource, share: int) -> Iterator[tuple[int, Any]]:
+        """Take numbered tasks from `tasks`, and yield numbered results in any order.
 
-        `share` is the number of units per worker in an even distribution; a task that is not divisible is one unit. A
-        worker that takes more at once leaves other workers idle.
+        `share` is the number of tasks per worker in an even distribution. A worker that takes more at once leaves other
+        workers idle.
         """
         ...
 
+    def close(self) -> None:
+        """Release what it holds, such as environments. More tasks may follow."""
+
 
 WorkerFactory: TypeAlias = Callable[[], Worker]
-
-
-class Pending(Protocol):
-    """Work that is done beside other work."""
-
-    @property
-    def is_done(self) -> bool:
-        """Whether all of it is done."""
-        ...
-
-    def results(self) -> list[Any]:
-        """Return the result of every task, in order. What is left of the work is done first."""
-        ...
-
-
-class _Done:
-    """Work that has been done."""
-
-    is_done = True
-
-    def __init__(self, results: list[Any]) -> None:
-        self._results = results
-
-    def results(self) -> list[Any]:
-        return self._results
 
 
 class Backend(ABC):
@@ -73,11 +81,7 @@ class Backend(ABC):
 
     @staticmethod  # noqa: B027 - most need no package
     def check_installed() -> None:
-        """Check that the packages it needs are installed.
-
-        Raises:
-            MissingExtraError: One is not.
-        """
+        """Check that the packages it needs are installed; raise MissingExtraError if one is not."""
 
     @abstractmethod
     def broadcast(self, state: Any) -> None:
@@ -92,17 +96,9 @@ class Backend(ABC):
             WorkerError: A worker raised another error, or workers keep dying.
         """
 
-    def beside(self, tasks: Sequence[Any], state: Any) -> Pending:
-        """Do `tasks`, which refer to `state`, beside those of the next `map` call. By default they are done at once.
-
-        The next `map` call needs a `broadcast` of its own.
-        """
-        self.broadcast(state)
-        return _Done(list(self.map(tasks)))
-
     @abstractmethod
     def close(self) -> None:
-        """Stop the workers immediately, even if they are busy."""
+        """Close the workers, even if they are busy."""
 
     def __enter__(self) -> Backend:
         return self

@@ -1,4 +1,4 @@
-"""The serial backend: runs the work in this process."""
+"""The serial backend: runs the tasks in this process."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from shes.backends.backend import Backend, Worker, WorkerFactory
-from shes.backends.work import TaskList, num_units
+from shes.backends.backend import Backend, TaskList, WorkerFactory
 from shes.errors import ShesError, WorkerError
 
 
@@ -19,7 +18,7 @@ class SerialBackend(Backend):
     def __init__(self, factory: WorkerFactory, num_workers: int = 1) -> None:
         """Create the worker. `num_workers` is ignored."""
         self.num_workers = 1
-        self._worker: Worker = factory()
+        self._worker = factory()
 
     def broadcast(self, state: Any) -> None:
         """Send `state` to the worker."""
@@ -30,20 +29,17 @@ class SerialBackend(Backend):
         results: dict[int, Any] = {}
         next_number = 0
         with threadpool_limits(1):
-            for number, result in self._run(tasks):
-                results[number] = result
-                while next_number in results:
-                    yield results.pop(next_number)
-                    next_number += 1
-
-    def _run(self, tasks: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        """Yield numbered results as the worker finishes them."""
-        try:
-            yield from self._worker.run(TaskList(enumerate(tasks)), max(1, sum(map(num_units, tasks))))
-        except ShesError:
-            raise
-        except Exception as error:
-            raise WorkerError(f"the worker failed:\n{traceback.format_exc()}") from error
+            try:
+                for number, result in self._worker.run(TaskList(enumerate(tasks)), max(1, len(tasks))):
+                    results[number] = result
+                    while next_number in results:
+                        yield results.pop(next_number)
+                        next_number += 1
+            except ShesError:
+                raise
+            except Exception as error:
+                raise WorkerError(f"the worker failed:\n{traceback.format_exc()}") from error
 
     def close(self) -> None:
-        """Do nothing: there is no process to stop."""
+        """Close the worker."""
+        self._worker.close()

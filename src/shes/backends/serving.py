@@ -1,53 +1,62 @@
-"""The worker's side of a conversation with its parent, over any connection.
+"""The worker's side of a conversation with its parent, over any connection, and the factory on its way to a worker.
 
-A worker answers `("state", number, pickled)` and `("run", share, number)`, whose number is that of the tasks' state. It
-keeps its last two states, of a generation and of the evaluation beside it.
-In a run it asks for tasks by `("want", results, units, enough)`, is given `("tasks", pickled)` or `("end",)`, and
-at last sends `("done", results)`. `results` are the numbered results since its previous message: with hundreds of
-workers the parent's time goes into messages, not into bytes. One that comes more than a second after the previous
-message is sent at once, by `("results", results)`.
+The worker asks and the parent answers; in between, neither sends anything. `results` are the numbered results since
+the worker's previous request: with hundreds of workers the parent's time goes into messages, not into bytes.
+
+| request | answer |
+|---|---|
+| `("ready", results)`: the worker has no tasks | `("run", share)` and a new state, as soon as there are tasks |
+| `("want", results, most, least)`: see `TaskSource.take` | `("tasks", numbered)`, empty at the end |
+| `("results", results)`: it has been silent for long | `("noted",)` |
+| `("failed", error, text)`: the last request | none |
 """
 
 from __future__ import annotations
 
 import os
 import pickle
+import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 from time import monotonic
 from typing import Any, Protocol
 
+import cloudpickle
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from shes.backends.factory import unpickle_factory
-from shes.backends.work import TaskSource
-from shes.errors import ShesError, WorkerError
+from shes.backends.backend import TaskSource, Worker, WorkerFactory
+from shes.errors import ConfigError, ShesError, WorkerError
 
 ONE_THREAD: dict[str, str] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
 """Environment variables by which linear algebra has one thread. More threads would change rounding."""
-
-NUM_STATES = 2
-"""Number of states that a worker keeps."""
-KEPT_S = 1.0
-"""A result waits for the next message, unless this many seconds have passed since the last one."""
-_CLOSED = (EOFError, BrokenPipeError, ConnectionResetError)
+RESULTS_WAIT_S, LONGEST_SILENCE_S = 1.0, 10.0
+"""Seconds since its last request after which a worker sends a result, or only its progress, in a request of its own."""
 
 
-class Duplex(Protocol):
-    """A connection to the parent.
+class ClosedError(BaseException):
+    """The parent has closed the connection. Not an Exception, so that an environment does not catch it."""
 
-    Both methods raise EOFError, BrokenPipeError or ConnectionResetError if the parent has closed it.
-    """
 
-    def send(self, message: tuple[Any, ...], /) -> None:
-        """Send a message."""
+class ParentConnection(Protocol):
+    """A connection to the parent. Every method but `leave` raises ClosedError if the parent has closed it."""
 
-    def recv(self) -> tuple[Any, ...]:
-        """Return the next message."""
+    def ask(self, *request: Any) -> tuple[tuple[Any, ...], bytes | None]:
+        """Send a request; return the answer and the pickled state that comes with it."""
         ...
+
+    def tell(self, *request: Any) -> None:
+        """Send a request that has no answer."""
+
+    def check(self) -> None:
+        """Do nothing, unless the parent has closed the connection."""
+
+    def leave(self) -> None:
+        """Ignore the parent from now on: the worker is about to end."""
 
 
 def use_one_thread() -> None:
@@ -57,96 +66,97 @@ def use_one_thread() -> None:
     threadpool_limits(1)
 
 
-def serve(connection: Duplex, factory: bytes) -> None:
-    """Make the worker by the pickled `factory`, and follow the parent's messages until it closes the connection."""
+def serve(parent: ParentConnection, factory: bytes) -> None:
+    """Make the worker by the pickled `factory`, do the parent's tasks until it closes the connection, and close it."""
+    worker: Worker | None = None
     try:
-        _serve(_Checked(connection), factory)
-    except _ClosedError:
-        return
-    except ShesError as error:
-        connection.send(("refused", error))
-    except BaseException:  # noqa: BLE001 - the parent must be told of any error
-        connection.send(("failed", traceback.format_exc()))
-
-
-class _ClosedError(Exception):
-    """The parent has closed the connection. The work itself may raise EOFError, from a file or a socket of its own."""
-
-
-class _Checked:
-    """A connection whose end is told from errors of the work."""
-
-    def __init__(self, connection: Duplex) -> None:
-        self._connection = connection
-
-    def send(self, message: tuple[Any, ...]) -> None:
-        try:
-            self._connection.send(message)
-        except _CLOSED as error:
-            raise _ClosedError from error
-
-    def recv(self) -> tuple[Any, ...]:
-        try:
-            return self._connection.recv()
-        except _CLOSED as error:
-            raise _ClosedError from error
-
-
-def _serve(connection: Duplex, factory: bytes) -> None:
-    worker = unpickle_factory(factory)()
-    connection.send(("ready",))
-    states: dict[int, Any] = {}
-    state: int | None = None  # number of the one that the worker has
-    while True:
-        kind, *content = connection.recv()
-        if kind == "state":
-            number, pickled = content
-            states[number], state = pickle.loads(pickled), number
-            worker.receive(states[number])
-            if len(states) > NUM_STATES:
-                del states[next(iter(states))]
-        elif kind == "run":
-            share, wanted = content
-            if wanted is not None and wanted != state:
-                if wanted not in states:
-                    known = ", ".join(map(str, states)) or "none"
-                    raise WorkerError(f"the work needs state {wanted}, and those that reached this worker are {known}")
-                worker.receive(states[wanted])
-                state = wanted
-            run = _Run(connection)
+        worker = unpickle_factory(factory)()
+        run = _Run(parent)
+        while True:
+            (_, share), state = run.ask("ready")
+            if state is not None:
+                worker.receive(pickle.loads(state))
+            run.is_over = False
             for numbered in worker.run(run, share):
                 run.keep(numbered)
-            run.send("done")
-        else:
-            return
+    except ClosedError:
+        pass
+    except BaseException as error:  # noqa: BLE001 - the parent must be told of any error
+        pickled = None
+        with suppress(Exception):  # an error that cannot be pickled is told by its traceback
+            pickled = pickle.dumps(error) if isinstance(error, ShesError) else None
+        with suppress(ClosedError):
+            parent.tell("failed", pickled, traceback.format_exc())
+    finally:
+        parent.leave()
+        if worker is not None:
+            worker.close()
 
 
 class _Run(TaskSource):
-    """The tasks of a run, which the parent sends when asked, and the results that it has not been sent yet."""
+    """The tasks that the parent sends when asked, and the results that it has not been sent yet."""
 
-    def __init__(self, connection: Duplex) -> None:
-        self._connection = connection
-        self._is_over = False
+    def __init__(self, parent: ParentConnection) -> None:
+        self._parent = parent
+        self.is_over = False
         self._kept: list[tuple[int, Any]] = []
         self._sent_s = monotonic()
 
-    def keep(self, numbered: tuple[int, Any]) -> None:
-        """Keep a numbered result for the next message; send it if the last one was long ago."""
-        self._kept.append(numbered)
-        if monotonic() >= self._sent_s + KEPT_S:
-            self.send("results")
-
-    def send(self, kind: str, *content: Any) -> None:
-        """Send a message, and in it the results that are kept."""
-        self._connection.send((kind, self._kept, *content))
+    def ask(self, kind: str, *content: Any) -> tuple[tuple[Any, ...], bytes | None]:
+        """Send a request, and in it the results that are kept; return the answer."""
+        answer = self._parent.ask(kind, self._kept, *content)
         self._kept = []
         self._sent_s = monotonic()
+        return answer
 
-    def take(self, units: int, enough: int | None = None) -> Sequence[tuple[int, Any]]:
+    def keep(self, numbered: tuple[int, Any]) -> None:
+        """Keep a numbered result for the next request."""
+        self._kept.append(numbered)
+        self.note_progress()
+
+    def note_progress(self) -> None:
+        """Send the results that are kept, or only a sign of life, if the last request was long ago."""
+        self._parent.check()
+        if monotonic() >= self._sent_s + (RESULTS_WAIT_S if self._kept else LONGEST_SILENCE_S):
+            self.ask("results")
+
+    def take(self, most: int, least: int | None = None) -> Sequence[tuple[int, Any]]:
         """Ask the parent for tasks."""
-        if self._is_over:
+        if self.is_over:
             return ()
-        self.send("want", units, units if enough is None else enough)
-        kind, *content = self._connection.recv()
-        self._is_over = kind == "end"
-        return () if self._is_over else pickle.loads(content[0])
+        (_, given), _ = self.ask("want", most, most if least is None else least)
+        self.is_over = not given
+        return given
+
+
+def pickle_factory(factory: WorkerFactory) -> bytes:
+    """Return `factory` pickled, and classes of the caller's script by value; raise ConfigError if that fails."""
+    try:
+        return cloudpickle.dumps(factory)
+    except Exception as error:
+        raise ConfigError(
+            f"the work cannot be sent to worker processes: {error}. Move what your own class refers to into a module "
+            "next to your script, which workers import, or set --backend serial."
+        ) from error
+
+
+def unpickle_factory(pickled: bytes) -> WorkerFactory:
+    """Return the function that creates the worker; raise WorkerError if a module that it needs cannot be imported."""
+    try:
+        return pickle.loads(pickled)
+    except (ImportError, AttributeError) as error:
+        raise WorkerError(
+            f"a worker process cannot import a module that its work needs: {error}. Put the folder of that module on "
+            "PYTHONPATH, install the module, or set --backend serial."
+        ) from error
+
+
+def import_path() -> list[str]:
+    """Return the import path of this process, on which workers find the modules of the caller's classes."""
+    path = [entry for entry in sys.path if entry]
+    # An empty entry is the working directory: of a notebook, of `python -c`. Workers search it last, so that no file
+    # there replaces a module of the standard library. It is resolved now, because it may change later.
+    if len(path) < len(sys.path):
+        with suppress(FileNotFoundError):
+            path.append(str(Path.cwd()))
+    return path

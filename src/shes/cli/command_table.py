@@ -17,13 +17,12 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "resume": ("cli.commands.resume", "continue a run"),
     "evaluate": ("training.evaluate.evaluate", "evaluate a checkpoint of a run on fresh episodes"),
     "plot": ("viewing.plot.plot", "plot the learning curves of runs"),
-    "report": ("viewing.report.report.report", "make one HTML page of runs: curves, results, maps, videos, settings"),
-    "compare": ("studies.run_comparison.compare_runs", "compare two runs, or groups of runs: interval and p value"),
+    "report": ("viewing.report.report", "make one HTML page of runs: curves, results, maps, videos, settings"),
+    "compare": ("training.comparison.compare_runs", "compare two runs, or groups of runs: interval and p value"),
     "render": ("viewing.render.render", "make a video of a run's policy"),
     "watch": ("viewing.watch.watch", "watch a run's policy in a window"),
     "export": ("training.export.export", "write a run's policy to a file that needs no SHES"),
-    "experiment": ("studies.experiment.experiment", "run a study of many runs, with tables and figures"),
-    "bench": ("bench.bench.bench", "measure the speed of this machine"),
+    "bench": ("cli.bench.bench", "measure the speed of this machine"),
     "completion": ("cli.commands.completion", "print a script that completes commands and flags with the Tab key"),
 }
 """Function of every command, below `shes`, and its line in the overview."""

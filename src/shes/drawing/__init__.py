@@ -1,1 +1,1 @@
-"""Drawing: pictures of episodes by MuJoCo's renderer, or flat pictures without OpenGL."""
+"""Drawing: pictures of one pose of a world, by MuJoCo's renderer or, without OpenGL, flat ones from above."""

@@ -1,25 +1,52 @@
-"""Three-dimensional pictures by MuJoCo's renderer."""
+"""Three-dimensional pictures by MuJoCo's renderer: the looks of a world, and the camera that follows the robot."""
 
 from __future__ import annotations
 
+import os
+from bisect import bisect_left
 from collections.abc import Sequence
+from importlib import import_module
 
 import mujoco
 import numpy as np
+from mujoco.rendering.classic import gl_context
 
-from shes.drawing.drawer import Picture
-from shes.drawing.follow import follow_view
-from shes.drawing.opengl import use_opengl
-from shes.drawing.renderer import Renderer, check_camera
-from shes.drawing.scenery import FOLLOW_FIELD_OF_VIEW_DEG, decorate
-from shes.envs.markers import Marker
+from shes.drawing.renderer import Extent, Picture, Renderer, check_camera
+from shes.envs.markers import ROBOT, Marker
 from shes.types import F64Array
 
+ROBOT_BODY = 1
+"""The first body of every world is the robot's."""
 _TOP_MARGIN = 1.02
 _TOP_DISTANCE_M = 120.0  # nearly no perspective, so that walls hide nothing
 _MAX_GEOMS = 4000
-_LINE = mujoco.mjtGeom.mjGEOM_LINE
-_LINE_PIXELS_PER_M = 80.0
+_LINE, _LINE_PIXELS_PER_M = mujoco.mjtGeom.mjGEOM_LINE, 80.0
+
+_AZIMUTH_DEG, _DISTANCE_M = 90.0, 11.0
+_ELEVATIONS_DEG = range(42, 90)
+"""Heights of the following camera above the horizon; the first from which the robot is visible is used."""
+_SPARE_DEG = 12
+"""The robot must be visible from this much lower too, so that its legs are."""
+_EDGE_M = 4.0
+"""The camera does not point nearer to the edge of the world than this, so that walls do not fill the picture."""
+_MAX_SHIFT_M = 3.0
+"""The camera points at most this far from the robot, which stays in the picture."""
+MAX_PIXELS = 2048
+"""Largest width or height of a picture."""
+FOLLOW_FIELD_OF_VIEW_DEG = 45.0
+SCENERY_GROUP = 0
+"""Geom group of ground, walls, platforms and blocks, and of nothing else."""
+
+_SKY = ([0.62, 0.76, 0.90], [0.93, 0.96, 0.98])
+_GROUND = ([0.80, 0.83, 0.80], [0.87, 0.89, 0.86])
+_GROUND_LINE = [0.70, 0.74, 0.70]
+_WALL = [0.52, 0.56, 0.62, 1.0]
+_WALL_HALF_HEIGHT_M = 0.4
+_CHASM = [0.55, 0.57, 0.58, 1.0]
+_BLOCK = [0.78, 0.62, 0.42, 1.0]
+_GROUND_SQUARES_M = 2.0
+_ROBOT_GROUP = 1
+_SCENERY = (np.arange(mujoco.mjNGROUP) == SCENERY_GROUP).astype(np.uint8)
 
 
 class MujocoRenderer(Renderer):
@@ -28,49 +55,81 @@ class MujocoRenderer(Renderer):
     def __init__(self, spec: mujoco.MjSpec, width: int, height: int, opengl: str) -> None:
         """Decorate the world of `spec` and draw it with OpenGL `opengl`."""
         super().__init__(decorate(spec).compile(), width, height)
-        use_opengl(opengl)
+        _use_opengl(opengl)
         self._renderer = mujoco.Renderer(self.model, height, width, max_geom=_MAX_GEOMS)
         self._camera = mujoco.MjvCamera()
 
     def draw(self, qpos: F64Array, markers: Sequence[Marker] = (), camera: str = "follow") -> Picture:
         """Return a picture of the world at `qpos`."""
+        check_camera(camera)
         self.data.qpos[:] = qpos
         mujoco.mj_forward(self.model, self.data)
-        self._aim(camera)
+        if camera == "follow":
+            self.model.vis.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
+            follow(self._camera, self.model, self.data, self.extent)
+        else:
+            x, y, half = self.top_view
+            self.model.vis.global_.fovy = np.rad2deg(2 * np.arctan2(half * _TOP_MARGIN, _TOP_DISTANCE_M))
+            _aim(self._camera, np.array([x, y, 0.0]), -90.0, _TOP_DISTANCE_M)
         self._renderer.update_scene(self.data, self._camera)
         # From above, shadows hide more than they show, and take half of the time.
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != "top"
         add_markers(self._renderer.scene, markers)
         return self._renderer.render()
 
-    def _aim(self, name: str) -> None:
-        """Point the camera; raise an UnknownNameError for an unknown `name`."""
-        check_camera(name)
-        camera = self._camera
-        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        if name == "follow":
-            self.model.vis.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
-            camera.lookat[:], camera.azimuth, camera.elevation, camera.distance = follow_view(
-                self.model, self.data, self.extent
-            )
-            return
-        x, y, half = self.top_view
-        self.model.vis.global_.fovy = np.rad2deg(2 * np.arctan2(half * _TOP_MARGIN, _TOP_DISTANCE_M))
-        camera.azimuth, camera.elevation, camera.distance = 90.0, -90.0, _TOP_DISTANCE_M
-        camera.lookat[:] = (x, y, 0)
-
     def close(self) -> None:
         """Free the OpenGL context."""
         self._renderer.close()
 
 
+def _use_opengl(name: str) -> None:
+    """Make `mujoco.Renderer` use OpenGL `name`.
+
+    MuJoCo reads MUJOCO_GL only when it is imported, so this replaces the context class that its renderer looks up.
+    """
+    if name in ("egl", "osmesa"):
+        os.environ["PYOPENGL_PLATFORM"] = name  # overrides the caller's: `find_opengl` has tried this one
+        gl_context.GLContext = import_module(f"mujoco.{name}").GLContext
+
+
+def follow(camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData, extent: Extent) -> None:
+    """Point `camera` at the robot from behind and above, steeper where a wall, a block or a platform would hide it.
+
+    The positions of bodies and geoms in `data` have been computed. The scenery of the decorated world `model`, which
+    covers `extent`, is in `SCENERY_GROUP`.
+    """
+    robot = data.xpos[ROBOT_BODY]
+    low, high = np.reshape(extent, (2, 2))
+    inside = np.clip(robot[:2], low + _EDGE_M, high - _EDGE_M)
+    lookat = robot.copy()
+    lookat[:2] += np.clip(inside - robot[:2], -_MAX_SHIFT_M, _MAX_SHIFT_M)
+
+    def is_clear(degrees: int) -> bool:
+        azimuth, elevation = np.deg2rad((_AZIMUTH_DEG, _SPARE_DEG - degrees))
+        level = np.cos(elevation)
+        direction = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+        ray = lookat - _DISTANCE_M * direction - robot
+        # A distance of -1 is no hit; 1 is the camera.
+        return not 0 <= mujoco.mj_ray(model, data, robot, ray, _SCENERY, True, -1, None) <= 1
+
+    first = bisect_left(_ELEVATIONS_DEG, True, key=is_clear)
+    _aim(camera, lookat, -float(_ELEVATIONS_DEG[min(first, len(_ELEVATIONS_DEG) - 1)]), _DISTANCE_M)
+
+
+def _aim(camera: mujoco.MjvCamera, lookat: F64Array, elevation_deg: float, distance_m: float) -> None:
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat[:], camera.azimuth, camera.elevation, camera.distance = (
+        lookat,
+        _AZIMUTH_DEG,
+        elevation_deg,
+        distance_m,
+    )
+
+
 def add_markers(scene: mujoco.MjvScene, markers: Sequence[Marker]) -> None:
     """Add `markers` to `scene`, up to its capacity."""
-    for marker in markers:
-        if scene.ngeom >= scene.maxgeom:
-            return
-        geom = scene.geoms[scene.ngeom]
-        color = np.array(marker.color, dtype=np.float32)
+    for marker in markers[: scene.maxgeom - scene.ngeom]:
+        geom, color = scene.geoms[scene.ngeom], np.array(marker.color, dtype=np.float32)
         if marker.end is not None:
             # A line of pixels: a trail of capsules takes longer to draw than everything else.
             mujoco.mjv_initGeom(geom, _LINE, np.zeros(3), np.zeros(3), np.zeros(9), color)
@@ -83,3 +142,47 @@ def add_markers(scene: mujoco.MjvScene, markers: Sequence[Marker]) -> None:
             mujoco.mjv_initGeom(geom, shape, size, np.array(marker.position), np.eye(3).ravel(), color)
         geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         scene.ngeom += 1
+
+
+def decorate(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Decorate the world of `spec` in place and return it."""
+    looks, light = spec.visual, spec.visual.headlight
+    looks.global_.offwidth = looks.global_.offheight = MAX_PIXELS
+    looks.global_.fovy = FOLLOW_FIELD_OF_VIEW_DEG
+    looks.quality.shadowsize = 4096
+    light.ambient, light.diffuse, light.specular = [0.38] * 3, [0.35] * 3, [0.0] * 3
+    sky, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+    spec.add_texture(name="sky", type=sky, builtin=gradient, rgb1=_SKY[0], rgb2=_SKY[1], width=256, height=256)
+    sun = {"diffuse": [0.45, 0.45, 0.45], "specular": [0.1, 0.1, 0.1], "castshadow": True}
+    parallel = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    spec.worldbody.add_light(name="sun", type=parallel, pos=[0, 0, 30], dir=[0.35, 0.25, -1], **sun)
+    _add_ground(spec)
+    has_platforms = any(geom.name.startswith("platform") for geom in spec.geoms)
+    for geom in spec.geoms:
+        if geom.name.startswith(("floor", "platform")):
+            geom.material = "ground"
+            if has_platforms and geom.name == "floor":
+                geom.rgba = _CHASM
+        elif geom.name.startswith("wall"):
+            geom.rgba = _WALL
+            position, size = np.array(geom.pos), np.array(geom.size)
+            position[2] += _WALL_HALF_HEIGHT_M - size[2]  # lowered, so that it hides nothing behind it
+            size[2] = _WALL_HALF_HEIGHT_M
+            geom.pos, geom.size = position, size
+        elif geom.name.startswith("block"):
+            geom.rgba = _BLOCK
+        else:
+            geom.rgba = ROBOT
+            geom.group = geom.group or _ROBOT_GROUP
+    return spec
+
+
+def _add_ground(spec: mujoco.MjSpec) -> None:
+    """Add the material of the ground: a checkerboard, which makes movement visible."""
+    flat, checker = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
+    looks = {"rgb1": _GROUND[0], "rgb2": _GROUND[1], "mark": mujoco.mjtMark.mjMARK_EDGE, "markrgb": _GROUND_LINE}
+    spec.add_texture(name="ground", type=flat, builtin=checker, width=512, height=512, **looks)
+    material = spec.add_material(name="ground", texuniform=True, texrepeat=[0.5 / _GROUND_SQUARES_M] * 2)
+    textures = list(material.textures)
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
+    material.textures = textures

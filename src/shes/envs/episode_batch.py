@@ -28,33 +28,17 @@ class Reader(ABC):
 
     @abstractmethod
     def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
-        """Return `observation` as rows [num_envs, O], and whether it belongs to a single environment.
-
-        Raises:
-            ShapeError: `observation` is not an observation of `num_envs` environments.
-        """
+        """Return `observation` as rows [num_envs, O], and whether it belongs to a single environment."""
 
     @abstractmethod
     def locate(self, rows: F64Array, info: Mapping[str, Any] | None, env: Any = None) -> tuple[F64Array, F64Array]:
-        """Return the robots' positions [N, 2] in metres and headings [N] in radians.
+        """Return positions [N, 2] in metres and headings [N] in radians of robots that observe `rows` [N, O].
 
-        Args:
-            rows: Observations [N, O].
-            info: The environment's `info`.
-            env: The environment.
-
-        Raises:
-            ConfigError: `info` or `env` is needed and was not given.
+        An environment may need its `info`, or `env` itself.
         """
 
     def goal(self, rows: F64Array, position: F64Array, heading: F64Array) -> F64Array | None:
-        """Return the goals [N, 2] that the environment sets, in metres, or None if it sets none.
-
-        Args:
-            rows: Observations [N, O].
-            position: Robots' positions [N, 2] in metres.
-            heading: Robots' headings [N] in radians.
-        """
+        """Return the goals [N, 2] in metres that the environment sets, given what `locate` found, or None."""
         return None
 
     @abstractmethod
@@ -109,18 +93,10 @@ class EpisodeBatch(ABC):
         """Wall-clock seconds spent in the simulation so far."""
 
     def check_buffers(self) -> None:  # noqa: B027 - only a device has fixed buffers
-        """Check that the simulator's buffers have sufficed since the start; call it once a generation.
-
-        Raises:
-            ConfigError: A buffer overflowed, so that contacts or constraints were left out.
-        """
+        """Raise a ConfigError if a buffer of the simulator has overflowed since the start; called once a generation."""
 
     def check_position(self) -> None:  # noqa: B027 - most environments know it
-        """Check that the robot's position is known, which goals need; call it after the first reset.
-
-        Raises:
-            ConfigError: The position is unknown.
-        """
+        """Raise a ConfigError if the robot's position, which goals need, is unknown; called after the first reset."""
 
     @property
     @abstractmethod
@@ -228,36 +204,21 @@ class EpisodeBatch(ABC):
             seeds: Seed of each episode, a non-negative integer of any size.
             states: Physics state [S] that each episode starts from, as returned by `states`; None, or an empty
                 sequence, starts from the reset pose. What belongs to the task is drawn from the seed in any case.
-
-        Raises:
-            ConfigError: States were given, but the environment has none.
         """
 
     def states(self, ids: IntArray) -> F64Array:
-        """Return copies of the physics states of episodes `ids` [ids, S], as a NumPy array.
-
-        Raises:
-            ConfigError: The environment brings its own physics.
-        """
+        """Return copies of the physics states of episodes `ids` [ids, S], as a NumPy array."""
         raise ConfigError(
             "episodes of an environment that Gymnasium makes cannot be branched: its physics state is its own. "
             "Set --primitive-estimate episode."
         )
 
     def places(self, states: F64Array) -> Places:
-        """Return where robots in physics states [N, S] are.
-
-        Raises:
-            ConfigError: The task has no places to search.
-        """
+        """Return where robots in physics states [N, S] are."""
         raise ConfigError("there is no way to search for in this environment. Set --explore none.")
 
     def set_way(self, way: F64Array | None) -> None:
-        """Let the reward lead through `way` [points, 2 or 3] from the next reset on; None is as by the options.
-
-        Raises:
-            ConfigError: The task has no target.
-        """
+        """Let the reward lead through `way` [points, 2 or 3] from the next reset on; None is as by the options."""
         if way is not None:
             raise ConfigError("there is no way to a target in this environment. Set --explore none.")
 
@@ -269,19 +230,11 @@ class EpisodeBatch(ABC):
         """
 
     def world_to_draw(self) -> mujoco.MjSpec:
-        """Return a new world to draw poses in.
-
-        Raises:
-            ConfigError: The environment draws itself.
-        """
+        """Return a new world to draw poses in."""
         raise ConfigError("this environment draws itself: it has no world to draw.")
 
     def draw_by(self, mode: str) -> None:
-        """Make an environment that draws itself use render mode `mode` from the next reset on.
-
-        Raises:
-            ConfigError: The environment has no such render mode.
-        """
+        """Make an environment that draws itself use render mode `mode` from the next reset on."""
         raise ConfigError(f"this environment has no render mode {mode!r}: it does not draw itself.")
 
     @abstractmethod

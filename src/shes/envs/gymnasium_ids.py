@@ -20,9 +20,6 @@ def gymnasium_id(name: str, spec: str = "shes") -> str:
     """Return the Gymnasium id of environment `name`.
 
     The id of `ant-gather` is `shes/AntGather-v0`, or `shes/AntGatherHiro-v0` with specification `hiro`.
-
-    Raises:
-        UnknownNameError: `name` is not registered.
     """
     if name not in SPECS_OF:
         raise UnknownNameError("environment", name, SPECS_OF, "`shes envs` lists them.")

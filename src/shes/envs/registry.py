@@ -169,12 +169,7 @@ def register_external(
 
 
 def find_environment(name: str) -> EnvironmentMaker:
-    """Return environment `name`: registered, or `gymnasium:` and an id, which is not looked up yet.
-
-    Raises:
-        UnknownNameError: `name` is not registered.
-        ConfigError: `name` is a Gymnasium id; the message says what to write instead.
-    """
+    """Return environment `name`: registered, or `gymnasium:` and an id, which is not looked up yet."""
     if name.startswith(GYMNASIUM):
         return ExternalEnvironment(name=name, source=name.removeprefix(GYMNASIUM))
     if name in EXTERNAL_ENVIRONMENTS:

@@ -10,9 +10,9 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike
 
-from shes.drawing.drawer import Drawer, Picture
-from shes.drawing.renderer import check_camera
-from shes.drawing.rendering import Window, make_drawer, open_window
+from shes.drawing.make_drawer import make_drawer
+from shes.drawing.renderer import Drawer, Picture, check_camera
+from shes.drawing.window import Window, open_window
 from shes.envs.observation_spec import bounds
 from shes.envs.registry import ENVIRONMENTS, Environment
 from shes.envs.tasks.task_options import TaskOptions

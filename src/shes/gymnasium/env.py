@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from shes.drawing.drawer import Picture
+from shes.drawing.renderer import Picture
 from shes.gymnasium.adapter import TaskAdapter
 from shes.types import F64Array
 

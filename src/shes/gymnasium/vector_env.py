@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from shes.checked import checked
 from shes.cores import num_cores
-from shes.drawing.drawer import Picture
+from shes.drawing.renderer import Picture
 from shes.errors import ConfigError
 from shes.gymnasium.adapter import TaskAdapter
 from shes.settings import Ge

@@ -6,7 +6,6 @@ perturbations from its own noise table (SHES paper II-G).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
@@ -141,11 +140,6 @@ class EpisodeTask:
     snapshot_steps: tuple[int, ...] = ()
     """Number of control steps before the snapshot of each episode. An episode that ends earlier has none."""
 
-    @property
-    def num_units(self) -> int:
-        """Number of units of work: episodes."""
-        return len(self.slots)
-
     def part(self, start: int, stop: int) -> EpisodeTask:
         """Return the task of the episodes from `start` to `stop`, exclusive, in the same slots.
 
@@ -153,17 +147,6 @@ class EpisodeTask:
         """
         cut = slice(start, stop)
         return replace(self, slots=self.slots[cut], seeds=self.seeds[cut], snapshot_steps=self.snapshot_steps[cut])
-
-    def join(self, results: Sequence[EpisodeResults]) -> EpisodeResults:
-        """Return the results of this task, given those of its parts in order."""
-        moments = [each.moments for each in results if each.moments is not None]
-        return EpisodeResults(
-            outcomes=np.concatenate([each.outcomes for each in results]),
-            moments=tuple(Moments.join(of_level) for of_level in zip(*moments, strict=True)) if moments else None,
-            snapshots=[snapshot for each in results for snapshot in each.snapshots],
-            seconds=np.sum([each.seconds for each in results], axis=0),
-            log=tuple(line for each in results for line in each.log),
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

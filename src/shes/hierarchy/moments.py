@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -30,12 +29,6 @@ class Moments:
             total=xp.zeros((num_episodes, size)),
             total_squares=xp.zeros((num_episodes, size)),
         )
-
-    @classmethod
-    def join(cls, parts: Sequence[Moments]) -> Moments:
-        """Return the sums of the episodes of all `parts`."""
-        names = ("count", "total", "total_squares")
-        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     def add(self, rows: slice | IntArray, observation: F64Array) -> None:
         """Add one observation [rows, O] to each of `rows`."""

@@ -84,12 +84,16 @@ class Rollout:
         return len(self._lanes)
 
     def run(
-        self, work: Iterator[NumberedTask | None], generation: Generation, table: NoiseTable
+        self,
+        work: Iterator[NumberedTask | None],
+        generation: Generation,
+        table: NoiseTable,
+        on_step: Callable[[], None] = lambda: None,
     ) -> Iterator[tuple[int, EpisodeResults]]:
         """Run all of `work`, one task per lane at a time, and yield numbered results as tasks finish.
 
-        None in `work` means that no more tasks are to be started until an episode has ended. A PolicyError is raised
-        for a policy that returned NaN or infinity.
+        None in `work` means that no more tasks are to be started until an episode has ended. `on_step` is called after
+        every step. A PolicyError is raised for a policy that returned NaN or infinity.
         """
         self.batch.set_way(generation.way)
         self._exploration.begin(generation)
@@ -118,7 +122,7 @@ class Rollout:
             if not len(self._running):
                 return
             while not len(ended := self._step()):
-                pass
+                on_step()
             yield from self._finish(ended)
 
     def _start(

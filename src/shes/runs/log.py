@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from logging.handlers import QueueHandler, QueueListener
@@ -28,7 +29,10 @@ class _LogFile(logging.FileHandler):
 
 @contextmanager
 def run_log(folder: RunFolder) -> Iterator[None]:
-    """Write the log of the run to its `log.txt` inside the block, in a thread: the run does not wait for the disk."""
+    """Write the log of the run to its `log.txt` inside the block, in a thread: the run does not wait for the disk.
+
+    An error that ends the block is logged with its traceback, which says where in the user's own code it began.
+    """
     with storage_errors(folder.log):
         file = _LogFile(folder.log, encoding="utf-8")
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
@@ -41,6 +45,10 @@ def run_log(folder: RunFolder) -> Iterator[None]:
     logger.propagate = False
     try:
         yield
+    except Exception as error:
+        for line in "".join(traceback.format_exception(error)).splitlines():
+            logger.log(logging.ERROR, "%s", line)
+        raise
     finally:
         logger.removeHandler(handler)
         logger.level, logger.propagate = previous

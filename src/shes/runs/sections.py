@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from shes.algorithms.contract import Algorithm
 from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
-from shes.backends.registry import BACKENDS
+from shes.backends.named_backends import BACKENDS
 from shes.cores import num_cores
 from shes.envs.registry import ENVIRONMENTS, Environment, find_environment
 from shes.errors import ConfigError

@@ -54,18 +54,11 @@ class Simulator(ABC):
         A state is qpos, qvel, the solver's warm start and the time: everything but the controls that the next step
         depends on. After `set_states`, here or in another simulator of the same class and model, a simulation
         continues bit-identically.
-
-        Raises:
-            ConfigError: This simulator does not implement it.
         """
         raise ConfigError(_NO_STATES.format(type(self).__name__))
 
     def set_states(self, ids: IntArray, states: F64Array) -> None:
-        """Set the physics states of simulations `ids` to `states` [ids, S], and clear `diverged`.
-
-        Raises:
-            ConfigError: This simulator does not implement it.
-        """
+        """Set the physics states of simulations `ids` to `states` [ids, S], and clear `diverged`."""
         raise ConfigError(_NO_STATES.format(type(self).__name__))
 
     def step(self, ids: IntArray, nstep: int) -> None:
@@ -79,8 +72,4 @@ class Simulator(ABC):
         """Advance simulations `ids` by `nstep` physics steps; `step` measures the time."""
 
     def check_buffers(self) -> None:  # noqa: B027 - only a device has fixed buffers
-        """Check that the buffers have sufficed since the start; call it once a generation.
-
-        Raises:
-            ConfigError: A buffer overflowed, so that contacts or constraints were left out.
-        """
+        """Raise a ConfigError if a buffer has overflowed since the start; called once a generation."""

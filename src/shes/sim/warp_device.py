@@ -33,10 +33,6 @@ def load_warp() -> tuple[ModuleType, ModuleType]:
 
     Warp's messages on stdout about itself and the kernels that it compiles are turned off, unless the caller has set a
     log level. Its message on stderr about a missing GPU is kept for the error that `WarpDevice` raises.
-
-    Raises:
-        MissingExtraError: A module is not installed.
-        ConfigError: The installed versions are incompatible.
     """
     _check_versions()
     try:
@@ -128,11 +124,6 @@ class WarpDevice:
 
         On `cuda`, CuPy's current stream in this thread becomes Warp's, so that the work of both runs in the order in
         which it was issued, without waiting.
-
-        Raises:
-            UnknownNameError: `name` is unknown.
-            MissingExtraError: mujoco-warp or CuPy is not installed.
-            ConfigError: There is no GPU, its driver is too old, or versions are incompatible.
         """
         if name not in DEVICES:
             raise UnknownNameError("device", name, DEVICES, "Set --device.")
@@ -217,12 +208,7 @@ def _driver(warp: ModuleType) -> str:
 
 
 def _load_cupy(driver: str = "none") -> ModuleType:
-    """Return the module `cupy`.
-
-    Raises:
-        MissingExtraError: It does not work.
-        ConfigError: It needs a newer driver, or the GPU has no free memory.
-    """
+    """Return the module `cupy`."""
     try:
         import cupy
 

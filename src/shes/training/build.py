@@ -12,7 +12,7 @@ from shes.algorithms.contract import Algorithm
 from shes.algorithms.problem import Problem
 from shes.algorithms.worker import RolloutWorker, WorkerPlan, simulator_factory
 from shes.backends.backend import Backend
-from shes.backends.registry import BACKENDS
+from shes.backends.named_backends import BACKENDS
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.registry import Environment, EnvironmentMaker, find_environment
 from shes.envs.tasks.task_options import TaskOptions

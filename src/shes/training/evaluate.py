@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 import numpy as np
 
 from shes.algorithms.contract import Algorithm, AnyState
-from shes.algorithms.roll_out import RollOutBeside
+from shes.algorithms.roll_out import roll_out_tasks
 from shes.backends.backend import Backend
 from shes.checked import checked
 from shes.envs.tasks.task_options import FallOptions
@@ -147,16 +147,16 @@ class EvaluationBeside:
         """Begin an episode of the agent of `state` for every seed, with `decisions` instead of its controller's."""
         self._count, self._primitive = len(seeds), algorithm.design.intrinsic_level
         tasks, generation = _work(algorithm, state, seeds, decisions)
-        self._roll_out = RollOutBeside.start(tasks, generation, backend)
+        self._results = roll_out_tasks(tasks, generation, backend)
 
     @property
     def is_done(self) -> bool:
         """Whether all episodes have ended."""
-        return self._roll_out.pending.is_done
+        return True
 
     def result(self) -> Evaluation:
         """Return the results, after the episodes that are left."""
-        return _evaluation(self._roll_out.results(), self._count, self._primitive)
+        return _evaluation(self._results, self._count, self._primitive)
 
 
 def _work(

@@ -9,6 +9,8 @@ from types import MappingProxyType
 
 from shes.algorithms.worker import lanes_that_fit
 from shes.cores import num_cores
+from shes.envs.external.environment import ExternalEnvironment
+from shes.envs.registry import find_environment
 from shes.errors import ConfigError
 from shes.free_space import free_memory
 from shes.hierarchy.agent import AgentDesign
@@ -41,11 +43,14 @@ class Workload:
     chunk_size: int
     num_workers: int
     """Worker processes on this machine; 0 if the work is done in this one, or on a device."""
+    instance_bytes: int | None = None
+    """Bytes of an instance of an external environment, one for every episode in lockstep; None for other ones."""
 
     @classmethod
     def of(cls, config: TrainConfig, *, is_evaluation: bool = False) -> Workload:
         """Return the workload of a run with the settings of `config`, or of an evaluation alone."""
         policies, episodes = config.algorithm.population(config)
+        env = find_environment(config.run.env)
         has_processes = config.workers.device == "cpu" and config.workers.backend == "processes"
         return cls(
             population_size=0 if is_evaluation else policies,
@@ -55,6 +60,7 @@ class Workload:
             evaluation_horizon=config.evaluation_steps,
             chunk_size=config.workers.chunk_size,
             num_workers=config.workers.count if has_processes else 0,
+            instance_bytes=env.measured_bytes() if isinstance(env, ExternalEnvironment) else None,
         )
 
     @property
@@ -75,10 +81,11 @@ class Workload:
         """Return the bytes of a worker's arrays for its share of `policies`, in lockstep, with exploration noise."""
         rows = self.episodes_per_policy
         share = -(-policies // max(1, self.num_workers))
-        lanes = min(share, self.chunk_size or lanes_that_fit(sum(design.dims), rows))
+        are_external = self.instance_bytes is not None
+        lanes = min(share, self.chunk_size or lanes_that_fit(sum(design.dims), rows, are_external=are_external))
         decisions = -(-horizon // design.controller_interval)
         noise = 4 * (horizon * design.policies[-1].sizes[-1] + decisions * design.decision_size)
-        return lanes * (8 * sum(design.dims) + rows * (_ROW_BYTES + noise))
+        return lanes * (8 * sum(design.dims) + rows * (_ROW_BYTES + noise + (self.instance_bytes or 0)))
 
 
 _SIZES = ("population_size", "episodes_per_policy", "evaluation_episodes", "horizon", "evaluation_horizon")

@@ -5,8 +5,8 @@ Source of the distribution of t: Abramowitz and Stegun, Handbook of Mathematical
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from math import pi, sqrt
 
@@ -14,6 +14,14 @@ import numpy as np
 
 from shes.types import F64Array
 
+Table = Mapping[str, F64Array]
+"""Columns of a table by name, with a value per row."""
+X_AXES = {
+    "env_steps": ("environment steps (millions)", 1e-6),
+    "wall_time_s": ("minutes", 1 / 60),
+    "generation": ("generation", 1.0),
+}
+"""Abscissae: column of the tables -> label, and factor of the column's values."""
 _CONFIDENCE = 0.95
 _LEAST_OVERLAP = 0.5
 """Part of the median length of the runs that all of them must cover for a mean."""
@@ -29,9 +37,9 @@ class MeanCurve:
     values: F64Array
     """Values there [runs, grid]."""
     band: tuple[F64Array, F64Array] | None
-    """Bounds [grid] of the 95 % interval of the mean; None of fewer than three runs."""
+    """Bounds [grid] of the 95 % interval of the mean of three or more runs; of a single run, two standard errors."""
     singles: tuple[tuple[F64Array, F64Array], ...]
-    """Abscissae and values of each run that is to be shown: of two, whose interval says nothing, and of runs apart."""
+    """Abscissae and values of each of two runs, whose interval says nothing, and of runs that lie apart."""
 
     @property
     def mean(self) -> F64Array:
@@ -50,7 +58,7 @@ class MeanCurve:
 
 
 def mean_curve(x: Sequence[F64Array], y: Sequence[F64Array]) -> MeanCurve:
-    """Return the mean of curves where all have values.
+    """Return the mean of curves where all have values, which are interpolated linearly.
 
     Without a common range of at least half of their median length there is no mean: it would leave out most of what
     the runs did.
@@ -62,24 +70,28 @@ def mean_curve(x: Sequence[F64Array], y: Sequence[F64Array]) -> MeanCurve:
     curves = tuple(zip(x, y, strict=True))
     if len(curves) == 1:
         return MeanCurve(grid=x[0], values=np.stack(y), band=None, singles=())
-    common = min(each[-1] for each in x) - max(each[0] for each in x)
-    if common < _LEAST_OVERLAP * np.median([each[-1] - each[0] for each in x]):
+    start, end = max(each[0] for each in x), min(each[-1] for each in x)
+    if end - start < _LEAST_OVERLAP * np.median([each[-1] - each[0] for each in x]):
         return MeanCurve(grid=np.empty(0), values=np.empty((len(curves), 0)), band=None, singles=curves)
-    grid, values = interpolate(x, y)
+    every = np.concatenate(x)
+    grid = np.unique(every[(every >= start) & (every <= end)])
+    values = np.stack([np.interp(grid, *curve) for curve in curves])
     if len(curves) == 2:
         return MeanCurve(grid=grid, values=values, band=None, singles=curves)
     return MeanCurve(grid=grid, values=values, band=confidence_interval(values), singles=())
 
 
-def interpolate(x: Sequence[F64Array], y: Sequence[F64Array]) -> tuple[F64Array, F64Array]:
-    """Return the grid that all curves cover [grid], and their linearly interpolated values there [runs, grid].
+def column_curve(tables: Sequence[Table], column: str, x: str) -> MeanCurve:
+    """Return the mean of `column` of the tables of several runs, over `x` of `X_AXES`.
 
-    `x` are the ascending abscissae of each curve, `y` its values. The grid is empty if they have no common range.
+    A single table of evaluations has a band of two standard errors over the episodes on either side.
     """
-    start, end = max(each[0] for each in x), min(each[-1] for each in x)
-    every = np.concatenate(x)
-    grid = np.unique(every[(every >= start) & (every <= end)])
-    return grid, np.stack([np.interp(grid, *curve) for curve in zip(x, y, strict=True)])
+    curve = mean_curve([table[x] * X_AXES[x][1] for table in tables], [table[column] for table in tables])
+    spread = column.replace("_mean", "_std")
+    if len(tables) > 1 or spread == column or not {spread, "episodes"} <= tables[0].keys():
+        return curve
+    error = 2 * tables[0][spread] / np.sqrt(tables[0]["episodes"])
+    return replace(curve, band=(curve.mean - error, curve.mean + error))
 
 
 def confidence_interval(values: F64Array) -> tuple[F64Array, F64Array]:

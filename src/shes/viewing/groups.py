@@ -1,70 +1,124 @@
-"""Groups of runs: which runs are repetitions of each other, and how the groups differ."""
+"""Runs read for drawing, and their groups: which are repetitions of each other, and how the groups differ."""
 
 from __future__ import annotations
 
-import itertools
 import json
+import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
+from shes.errors import ConfigError, ShesError
+from shes.runs.config import TrainConfig
 from shes.runs.folder import RunFolder
 from shes.runs.repetitions import differing_settings, repeated_settings, seeds_of
+from shes.runs.shipped import shipped_name
+from shes.runs.tables import read_csv
+from shes.training.runs_folder import find_runs
 from shes.training.transfer import transferred_levels
+from shes.viewing.curves import Table
 
 _T = TypeVar("_T")
-
 _FIRST = ("env", "algorithm", "preset")
 """The kind of a run: settings that are named first in a label, because others follow from them."""
 _MOST_NAMED = 4
-_STYLES = ("-", "--", ":", "-.")
-_COLORS = 10
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunData:
+    """A run, as its files describe it."""
+
+    folder: RunFolder
+    name: str
+    """Its path, or its name as a shipped agent."""
+    config: TrainConfig
+    record: dict[str, Any]
+    """Content of `config.json`."""
+    tables: dict[str, Table]
+    """`progress` and `evaluation`; a table that is missing or damaged is empty."""
+    is_damaged: bool
+    """Whether a table cannot be read."""
+    notes: list[str] = field(default_factory=list)
+    """What could not be read, or done with this run."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
     """Runs with equal settings and different seeds, and primitives of such runs. They are drawn as one curve."""
 
-    folders: list[RunFolder]
+    number: int
+    """Which of the groups it is, for the look of its curve."""
     label: str
     """How its settings differ from those of the other groups, and the number of its runs."""
-    color: str
-    style: str
-    """Style of its line: after ten groups the colours begin anew with another one."""
+    runs: list[RunData]
 
 
-def group_runs(folders: Sequence[RunFolder], *, by_time: bool = False) -> list[Group]:
-    """Return the groups of repetitions in `folders`.
+def read_runs(runs: Path | str | Sequence[Path | str], command: str) -> tuple[list[RunData], dict[str, ShesError]]:
+    """Return `runs`, the arguments of `command`, and the errors of those that cannot be read, by name."""
+    given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
+    if not given:
+        raise ConfigError(f"{command} needs at least one run folder: shes {command} RUN...")
+    folders = {folder.path.resolve(): folder for each in given for folder in find_runs(each)}
+    read: list[RunData] = []
+    errors: dict[str, ShesError] = {}
+    for folder in folders.values():  # a run named twice counts once
+        try:
+            read.append(read_run(folder))
+        except ShesError as error:
+            errors[_name(folder)] = error
+    if not read:
+        raise next(iter(errors.values()))
+    return read, errors
 
-    Workers and machine do not change the numbers of a run: two runs with the same seed are one result seen twice,
-    and no repetitions. A group that has a seed twice is divided by workers and machine, else into single runs; over
-    time, which depends on them, each group is.
+
+def read_run(folder: RunFolder) -> RunData:
+    """Return what the files of a run say; raise ShesError if its record cannot be read."""
+    tables: dict[str, Table] = {}
+    notes: list[str] = []
+    is_damaged = False
+    for path in (folder.progress, folder.evaluation):
+        columns: dict[str, list[float]] = {}
+        try:
+            columns = read_csv(path) if path.exists() else {}
+            if not columns:
+                notes.append(f"{path.name} {'has no row' if path.exists() else 'is missing'}: its curves are left out.")
+        except ShesError as error:
+            is_damaged = True
+            notes.append(f"Curves are left out: {error}")
+        tables[path.stem] = {name: np.array(values) for name, values in columns.items()}
+    return RunData(
+        folder=folder,
+        name=_name(folder),
+        config=folder.read_config(),
+        record=folder.read_record(),
+        tables=tables,
+        is_damaged=is_damaged,
+        notes=notes,
+    )
+
+
+def _name(folder: RunFolder) -> str:
+    return shipped_name(folder.path) or str(folder.path)
+
+
+def group_runs(runs: Sequence[RunData]) -> list[Group]:
+    """Return the groups of repetitions in `runs`: runs of equal settings that differ in the seed only.
+
+    Workers and machine do not change the numbers of a run: two runs with the same seed are one result seen twice, and
+    no repetitions. The runs of a group that has a seed twice are groups of their own.
     """
-    found: list[list[RunFolder]] = []
-    for group in _divided(folders, _design):
-        for part in _divided(group, _execution) if by_time or _has_seed_twice(group) else [group]:
-            found += [[folder] for folder in part] if _has_seed_twice(part) else [part]
-    return _named(found, _labels(found))
-
-
-def name_groups(folders: Sequence[RunFolder], labels: Sequence[str]) -> list[Group]:
-    """Return the groups of `folders` that have the same label of `labels`, one for each folder."""
-    found: dict[str, list[RunFolder]] = {}
-    for folder, label in zip(folders, labels, strict=True):
-        found.setdefault(label, []).append(folder)
-    return _named(list(found.values()), list(found))
-
-
-def _named(groups: list[list[RunFolder]], labels: list[str]) -> list[Group]:
-    """Return `groups` with these labels, each with a colour and a style of its own."""
+    found: list[list[RunData]] = []
+    for members in _divided(runs, _design):
+        has_seed_twice = len(_divided(members, lambda run: seeds_of(run.folder))) < len(members)
+        found += [[run] for run in members] if has_seed_twice else [members]
+    labels = _labels([members[0] for members in found])
     return [
-        Group(
-            folders=members,
-            label=label + (f" ({len(members)} runs)" if len(members) > 1 else ""),
-            color=f"C{number % _COLORS}",
-            style=_STYLES[number // _COLORS % len(_STYLES)],
-        )
-        for number, (members, label) in enumerate(zip(groups, labels, strict=True))
+        Group(number=number, label=label + (f" ({len(members)} runs)" if len(members) > 1 else ""), runs=members)
+        for number, (members, label) in enumerate(zip(found, labels, strict=True))
     ]
 
 
@@ -76,54 +130,37 @@ def _divided(items: Sequence[_T], key: Callable[[_T], Any]) -> list[list[_T]]:
     return list(found.values())
 
 
-def _design(folder: RunFolder) -> dict[str, Any]:
+def _design(run: RunData) -> dict[str, Any]:
     """Return the preset and the settings of a run that repetitions have in common."""
-    return {"preset": folder.read_config().run.preset, **repeated_settings(folder)}
+    return {"preset": run.config.run.preset, **repeated_settings(run.folder)}
 
 
-def _execution(folder: RunFolder) -> dict[str, Any]:
-    """Return the settings of a run's workers, and its machine."""
-    machine = folder.read_record().get("machine", {})
-    facts = {name: machine.get(name) for name in ("processor", "cores")} if isinstance(machine, dict) else {}
-    return {**folder.read_config().workers.to_dict(), **facts}
-
-
-def _has_seed_twice(folders: Sequence[RunFolder]) -> bool:
-    seeds = [seeds_of(folder) for folder in folders]
-    return any(each in seeds[:number] for number, each in enumerate(seeds))
-
-
-def _labels(groups: list[list[RunFolder]]) -> list[str]:
-    """Return a label for every group: environment and preset of a single one, else what differs."""
-    firsts = [members[0] for members in groups]
-    if len(groups) == 1:
-        run = firsts[0].read_config().run
+def _labels(firsts: Sequence[RunData]) -> list[str]:
+    """Return a label for the group of each run: environment and preset of a single one, else what differs."""
+    if len(firsts) == 1:
+        run = firsts[0].config.run
         return [f"{run.env} {run.preset}"]
     designs = [_design(first) for first in firsts]
-    facts = [{**design, **_execution(first)} for design, first in zip(designs, firsts, strict=True)]
-    kind = [name for name in _FIRST if name in differing_settings(facts)]
-    # Other settings are named where they differ among groups of one kind, and workers and machine as the last resort.
-    alike = [differing_settings(each) for each in _divided(facts, lambda each: [each.get(name) for name in _FIRST])]
-    names = [name for name in dict.fromkeys(itertools.chain(*facts)) if any(name in each for each in alike)]
-    own = [name for name in names if any(name in design for design in designs)]
-    own.sort(key=lambda name: name not in transferred_levels())  # a level of another run brings other settings
-    others = [name for name in names if name not in own]
-    labels: list[str] = []
-    for chosen in ([*kind, *own], [*kind, *own, *others]):
-        labels = [_label(each, chosen) for each in facts]
-        if len(set(labels)) == len(labels):
-            return labels
-    return [f"{label}, {first.path}" if label else str(first.path) for label, first in zip(labels, firsts, strict=True)]
+    kind = [name for name in _FIRST if name in differing_settings(designs)]
+    # Other settings are named where they differ among groups of one kind.
+    alike = _divided(designs, lambda design: [design.get(name) for name in _FIRST])
+    names = list(dict.fromkeys(chain(*map(differing_settings, alike))))
+    names.sort(key=lambda name: name not in transferred_levels())  # a level of another run brings other settings
+    labels = [_label(design, [*kind, *names]) for design in designs]
+    if len(set(labels)) == len(labels):
+        return labels
+    return [f"{label}, {first.name}" if label else first.name for label, first in zip(labels, firsts, strict=True)]
 
 
-def _label(facts: dict[str, Any], names: list[str]) -> str:
+def _label(settings: dict[str, Any], names: list[str]) -> str:
     """Return the values of settings `names`, at most `_MOST_NAMED` of them."""
-    shown = [f"{name.replace('_', ' ')} {_text(facts.get(name))}" for name in names if name in facts]
+    shown = [f"{name.replace('_', ' ')} {setting_text(settings[name])}" for name in names if name in settings]
     more = len(shown) - _MOST_NAMED
     return ", ".join(shown[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _text(value: Any) -> str:
-    if isinstance(value, list):
-        return "x".join(map(_text, value)) or "none"
+def setting_text(value: Any) -> str:
+    """Return the value of a setting as people write it: lists as `64x64`, nothing as `none`."""
+    if isinstance(value, list | tuple):
+        return "x".join(map(setting_text, value)) or "none"
     return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,21 +14,23 @@ import numpy as np
 
 from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.markers import GOAL, ROBOT, TRAIL, Marker, disc, line
+from shes.hierarchy.views import View
 from shes.training.build import open_run
 from shes.training.evaluate import fresh_seeds
 from shes.training.loaded_agent import Agent
 from shes.types import F64Array
-from shes.viewing.controller_sight import ControllerSight
 
 _TRAIL_STEPS = 150
-_ABOVE_GROUND_M = 0.03
-_LINE_RADIUS_M = 0.05
-_GOAL_RADIUS_M = 0.45
+_ABOVE_GROUND_M, _LINE_RADIUS_M, _GOAL_RADIUS_M = 0.03, 0.05, 0.45
+_MOST_LISTED = 12
+"""Inputs of a controller up to which each is listed; of more, those whose names begin with one word are summed up."""
+_FEW_ALIKE = 3
+"""Inputs that begin with one word, such as those of the target, up to which they are listed all the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Moment:
-    """One control step."""
+class PlayedStep:
+    """One control step of an episode, ready to be shown."""
 
     pose: Any
     """The pose to draw: qpos [nq] or a picture."""
@@ -35,8 +38,10 @@ class Moment:
     """The task's markers, those of the sensors if asked for, the goal, and the robot's trail."""
     facts: tuple[str, ...]
     """Label of the agent, if any, its training so far, time, score, and how the episode ended."""
-    seen: tuple[str, ...] = ()
-    """Inputs of the controller in words if sensors are shown; see `ControllerSight`."""
+    inputs: tuple[str, ...]
+    """Inputs of the controller in words, before normalisation; empty unless sensors are shown."""
+    is_last: bool
+    """Whether the episode ends with this step."""
 
 
 class Playback:
@@ -54,71 +59,86 @@ class Playback:
     ) -> None:
         """Load `checkpoint` of `run`, called `label`; for the other arguments and errors see `render`."""
         opened = open_run(run, checkpoint)
-        config, state = opened.config, opened.state
-        self._facts = (label, _age(state.generation)) if label else (_age(state.generation),)
-        self.steps = steps or config.evaluation_steps
+        self._state, self._seed, self._shows_sensors = opened.state, seed, sensors
+        count = opened.state.generation
+        age = f"after {count} generation{'s' * (count != 1)}" if count else "untrained"
+        self._facts = (label, age) if label else (age,)
+        self.steps = steps or opened.config.evaluation_steps
+        """Most control steps of an episode."""
         self._agent = Agent(opened)
         self.task = opened.algorithm.problem.make_task(is_evaluation=True)
         """The environment; whoever plays it closes it."""
-        self._state, self._seed, self._has_sensors = state, seed, sensors
-        view = opened.algorithm.design.controller_view
-        self._sight = ControllerSight(view, self.task) if sensors and view is not None else None
+        self._view = opened.algorithm.design.controller_view if sensors else None
+
+    @property
+    def goal(self) -> F64Array | None:
+        """The current goal [2] in metres; None if the agent has none."""
+        return None if self._agent.goal is None else self._agent.goal[0]
 
     def seed_of(self, episode: int) -> int:
         """Return the seed of episode `episode` of those that `evaluate` runs."""
         return fresh_seeds(self._state, episode + 1, self._seed)[episode]
 
-    def play(self, seed: int) -> Iterator[Moment]:
-        """Yield the moments of the episode with seed `seed`, beginning with its start."""
+    def play(self, seed: int) -> Iterator[PlayedStep]:
+        """Yield the steps of the episode with seed `seed`, beginning with its start."""
         task, one = self.task, np.array([0])
         task.reset(one, [seed])
         self._agent.reset()
         trail = deque([task.position[0].copy()], maxlen=_TRAIL_STEPS)
         for step in range(self.steps):
             control = self._agent.control(task.observe(), task.position, task.heading, task.goal)
-            yield self._moment(step, trail, "")
+            yield self._played(step, trail, "")
             task.step(one, control)
             trail.append(task.position[0].copy())
-            ending = _ending(task, step + 1 == self.steps)
-            if ending:
-                yield self._moment(step + 1, trail, ending)
+            end = "diverged" if task.diverged[0] else "ended" if task.terminated[0] else ""
+            end = end or ("time is up" if step + 1 == self.steps else "")
+            if end:
+                yield self._played(step + 1, trail, end)
                 return
 
-    def _moment(self, step: int, trail: deque[F64Array], ending: str) -> Moment:
+    def _played(self, step: int, trail: deque[F64Array], end: str) -> PlayedStep:
         task = self.task
-        sensed = task.sensor_markers(0) if self._has_sensors else []
-        facts = (*self._facts, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", ending)
-        return Moment(
+        sensed = task.sensor_markers(0) if self._shows_sensors else []
+        facts = (*self._facts, f"{step * task.step_s:.1f} s", f"score {task.score[0]:.1f}", end)
+        return PlayedStep(
             pose=task.pose(0),
-            markers=[*task.markers(0), *sensed, *_goal_and_trail(self._agent.goal, trail, task.ground_m)],
-            facts=tuple(fact for fact in facts if fact),
-            seen=() if self._sight is None else self._sight.look(),
+            markers=[*task.markers(0), *sensed, *_goal_and_trail(self.goal, trail, task.ground_m)],
+            facts=tuple(filter(None, facts)),
+            inputs=() if self._view is None else input_words(self._view, task),
+            is_last=bool(end),
         )
 
 
-def _age(generation: int) -> str:
-    """Return how long an agent was trained: `untrained`, `after 80 generations`."""
-    if generation == 0:
-        return "untrained"
-    return f"after {generation} generation{'s' * (generation != 1)}"
+def input_words(view: View, task: EpisodeBatch) -> tuple[str, ...]:
+    """Return names and values of what a controller with `view` sees in the first episode of `task`.
+
+    Of many inputs, the largest of those that begin with one word.
+    """
+    names = view.names(task.observation_names)
+    values = np.zeros((1, len(names)))
+    view.write(task.observe(), task.heading, values)
+    position = {task.observation_names[column] for column in task.position_columns}
+    alike: dict[str, dict[str, float]] = {}
+    for name, value in zip(names, values[0].tolist(), strict=True):
+        word = re.match(r"[^\W\d_]+", name)
+        key = name if len(names) <= _MOST_LISTED or name in position or word is None else word[0]
+        alike.setdefault(key, {})[name] = value
+    found = [f"controller sees {len(names)} value{'s' * (len(names) != 1)}"]
+    for word, group in alike.items():
+        if len(group) <= _FEW_ALIKE:
+            found += [f"{name.replace('_', ' ')} {value:.2f}" for name, value in group.items()]
+        else:
+            found.append(f"{len(group)} of {word} up to {max(group.values()):.2f}")
+    return tuple(found)
 
 
-def _ending(task: EpisodeBatch, is_last: bool) -> str:
-    """Return why the episode has ended; an empty string if it has not."""
-    if task.diverged[0]:
-        return "diverged"
-    if task.terminated[0]:
-        return "ended"
-    return "time is up" if is_last else ""
-
-
-def _goal_and_trail(goals: F64Array | None, trail: deque[F64Array], ground: float) -> list[Marker]:
+def _goal_and_trail(place: F64Array | None, trail: deque[F64Array], ground_m: float) -> list[Marker]:
     """Return markers of the robot's trail and position, and of the goal and a line to it, if there is one."""
-    height = ground + _ABOVE_GROUND_M
+    height = ground_m + _ABOVE_GROUND_M
     places = [(*place, height) for place in trail]
     way = [line(*pair, _LINE_RADIUS_M, TRAIL) for pair in pairwise(places)]
     spot = disc(places[-1], _GOAL_RADIUS_M, (*ROBOT[:3], 0.35), height=0.01)
-    if goals is None:
+    if place is None:
         return [*way, spot]
-    goal = (*goals[0], height)
+    goal = (*place, height)
     return [*way, spot, line(places[-1], goal, _LINE_RADIUS_M / 2, GOAL), disc(goal, _GOAL_RADIUS_M, GOAL)]

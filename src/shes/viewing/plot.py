@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -19,31 +19,15 @@ from matplotlib.ticker import MaxNLocator
 
 from shes.checked import checked
 from shes.errors import ConfigError, RunFolderError
-from shes.runs.folder import RunFolder
-from shes.runs.tables import read_csv
 from shes.storage import write_atomically
-from shes.training.runs_folder import find_runs
-from shes.types import F64Array
-from shes.viewing.curve_drawing import draw_mean_curve, legend_keys
-from shes.viewing.curves import MeanCurve, mean_curve
-from shes.viewing.groups import Group, group_runs
+from shes.viewing.curves import X_AXES, MeanCurve, Table, column_curve
+from shes.viewing.groups import Group, RunData, group_runs, read_runs
 
-X_AXES = {
-    "generation": ("generation", 1.0),
-    "env_steps": ("environment steps (millions)", 1e-6),
-    "wall_time_s": ("minutes", 1 / 60),
-}
-"""Abscissae: column of the tables -> label, and factor of the column's values."""
-_OVER_EPISODES = "band: mean ± 2 standard errors over the episodes of an evaluation"
 _PANEL_INCHES = (5.0, 3.8)
 _TICKS = 5  # more would overlap where the numbers have many digits
-_LINE_INCHES = 0.19
-"""Height of a line of the legend."""
-_CHARACTERS_PER_INCH = 11
-"""Of the legend; a little fewer than fit."""
-
-Panel = tuple[str, str, str]
-"""Table, column, title."""
+_LEGEND_LINE_INCHES, _CHARACTERS_PER_INCH = 0.19, 11
+_COLORS, _STYLES = 10, ("-", "--", ":", "-.")
+_THIN, _OPACITY = 0.7, 0.16
 
 
 @checked
@@ -53,12 +37,12 @@ def plot(
     *,
     x: Literal["env_steps", "generation", "wall_time_s"] = "env_steps",
 ) -> Path:
-    """Draw the learning curves of `runs`.
+    """Draw the learning curves of `runs`; return the path of the picture.
 
     Runs that differ in the seed only form a group: the figure shows its mean and a 95 % t interval over its runs. Two
-    runs are drawn as thin lines beside their mean, and runs that hardly overlap without one. A single run shows its
+    runs are drawn as thin lines with their mean, and runs that hardly overlap without one. A single run shows its
     evaluation's mean plus or minus two standard errors over episodes instead. Runs with the same seed are no
-    repetitions: if they differ in the machine or the workers, each is drawn.
+    repetitions: each is drawn.
 
     shes plot runs/seeds runs/other --out mean.pdf --x generation
 
@@ -67,39 +51,25 @@ def plot(
             others have one.
         out: Path of the picture; the suffix (.png, .pdf, .svg) selects the format.
         x: Horizontal axis.
-
-    Returns:
-        Path of the picture.
-
-    Raises:
-        RunFolderError: A run is neither a folder of runs nor a shipped agent, or none has an evaluation yet.
-        UnknownNameError: `x` is not one of `X_AXES`.
-        ConfigError: `runs` is empty, or the suffix of `out` is not a picture format.
-        StorageError: The picture cannot be written.
     """
-    given = [runs] if isinstance(runs, str | os.PathLike) else list(runs)
-    if not given:
-        raise ConfigError("plot needs at least one run folder: shes plot RUN... --out curves.png")
     target = Path(out)
-    opened = [folder for run in given for folder in find_runs(run)]
-    folders = list({folder.path.resolve(): folder for folder in opened}.values())  # a run named twice counts once
+    read, errors = read_runs(runs, "plot")
+    for error in errors.values():
+        raise error
     # The first evaluation of a young run comes with its second generation.
-    folders = [folder for folder in folders if _is_evaluated(folder)] or folders
-    panels, groups = _panels(folders), group_runs(folders, by_time=x == "wall_time_s")
+    read = [run for run in read if run.tables["evaluation"] or run.is_damaged] or read
+    groups = group_runs(read)
+    levels = dict.fromkeys(name for run in read for name in run.config.level_names)
     width, height = _PANEL_INCHES
-    figure, axes = plt.subplots(1, len(panels), figsize=(width * len(panels), height), layout="constrained")
+    figure, axes = plt.subplots(1, 1 + len(levels), figsize=(width * (1 + len(levels)), height), layout="constrained")
     try:
         picture_format = target.suffix.lstrip(".").lower()
         if picture_format not in figure.canvas.get_supported_filetypes():
             raise ConfigError(f"out must end in .png, .pdf or .svg, got {str(out)!r}. Set --out.")
-        drawn: list[MeanCurve] = []
-        for axis, (table, column, label) in zip(axes, panels, strict=True):
-            shown = [group for group in groups if _has_level(group.folders[0], column)]
-            drawn += [_draw_group(axis, group, table, column, x) for group in shown]
-            axis.set_xlabel(X_AXES[x][0])
-            axis.set_title(label)
-            axis.xaxis.set_major_locator(MaxNLocator(nbins=_TICKS))
-            axis.grid(alpha=0.3)
+        drawn = _draw_panel(axes[0], groups, "evaluation score", "evaluation", "score_mean", x)
+        for axis, level in zip(axes[1:], levels, strict=True):
+            own = [group for group in groups if level in group.runs[0].config.level_names]
+            drawn += _draw_panel(axis, own, f"{level} return (training)", "progress", f"{level}_return_mean", x)
         _draw_legend(figure, groups, drawn)
         write_atomically(target, lambda file: figure.savefig(file, format=picture_format, dpi=150))
     finally:
@@ -107,66 +77,83 @@ def plot(
     return target
 
 
-def _is_evaluated(folder: RunFolder) -> bool:
-    """Return whether a run has an evaluation."""
-    return folder.evaluation.is_file() and bool(read_csv(folder.evaluation))
+def _draw_panel(axis: Axes, groups: Sequence[Group], title: str, table: str, column: str, x: str) -> list[MeanCurve]:
+    """Draw a column of the runs of each group; return their means."""
+    axis.set_title(title)
+    axis.set_xlabel(X_AXES[x][0])
+    axis.xaxis.set_major_locator(MaxNLocator(nbins=_TICKS))
+    axis.grid(alpha=0.3)
+    drawn: list[MeanCurve] = []
+    for group in groups:
+        curve = column_curve([_columns(run, table, column, x) for run in group.runs], column, x)
+        color, style = _look(group)
+        draw_mean_curve(axis, curve, color, group.label, style)
+        drawn.append(curve)
+    return drawn
 
 
-def _panels(folders: list[RunFolder]) -> list[Panel]:
-    """Return the panels: the score, and the return of each level of any run."""
-    levels = dict.fromkeys(name for folder in folders for name in folder.read_config().level_names)
-    returns = [("progress", f"{name}_return_mean", f"{name} return (training)") for name in levels]
-    return [("evaluation", "score_mean", "evaluation score"), *returns]
+def _columns(run: RunData, table: str, *names: str) -> Table:
+    """Return a table of a run; raise RunFolderError if it lacks one of the columns `names`."""
+    found = run.tables[table]
+    missing = [name for name in names if name not in found]
+    if missing:
+        reasons = " ".join(run.notes) or f"{table}.csv has no column {missing[0]!r}."
+        raise RunFolderError(f"{run.folder.path} cannot be drawn. {reasons} Train it first, or leave it out.")
+    return found
 
 
-def _has_level(folder: RunFolder, column: str) -> bool:
-    """Return whether a run has `column`: its score, or the return of one of its levels."""
-    level = column.removesuffix("_return_mean")
-    return level == column or level in folder.read_config().level_names
+def _look(group: Group) -> tuple[str, str]:
+    """Return color and style of a group's line; after ten groups the colors begin anew with another style."""
+    return f"C{group.number % _COLORS}", _STYLES[group.number // _COLORS % len(_STYLES)]
 
 
-def _has_spread(evaluations: Mapping[str, Sequence[float]]) -> bool:
-    """Return whether evaluations tell how much their episodes differ."""
-    return {"score_std", "episodes"} <= evaluations.keys()
+def draw_mean_curve(axis: Axes, curve: MeanCurve, color: str, label: str, style: str = "-") -> None:
+    """Draw the mean of runs, called `label`, with its band, and the runs that are to be shown singly.
+
+    The axis keeps to the values of several runs: the band of few may leave it.
+    """
+    look: dict[str, Any] = {"color": color, "linestyle": style}
+    for number, (x, y) in enumerate(curve.singles):
+        name = label if curve.is_apart and number == 0 else None
+        axis.plot(x, y, linewidth=_THIN, marker="." if len(x) == 1 else "", label=name, **look)
+    if not curve.is_apart:
+        axis.plot(curve.grid, curve.mean, marker="." if len(curve.grid) == 1 else "", label=label, **look)
+    if curve.band is not None:
+        low, high = curve.band
+        edge = np.concatenate([np.column_stack([curve.grid, low]), np.column_stack([curve.grid, high])[::-1]])
+        axis.add_collection(PolyCollection([edge], color=color, alpha=_OPACITY, linewidth=0), autolim=False)
+        kept = curve.values if len(curve.values) > 1 else np.stack(curve.band)
+        axis.update_datalim([(curve.grid[0], kept.min()), (curve.grid[-1], kept.max())])
+        axis.autoscale_view()
 
 
-def _draw_group(axis: Axes, group: Group, table: str, column: str, x: str) -> MeanCurve:
-    """Draw a column of the runs of a group; return their mean."""
-    xs, ys = zip(*(_read_curve(folder, table, column, x) for folder in group.folders), strict=True)
-    curve = mean_curve(xs, ys)
-    draw_mean_curve(axis, curve, group.color, group.label, group.style)
-    if len(group.folders) == 1 and column == "score_mean":
-        columns = read_csv(group.folders[0].evaluation)
-        if _has_spread(columns):
-            error = 2 * np.array(columns["score_std"]) / np.sqrt(columns["episodes"])
-            axis.fill_between(xs[0], ys[0] - error, ys[0] + error, alpha=0.2, color=group.color, linewidth=0)
-    return curve
+def legend_keys(curves: Iterable[MeanCurve], runs: str) -> list[tuple[Artist, str]]:
+    """Return handles and words for what is drawn apart from the means of `curves`; `runs` is the word for runs."""
+    drawn = list(curves)
+    thin = Line2D([], [], color="black", linewidth=_THIN)
+    keys: list[tuple[Artist, str]] = []
+    if any(curve.band is not None and len(curve.values) > 1 for curve in drawn):
+        words = f"band: 95 % t interval of the mean over {runs}, which may leave the panel"
+        keys.append((Patch(color="grey", alpha=2 * _OPACITY), words))
+    if any(curve.singles and not curve.is_apart for curve in drawn):
+        keys.append((thin, f"thin lines: each of two {runs}, too few for a band"))
+    if any(curve.is_apart for curve in drawn):
+        keys.append((thin, f"thin lines without a mean: {runs} apart, which hardly overlap"))
+    if any(curve.band is not None and len(curve.values) == 1 for curve in drawn):
+        words = "band: mean ± 2 standard errors over the episodes of an evaluation"
+        keys.append((Patch(color="grey", alpha=2 * _OPACITY), words))
+    return keys
 
 
 def _draw_legend(figure: Figure, groups: Sequence[Group], drawn: Sequence[MeanCurve]) -> None:
     """Draw a legend of the groups and of what is drawn below the panels, as high as its wrapped lines need."""
-    keys: list[tuple[Artist, str]] = [
-        (Line2D([], [], color=group.color, ls=group.style), group.label) for group in groups
-    ]
+    looks = [(_look(group), group.label) for group in groups]
+    keys: list[tuple[Artist, str]] = [(Line2D([], [], color=color, ls=style), text) for (color, style), text in looks]
     keys += legend_keys(drawn, "runs")
-    if any(len(group.folders) == 1 and _has_spread(read_csv(group.folders[0].evaluation)) for group in groups):
-        keys.append((Patch(color="grey", alpha=0.3), _OVER_EPISODES))
     width, height = figure.get_size_inches()
     characters = round(width * _CHARACTERS_PER_INCH) - 8
     wrapped = ["\n".join(textwrap.wrap(text, characters)).replace("$", r"\$") for _, text in keys]
     lines = sum(1 + text.count("\n") for text in wrapped)
-    figure.set_size_inches(width, height + lines * _LINE_INCHES)
+    figure.set_size_inches(width, height + lines * _LEGEND_LINE_INCHES)
     handles = [handle for handle, _ in keys]
     figure.legend(handles, wrapped, loc="outside lower center", fontsize="small", frameon=False)
-
-
-def _read_curve(folder: RunFolder, table: str, column: str, x: str) -> tuple[F64Array, F64Array]:
-    """Return abscissae and values of a column of a run's table; raise RunFolderError if it does not exist."""
-    path = folder.evaluation if table == "evaluation" else folder.progress
-    if not path.exists():
-        raise RunFolderError(f"{folder.path} has nothing to draw yet: {path.name} is missing. Train it first.")
-    columns = read_csv(path)
-    for name in (column, x):
-        if name not in columns:
-            raise RunFolderError(f"{path} has no column {name!r}, or no row.")
-    return np.array(columns[x]) * X_AXES[x][1], np.array(columns[column])

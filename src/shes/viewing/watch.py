@@ -7,39 +7,31 @@ from pathlib import Path
 from typing import Annotated
 
 from shes.checked import checked
-from shes.drawing.rendering import open_window
+from shes.drawing.window import open_window
 from shes.settings import Ge
 from shes.viewing.playback import Playback
 
 
 @checked
-def watch(
-    run: Path | str, *, checkpoint: str = "best", seed: Annotated[int, Ge(0)] | None = None, sensors: bool = True
-) -> None:
+def watch(run: Path | str, *, checkpoint: str = "best", seed: Annotated[int, Ge(0)] | None = None) -> None:
     """Show the episodes that `evaluate` runs in a window, in real time, until it is closed. It needs a display.
+
+    The window also shows what the controller sees, in words, and what the agent's sensors read, if it has any (Gather).
 
     Args:
         run: The run folder, or the name of a shipped agent.
         checkpoint: Checkpoint: `best`, `last` or the number of a generation.
         seed: Seed of the episodes, as for `evaluate`.
-        sensors: Whether to show what the controller sees, in words, and what the agent's sensors read, if it has any
-            (Gather).
-
-    Raises:
-        RunFolderError: `run` is neither a run folder nor a shipped agent.
-        CheckpointError: The checkpoint is missing or damaged.
-        ConfigError: There is no screen, the environment has no window, or `seed` is negative.
     """
-    playback = Playback(run, checkpoint, seed, sensors=sensors)
+    playback = Playback(run, checkpoint, seed, sensors=True)
     window = open_window(playback.task)
     try:
         for episode in count():
-            for number, moment in enumerate(playback.play(playback.seed_of(episode))):
+            for number, step in enumerate(playback.play(playback.seed_of(episode))):
                 if not window.is_open:
                     return
-                window.show(
-                    moment.pose, moment.markers, is_new_episode=number == 0, lines=(*moment.facts, *moment.seen)
-                )
+                lines = (*step.facts, *step.inputs)
+                window.show(step.pose, step.markers, is_new_episode=number == 0, lines=lines)
     finally:
         window.close()
         playback.task.close()

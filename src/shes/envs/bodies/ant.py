@@ -62,6 +62,8 @@ class Ant(Body):
     control_unit: ClassVar[str] = "N m"
     control_limit: ClassVar[float] = 30.0
     quaternion: ClassVar[slice | None] = slice(3, 7)
+    # Height, quaternion, then hip and ankle of each leg. Source: Nachum et al. 2018, appendix C.1.
+    goal_half_range: ClassVar[tuple[float, ...]] = (0.5, 1.0, 1.0, 1.0, 1.0, *(0.5, 0.3) * 4)
     egocentric: ClassVar[tuple[ObservationElement, ...]] = (
         pose[2],
         *elements(["tilt_ahead", "tilt_left"], "{}: component of the torso's z axis"),

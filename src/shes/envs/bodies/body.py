@@ -33,6 +33,8 @@ class Body(ABC):
     """Controls lie in [-control_limit, control_limit]."""
     quaternion: ClassVar[slice | None]
     """Slice of qpos that holds the torso's unit quaternion; None without one."""
+    goal_half_range: ClassVar[tuple[float, ...]] = ()
+    """Largest change that a goal of HIRO asks of each element of `pose` after x and y; empty: of x and y alone."""
     egocentric: ClassVar[tuple[ObservationElement, ...]] = ()
     """Elements of the egocentric view, which `write_egocentric` writes; empty without one."""
 
@@ -77,11 +79,7 @@ class Body(ABC):
         """Return whether robots at `qpos` [N, num_qpos], on ground of height `ground_m`, have fallen over [N]."""
 
     def cos_tilt(self, qpos: F64Array) -> F64Array:
-        """Return the cosine [N] of the angle between the vertical and the robot's own, at `qpos` [N, num_qpos].
-
-        Raises:
-            ConfigError: The robot cannot tilt, or its class does not say how far it has.
-        """
+        """Return the cosine [N] of the angle between the vertical and the robot's own, at `qpos` [N, num_qpos]."""
         raise ConfigError(f"the {self.name} has no tilt to limit. Define `cos_tilt` in its class, or omit --max-tilt.")
 
     def frame_angle(self, qpos: F64Array) -> F64Array:
@@ -92,16 +90,9 @@ class Body(ABC):
         return self.heading(qpos)
 
     def write_egocentric(self, qpos: F64Array, qvel: F64Array, angle: F64Array, out: F64Array) -> None:
-        """Write the robot's state, without its position, in its own frame.
+        """Write the values of `egocentric` of robots at `qpos` [N, num_qpos] and `qvel` [N, num_qvel] to `out` [N, V].
 
-        Args:
-            qpos: Generalised coordinates [N, num_qpos].
-            qvel: Generalised velocities [N, num_qvel].
-            angle: Rotation of the frame [N] in radians; see `frame_angle`.
-            out: Receives the values of `egocentric` [N, V].
-
-        Raises:
-            ConfigError: The robot has no egocentric view.
+        `angle` [N] is the rotation of the frame in radians; see `frame_angle`.
         """
         raise ConfigError(
             f"the {self.name} has no egocentric view. Define `egocentric` and `write_egocentric` in its class, or "

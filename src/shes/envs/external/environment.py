@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, redirect_stderr
 from dataclasses import dataclass
@@ -21,11 +22,13 @@ from shes.envs.episode_batch import EpisodeBatch
 from shes.envs.external.reader import ExternalReader, Locate, find_physics
 from shes.envs.tasks.task import SimulatorFactory
 from shes.envs.tasks.task_options import TaskOptions
-from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError
+from shes.errors import ConfigError, MissingExtraError, ShesError, UnknownNameError, place_of
+from shes.free_space import resident_memory
 from shes.registry import full_name
 from shes.sim.cpu import CpuSimulator, count_divergences, forget_divergences, log_physics_warnings
 from shes.types import F64Array, FloatArray, IntArray
 
+_LOG = logging.getLogger("shes.run")
 _ROBOTICS = ("AntMaze", "PointMaze", "Fetch", "HandManipulate", "HandReach", "AdroitHand", "FrankaKitchen")
 _NUM_SEEDS = 2**31  # seeds are taken modulo this: some environments pass theirs on to generators that accept no more
 
@@ -79,11 +82,7 @@ class ExternalEnvironment:
     def make(
         self, num_episodes: int, options: TaskOptions | None = None, simulator: SimulatorFactory = CpuSimulator
     ) -> ExternalTask:
-        """Return `num_episodes` episodes. `options` are those of SHES's own physics; they have no effect.
-
-        Raises:
-            ConfigError: The device is not the CPU, or the environment cannot be made or used.
-        """
+        """Return `num_episodes` episodes. `options` are those of SHES's own physics; they have no effect."""
         if simulator is not CpuSimulator:
             raise ConfigError(f"{self.name} has its own physics, which runs on the CPU only. Set --device cpu.")
         return ExternalTask(self, num_episodes)
@@ -101,16 +100,24 @@ class ExternalEnvironment:
                 raise ConfigError(f"its function must return a gymnasium.Env, got {env!r}.")
             return env
 
+    def measured_bytes(self) -> int:
+        """Return the bytes of memory that one more environment takes, where the system tells. One is made for it."""
+        before = resident_memory()
+        with closing(self.make_one()) as env, self.explained("reset"):
+            env.reset(seed=0)
+            return max(0, resident_memory() - before)
+
     @contextmanager
     def explained(self, action: str) -> Iterator[None]:
-        """Turn any error into a ConfigError or MissingExtraError: "<name> cannot <action>: <error>"."""
+        """Turn any error into a ConfigError or MissingExtraError: "<name> cannot <action>: <error> (<file>:<line>)"."""
         try:
             yield
         except Exception as error:
             kind = f"{type(error).__name__}: " * (not isinstance(error, ShesError | ModuleNotFoundError))
             told = f"{self.name} cannot {action}: {kind}{' '.join(str(error).split())}"
             if not isinstance(error, ImportError | gymnasium.error.DependencyNotInstalled):
-                raise ConfigError(told) from error
+                place = place_of(error, outside=("shes", "gymnasium"))
+                raise ConfigError(told.rstrip(": ") + f" ({place})" * bool(place and kind)) from error
             entry = getattr(gymnasium.registry.get(str(getattr(self.source, "id", self.source))), "entry_point", "")
             # gymnasium.envs.box2d.lunar_lander:LunarLander is installed by the extra gymnasium[box2d].
             part = str(entry).partition("gymnasium.envs.")[2].partition(".")[0].replace("_", "-")
@@ -250,7 +257,11 @@ class ExternalTask(EpisodeBatch):
             return np.array(self._env(episode).render(), np.uint8) if self._render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Close the environments."""
-        for env in filter(None, self._envs):
-            env.close()
+        """Close the environments: all of them, even if some raise an error."""
+        envs = list(filter(None, self._envs))
         self._envs = [None] * self.num_episodes
+        for env in envs:
+            try:
+                env.close()
+            except Exception as error:  # noqa: BLE001 - of the user's code; nothing depends on it any more
+                _LOG.warning("%s cannot be closed: %s: %s", self.environment.name, type(error).__name__, error)

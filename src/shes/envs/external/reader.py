@@ -26,11 +26,7 @@ class ExternalReader(Reader):
     """The spaces of an environment and the pose of its robot. Rows are observations flattened by Gymnasium."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], locate: Locate | None, view: Sequence[int] | None) -> None:
-        """Inspect `env`; for `locate` and `view` see `shes.register_external`.
-
-        Raises:
-            ConfigError: A space is not supported, or `view` has a repeated or invalid index.
-        """
+        """Inspect `env`; for `locate` and `view` see `shes.register_external`."""
         self._space, physics, actions = env.observation_space, find_physics(env), env.action_space
         if not self._space.is_np_flattenable:
             raise ConfigError(f"its observation space must have a fixed size, got {self._space}.")

@@ -12,8 +12,7 @@ import numpy as np
 from shes.envs.bodies.body import Body
 from shes.envs.markers import TARGET, Marker, ball
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.body_reader import BodyReader
-from shes.envs.tasks.task import Task, TaskDescription
+from shes.envs.tasks.task import BodyReader, Task, TaskDescription
 from shes.envs.tasks.task_options import FURTHEST_M, FallOptions
 from shes.envs.worlds import ARENA, add_grid, empty_world
 from shes.host_arrays import to_host
@@ -71,7 +70,7 @@ class Flagrun(Task):
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="1 - d/d_c, where d is the distance to the goal and d_c its value when the goal was drawn; "
         "1 more if d is below 1 m",
-        ends="when the robot falls over (the height of the ant's torso leaves [0.2, 1.0] m; the point cannot fall)",
+        ends="when the robot falls over, by the rule of its body",
         score="the return",
         success="the distance to the goal of the step is below 1 m",
     )

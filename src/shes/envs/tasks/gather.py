@@ -79,8 +79,7 @@ class Gather(Task):
     options: GatherOptions
     description: ClassVar[TaskDescription] = TaskDescription(
         reward="+1 for each piece of food and -1 for each piece of poison collected; hiro: -10 in the step of a fall",
-        ends="when the robot falls over (the height of the ant's torso leaves [0.2, 1.0] m; the point cannot fall); "
-        "hiro: also when everything is collected",
+        ends="when the robot falls over, by the rule of its body; hiro: also when everything is collected",
         score="highest running return in the episode, at least 0",
         success="the score is above 0",
     )

@@ -7,7 +7,7 @@ simulator. It loops over episodes only in a reset, where each draws from its own
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -15,12 +15,11 @@ import mujoco
 import numpy as np
 
 from shes.envs.bodies.body import Body
-from shes.envs.episode_batch import EpisodeBatch
+from shes.envs.episode_batch import EpisodeBatch, Reader
 from shes.envs.observation_spec import ObservationElement, elements
-from shes.envs.tasks.body_reader import BodyReader
 from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.envs.worlds import TIMESTEP_S
-from shes.errors import UnknownNameError
+from shes.errors import ShapeError, UnknownNameError
 from shes.host_arrays import to_host
 from shes.sim.cpu import CpuSimulator
 from shes.sim.simulator import Simulator
@@ -49,6 +48,34 @@ class TaskDescription:
     score: str
     success: str
     """When an episode counts as solved."""
+
+
+class BodyReader(Reader):
+    """Observations are arrays [O] or [N, O]; actions lie in [-1, 1]."""
+
+    def __init__(self, body: Body, observation_size: int, proprioception: IntArray) -> None:
+        """Read observations of `observation_size` values; `proprioception` are the indices of qpos and qvel."""
+        self.observation_size = observation_size
+        self._body = body
+        self._qpos = proprioception[: body.num_qpos]
+
+    def rows(self, observation: Any, num_envs: int) -> tuple[F64Array, bool]:
+        """Return `observation` as rows [num_envs, O], and whether it is a single [O]; see `Reader.rows`."""
+        seen = np.asarray(observation, dtype=np.float64)
+        rows = seen[None] if seen.ndim == 1 else seen
+        if rows.shape != (num_envs, self.observation_size):
+            size = self.observation_size
+            raise ShapeError(f"observation must have shape ({size},) or ({num_envs}, {size}), got {seen.shape}.")
+        return rows, seen.ndim == 1
+
+    def locate(self, rows: F64Array, info: Mapping[str, Any] | None, env: Any = None) -> tuple[F64Array, F64Array]:
+        """Return position [N, 2] in metres and heading [N] in radians, from the observation alone."""
+        qpos = rows[:, self._qpos]
+        return self._body.position(qpos), self._body.heading(qpos)
+
+    def to_action(self, control: F64Array) -> F64Array:
+        """Return `control` [N, A] scaled and clipped to [-1, 1]."""
+        return np.clip(control / self._body.control_limit, -1, 1)
 
 
 class Task(EpisodeBatch):
@@ -95,12 +122,7 @@ class Task(EpisodeBatch):
 
     @classmethod
     def check_options(cls, options: Any) -> None:
-        """Check the options that depend on the task.
-
-        Raises:
-            UnknownNameError: The task does not implement the specification.
-            ConfigError: A value is not allowed.
-        """
+        """Check the options that depend on the task."""
         if options.spec not in cls.specs:
             raise UnknownNameError(f"specification of {cls.name}", options.spec, cls.specs, "Set --spec.")
 

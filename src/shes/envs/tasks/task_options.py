@@ -38,12 +38,7 @@ class TaskOptions(Settings):
     """Whether a task with targets uses those of evaluation instead of those of training."""
 
     def __post_init__(self) -> None:
-        """Check every value; the default integrator becomes that of the specification.
-
-        Raises:
-            ConfigError: A value is out of range or of the wrong type.
-            UnknownNameError: `spec`, `integrator` or another name is unknown.
-        """
+        """Check every value; the default integrator becomes that of the specification."""
         super().__post_init__()
         if self.integrator == "default":
             object.__setattr__(self, "integrator", SPECS[self.spec])
@@ -54,9 +49,7 @@ class FallOptions(TaskOptions):
     """Options of a task in which an episode of training can end by a fall."""
 
     max_tilt: Annotated[float | None, Gt(0), Lt(180)] = None
-    """Degrees of tilt of the torso beyond which an episode of training ends as a fall; help for training only. By the
-    published rule an ant on its back has not fallen, because its torso is higher than 0.2 m. Evaluation does not use
-    it; an environment of Gymnasium always does. In Maze, Push and Fall no fall ends an episode as published; with this
-    option one by the published rule of the height does, too. Every reward is negative there, so the evolution
-    strategies count the reward of that step for each of the steps left: a controller gains nothing by a fall.
+    """Degrees of tilt of the torso beyond which an episode of training ends as a fall. Evaluation does not use it. In
+    Maze, Push and Fall, where no fall ends an episode as published, one by the rule of the body then does, too; the
+    evolution strategies count the reward of that step, which is negative, for each of the steps left.
     """

@@ -1,1 +1,0 @@
-"""HIRO and flat TD3: off-policy learning by gradients, as a baseline. Only `td3` and `correction` need JAX."""

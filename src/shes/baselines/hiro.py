@@ -1,0 +1,174 @@
+"""HIRO: two levels of TD3 that learn from one stream of experience, with the off-policy correction.
+
+N environments, O observed values, V values of the primitive's view, G coordinates of a goal, A controls, c steps.
+
+Source: Nachum et al. 2018, Algorithm 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from shes.algorithms.problem import Problem
+from shes.baselines.collector import Actor, Collector, Step, as_float32
+from shes.baselines.hiro_agent import HiroDesign
+from shes.baselines.learner_settings import HIRO_SECTIONS
+from shes.baselines.levels import Level
+from shes.baselines.replay import Rows
+from shes.baselines.td3 import TD3, TD3State, check_problem
+from shes.envs.episode_batch import EpisodeBatch
+from shes.errors import ConfigError
+from shes.settings import Settings
+from shes.types import BoolArray, F64Array, IntArray
+
+
+class HIRO(TD3):
+    """Trains controller and primitive by gradients. Source: Nachum et al. 2018.
+
+    Two levels of TD3 learn from one stream of experience, with the off-policy correction.
+    """
+
+    level_names: ClassVar[tuple[str, ...]] = ("controller", "primitive")
+    sections: ClassVar[Mapping[str, type[Settings]]] = HIRO_SECTIONS
+    design: HiroDesign
+
+    def make_design(self, problem: Problem) -> HiroDesign:
+        """Return the design of the agents; raise ConfigError if HIRO cannot learn in this problem."""
+        own, goals = problem.settings.learner, problem.settings.goals
+        if goals.controller_interval > problem.horizon:
+            raise ConfigError(
+                f"controller_interval is {goals.controller_interval}, but episodes have {problem.horizon} steps "
+                "(horizon): the controller would never learn. Set --controller-interval lower, or --horizon higher."
+            )
+        values = {"controller_interval": goals.controller_interval, "input_clip": own.input_clip}
+        return HiroDesign.of(check_problem(problem), own.hidden, goals.goal_distance, **values)
+
+    def make_levels(self) -> tuple[Level, ...]:
+        """Return the controller and the primitive."""
+        design, size, interval = self.design, self.design.decision_size, self.design.controller_interval
+        of_interval = {
+            "goal": (size,),
+            "change": (size,),
+            "moved": (interval, size),
+            "view": (interval, design.primitive.sizes[0] - size),
+            "actions": (interval, design.primitive.sizes[-1]),
+            "is_step": (interval,),
+        }
+        noise = self.problem.settings.goals.goal_noise
+        return self.make_level("controller", design.half_range, noise, of_interval), *super().make_levels()
+
+    def make_collector(self, batch: EpisodeBatch, actors: Mapping[str, Actor]) -> Collector:
+        """Return the collector of experience in `batch`."""
+        return HiroCollector(self.design, batch, actors, self.problem.horizon, self.settings)
+
+    def make_learners(self, learning: Any, state: TD3State) -> dict[str, Any]:
+        """Return the learner of each level by name, of module `learning`."""
+        upper, lower = zip(self.levels, state.learners, strict=True)
+        primitive = learning.LevelLearner(*lower)
+        return {"controller": learning.ControllerLearner(*upper, primitive), "primitive": primitive}
+
+    def updates_due(self, before: int, now: int) -> Iterator[tuple[str, int]]:
+        """Yield the level and the number of the updates that are due for the environment steps `before` to `now`."""
+        yield from super().updates_due(before, now)
+        interval = self.problem.settings.goals.controller_update_interval
+        for _ in range(now // interval - before // interval):
+            yield "controller", 1
+
+
+class HiroCollector(Collector):
+    """Collects the transitions of a controller and its primitive.
+
+    The first goal of an episode is the controller's. The primitive's transition at the end of an interval leads to the
+    next goal. An interval that the time limit cuts short is left out.
+
+    Deviation: in HIRO's code the goal of the first step of an episode is zero.
+    """
+
+    acting = "primitive"
+
+    def __init__(self, design: HiroDesign, batch: EpisodeBatch, *arguments: Any) -> None:
+        """Play with agents of `design`; for the other arguments see `Collector`."""
+        super().__init__(batch, *arguments)
+        n, c, size = batch.num_episodes, design.controller_interval, design.decision_size
+        self._design, self._interval = design, c
+        self._columns = list(design.primitive_view.indices or ())
+        self._goal, self._coordinates = np.zeros((n, size)), np.zeros((n, size))
+        self._intrinsic_return = np.zeros(n)
+        # Of the interval that is running: observation, goal and coordinates at its start, reward, and its steps.
+        self._first = {"inputs": np.zeros((n, batch.observation_size)), "goal": np.zeros((n, size))}
+        self._origin, self._earned = np.zeros((n, size)), np.zeros(n)
+        self._played = {
+            "moved": np.zeros((n, c, size)),
+            "view": np.zeros((n, c, len(self._columns))),
+            "actions": np.zeros((n, c, batch.action_size)),
+        }
+
+    def begin(self, rows: IntArray, seeds: Iterator[int], rng: np.random.Generator) -> None:
+        """Start new episodes in `rows`, with goals."""
+        super().begin(rows, seeds, rng)
+        self._intrinsic_return[rows] = 0
+        self._decide(rows, rng)
+
+    def observe(self) -> None:
+        """Copy the current observations and coordinates."""
+        super().observe()
+        self._coordinates = self._design.coordinates(self.observation, self.batch.position)
+
+    def inputs(self) -> F64Array:
+        """Return the current inputs of the primitive [N, G + V]: the goal, then its view."""
+        return np.concatenate([self._goal, self.observation[:, self._columns]], axis=1)
+
+    def step(self, rows: IntArray, rng: np.random.Generator) -> Step:
+        """Advance the episodes in `rows` by one control step, and note it for the off-policy correction."""
+        before, place = self._coordinates, (np.arange(len(self.steps)), self.steps % self._interval)
+        step = super().step(rows, rng)
+        self._played["moved"][place] = before - self._origin
+        self._played["view"][place] = step.inputs[:, self._design.decision_size :]
+        self._played["actions"][place] = step.control
+        self._goal = before + self._goal - self._coordinates  # the goal transition h(s, g, s')
+        return step
+
+    def transitions(self, step: Step, rng: np.random.Generator) -> dict[str, Rows]:
+        """Return the transitions of both levels, after setting new goals where due."""
+        rows, reward = step.rows, -np.sqrt(np.vecdot(self._goal, self._goal))  # minus the distance left to the goal
+        sound = rows[step.is_sound]
+        self._intrinsic_return[sound] += reward[sound]
+        self._earned[rows] += self.reward()[rows]
+        is_over = self.steps[rows] % self._interval == 0
+        self.goal_distances += (-reward[rows[is_over & step.is_sound]]).tolist()
+        of_controller = self._intervals(step, is_over)
+        self._decide(rows[is_over & ~step.ended], rng)
+        # The primitive's rewards are negative: if a fall cut its return, it would learn to fall.
+        of_primitive = self.rows(step, reward, np.ones(len(rows), dtype=bool))
+        return {"controller": of_controller, "primitive": of_primitive}
+
+    def returns(self) -> dict[str, F64Array]:
+        """Return the undiscounted returns of the episodes so far [N], by level."""
+        return {"controller": self.batch.running_return, "primitive": self._intrinsic_return}
+
+    def _decide(self, rows: IntArray, rng: np.random.Generator) -> None:
+        """Let the controllers of episodes `rows` set new goals."""
+        if not len(rows):
+            return
+        self._goal[rows] = self.actors["controller"].act(self.observation, rng)[rows]
+        self._first["inputs"][rows], self._first["goal"][rows] = self.observation[rows], self._goal[rows]
+        self._origin[rows], self._earned[rows] = self._coordinates[rows], 0
+
+    def _intervals(self, step: Step, is_over: BoolArray) -> Rows:
+        """Return the controller's transitions: the intervals that have passed, or that a terminal state has ended."""
+        is_kept = step.is_sound & (is_over | step.terminated)
+        kept = step.rows[is_kept]
+        num_steps = (self.steps[kept] - 1) % self._interval + 1
+        rows = {
+            **{name: values[kept] for name, values in self._first.items()},
+            "reward": self._earned[kept],
+            "goes_on": self.goes_on(step.terminated[is_kept]),
+            "next_inputs": self.observation[kept],
+            "change": self._coordinates[kept] - self._origin[kept],
+            **{name: values[kept] for name, values in self._played.items()},
+            "is_step": np.arange(self._interval) < num_steps[:, None],
+        }
+        return as_float32(rows)

@@ -1,0 +1,143 @@
+"""The levels of a run of HIRO or TD3: their networks and replay buffers, and their state between generations.
+
+Parameters are trees, which JAX takes as they are: tuples of layers. Agents and checkpoints alone need flat vectors,
+layer by layer as in `shes.policies.mlp`; `flat` and `layers` convert them.
+
+D parameters of a network, A outputs of an actor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import prod
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from shes.baselines.learner_settings import LearnerSettings
+from shes.baselines.replay import Replay, check_array
+from shes.es.level import LevelParameters
+from shes.es.statistics import ObservationStatistics
+from shes.policies.mlp import MLP
+from shes.types import F32Array, F64Array
+
+OUTPUT_RANGE = 0.003
+"""Initial weights and biases of output layers are uniform in plus and minus this."""
+
+Network: TypeAlias = tuple[tuple[Any, Any], ...]
+"""Weights [..., in, out] and biases [..., out] of each layer: arrays of NumPy, or of JAX while a level learns."""
+Learner: TypeAlias = Mapping[str, Any]
+"""Networks `actor` and `critics`, which are stacked on a first axis of two; `target_`, their targets; `mean_` and
+`square_`, Adam's moving averages of their gradients and of the squares; `num_updates` of the critics."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """What is fixed about a level."""
+
+    name: str
+    actor: MLP
+    half_range: tuple[float, ...]
+    """Largest absolute value of each output of the actor [A]."""
+    exploration_std: F64Array
+    """Standard deviation of the exploration noise on each output of the actor [A]."""
+    settings: LearnerSettings
+    replay: Replay
+    """Its buffer before the first transition."""
+
+    def start(self, rng: np.random.Generator) -> LearnerState:
+        """Return the state before the first transition. The action is an input of every hidden layer of a critic."""
+        *sizes, actions = self.actor.sizes
+        critic = [*((fan_in + actions, fan_out) for fan_in, fan_out in pairwise(sizes)), (sizes[-1], 1)]
+        actor, *pair = (_initial(shapes, rng) for shapes in (pairwise(self.actor.sizes), critic, critic))
+        networks = {"actor": actor, "critics": _mapped(lambda *both: np.stack(both), *pair)}
+        learner: dict[str, Any] = {**networks, **{f"target_{name}": network for name, network in networks.items()}}
+        for moment in ("mean", "square"):
+            learner |= {f"{moment}_{name}": _mapped(np.zeros_like, network) for name, network in networks.items()}
+        return LearnerState(
+            learner={**learner, "num_updates": 0},
+            statistics=ObservationStatistics.empty(sizes[0]),
+            replay=self.replay,
+        )
+
+    def from_arrays(self, arrays: Mapping[str, np.ndarray]) -> LearnerState:
+        """Return the state that `LearnerState.to_arrays` converted; raise KeyError or ValueError if it is not one."""
+        blank = self.start(np.random.default_rng(0))
+        for name, expected in blank.to_arrays().items():
+            if not name.startswith("replay/"):
+                check_array(f"{self.name}/{name}", arrays[name], expected.dtype, expected.shape)
+        networks = {name: layers(arrays[name], like) for name, like in blank.learner.items() if name != "num_updates"}
+        count, total, squares = (arrays[f"observation_{name}"] for name in ("count", "total", "total_squares"))
+        return LearnerState(
+            learner={**networks, "num_updates": int(arrays["num_updates"])},
+            statistics=ObservationStatistics(count=int(count), total=total, total_squares=squares),
+            replay=self.replay.from_arrays(within("replay", arrays)),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LearnerState:
+    """State of a level between generations."""
+
+    learner: Learner
+    """Arrays of NumPy."""
+    statistics: ObservationStatistics
+    """Statistics of the inputs; empty if they are not normalised."""
+    replay: Replay
+
+    @property
+    def parameters(self) -> LevelParameters:
+        """Parameters and normalisation of the actor, for an agent."""
+        return LevelParameters.of(flat(self.learner["actor"]), self.statistics)
+
+    def without_replay(self) -> LearnerState:
+        """Return the state with an empty buffer."""
+        return replace(self, replay=self.replay.emptied())
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Return the state as arrays by name."""
+        return {
+            **{name: flat(network) for name, network in self.learner.items() if name != "num_updates"},
+            "num_updates": np.array(self.learner["num_updates"]),
+            "observation_count": np.array(self.statistics.count),
+            "observation_total": self.statistics.total,
+            "observation_total_squares": self.statistics.total_squares,
+            **{f"replay/{name}": array for name, array in self.replay.to_arrays().items()},
+        }
+
+
+def flat(network: Network) -> F32Array:
+    """Return the parameters of a network as vectors [..., D]."""
+    parts = [array.reshape(*layer[1].shape[:-1], -1) for layer in network for array in layer]
+    return np.concatenate(parts, axis=-1)
+
+
+def layers(parameters: F32Array, like: Network) -> Network:
+    """Return the network of the shapes of `like` whose parameters are the vectors `parameters` [..., D], as views."""
+    lead = parameters.ndim - 1
+    sizes = [prod(array.shape[lead:]) for layer in like for array in layer]
+    parts = iter(np.split(parameters, np.cumsum(sizes[:-1]), axis=-1))
+    return _mapped(lambda array: next(parts).reshape(array.shape), like)
+
+
+def within(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return those of `arrays` whose names begin with `prefix/`, without it."""
+    return {name.removeprefix(f"{prefix}/"): array for name, array in arrays.items() if name.startswith(f"{prefix}/")}
+
+
+def _mapped(function: Callable[..., np.ndarray], *networks: Network) -> Network:
+    of_layers = (zip(*layers, strict=True) for layers in zip(*networks, strict=True))
+    return tuple((function(*weights), function(*biases)) for weights, biases in of_layers)
+
+
+def _initial(shapes: Iterable[tuple[int, int]], rng: np.random.Generator) -> Network:
+    """Return an initial network: hidden weights are uniform in 1 / sqrt(inputs), their biases 0."""
+
+    def uniform(limit: float, *shape: int) -> F32Array:
+        return rng.uniform(-limit, limit, shape).astype(np.float32)
+
+    *hidden, (last_in, last_out) = shapes
+    first = [(uniform(fan_in**-0.5, fan_in, fan_out), np.zeros(fan_out, np.float32)) for fan_in, fan_out in hidden]
+    return (*first, (uniform(OUTPUT_RANGE, last_in, last_out), uniform(OUTPUT_RANGE, last_out)))

@@ -1,1 +1,0 @@
-"""Benchmarks of the package against the bare physics."""

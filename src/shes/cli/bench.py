@@ -1,0 +1,225 @@
+"""`shes bench`: the speed of rollouts, relative to a bare loop over `mj_step` that replays the same episodes."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from time import perf_counter
+from typing import Annotated, Any, Literal
+
+import mujoco
+import numpy as np
+
+from shes.algorithms.evolution.algorithm import evolve, roll_out
+from shes.algorithms.evolution.strategies import EvolutionAlgorithm
+from shes.algorithms.registry import ALGORITHMS
+from shes.algorithms.worker import RolloutWorker, WorkerPlan
+from shes.backends.serial import SerialBackend
+from shes.checked import checked
+from shes.cores import on_one_core
+from shes.envs.registry import find_environment
+from shes.envs.tasks.task import FRAME_SKIP, SimulatorFactory
+from shes.errors import ConfigError
+from shes.listing import Listing, facts_listing
+from shes.runs.config import TrainConfig
+from shes.settings import Ge
+from shes.sim.cpu import CpuSimulator
+from shes.training.build import build_algorithm, build_backend
+from shes.training.limits import Workload, check_limits
+from shes.training.make_config import make_config
+from shes.types import F64Array, IntArray
+
+_REPLAYED = 24  # number of whole episodes that the bare loop replays
+
+
+@checked
+def bench(
+    name: Literal["rollout"],  # noqa: ARG001 - says what is measured
+    settings: dict[str, Any],
+    env: str = "ant-gather",
+    *,
+    seconds: Annotated[float, Ge(0)] = 0.0,
+) -> Listing:
+    """Measure the speed of this machine, with the settings of shes train.
+
+    shes bench rollout ant-gather --seconds 60
+
+    Args:
+        name: rollout: environment steps per second of whole generations, relative to a bare mj_step loop on one core,
+            which replays the same episodes. The ratio is divided by the number of workers.
+        settings: Settings of `shes.train` by name.
+        env: Environment, see shes envs.
+        seconds: Minimum duration of the measurement. On a shared machine a long one is more precise.
+
+    Raises:
+        ConfigError: An argument or a setting is out of range, or `bench_rollout` raised it.
+    """
+    return facts_listing(bench_rollout(make_config(env, settings.pop("preset", "laptop"), settings), seconds=seconds))
+
+
+def bench_rollout(
+    config: TrainConfig, *, repeats: int = 5, seconds: float = 0.0, replay_s: float = 1.0
+) -> dict[str, Any]:
+    """Measure the speed of whole generations on the device of `config`, relative to a bare `mj_step` loop on one core.
+
+    Every generation is the first of a run. The bare loop replays the start states and controls of part of it,
+    without policy or task: the limit of one core. A replay of `replay_s` seconds precedes and follows each generation;
+    speeds are medians, and `ratio` is the median of the ratios divided by the number of workers. A single worker runs
+    on the core of the loop, because on a shared machine the speeds of two cores may differ by a third. There are at
+    least `repeats` generations, for `seconds` or longer.
+
+    Raises:
+        ConfigError: The environment has its own physics, the algorithm is not an evolution strategy, or the memory
+            does not suffice.
+    """
+    if find_environment(config.run.env).has_own_physics:
+        raise ConfigError(
+            f"bench rollout compares with MuJoCo alone, but {config.run.env} has its own physics. Name one of SHES's "
+            "environments, e.g. ant-gather."
+        )
+    algorithm = evolution_strategy(config)
+    plan, settings, state = algorithm.plan(), algorithm.hyperparameters, algorithm.start(config.run.seed)
+    table = algorithm.table.on(algorithm.problem.xp)
+    physics = record_generation(algorithm, config.run.seed)
+    bare: list[float] = []
+    whole: list[float] = []
+    is_alone = config.workers.device == "cpu" and (config.workers.backend == "serial" or config.workers.count == 1)
+    with (
+        on_one_core() if is_alone else nullcontext(),
+        build_backend(config, plan) as backend,
+        ThreadPoolExecutor(backend.num_workers) as pool,
+    ):
+        next(evolve(state, settings, table, backend, pool))  # builds the environments and warms the caches
+        before = physics.steps_per_s(replay_s)
+        start = perf_counter()
+        while len(whole) < repeats or perf_counter() - start < seconds:
+            report = next(evolve(state, settings, table, backend, pool))
+            whole.append(report.num_steps / (report.rollout_s + report.update_s))
+            after = physics.steps_per_s(replay_s)
+            bare.append((before + after) / 2)  # the speed of a shared machine drifts
+            before = after
+        workers = backend.num_workers
+    return {
+        "env": config.run.env,
+        "hidden": list(config.values["hidden"]),
+        "integrator": plan.training.integrator,
+        "population_size": config.values["population_size"],
+        "episodes_per_policy": config.values["episodes_per_policy"],
+        "device": config.workers.device,
+        "num_workers": workers,
+        "generations": len(whole),
+        "env_steps_per_s": statistics.median(whole),
+        "bare_steps_per_s": statistics.median(bare),
+        "ratio": statistics.median(w / b for w, b in zip(whole, bare, strict=True)) / workers,
+    }
+
+
+def evolution_strategy(config: TrainConfig) -> EvolutionAlgorithm:
+    """Return the evolution strategy of `config`; raise ConfigError if there is none, or too little memory."""
+    algorithm = build_algorithm(config)
+    if not isinstance(algorithm, EvolutionAlgorithm):
+        known = [name for name, cls in ALGORITHMS.items() if issubclass(cls, EvolutionAlgorithm)]
+        raise ConfigError(
+            f"bench measures evolution strategies, got {config.run.algorithm}. Set --algorithm {' or '.join(known)}."
+        )
+    check_limits(Workload.of(config), algorithm.design)
+    return algorithm
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordedEpisode:
+    """The physics of an episode or a branch."""
+
+    start: F64Array
+    """Physics state at its start [S]: qpos, qvel, the solver's warm start, time."""
+    controls: list[F64Array] = field(default_factory=list)
+    """Controls of every control step [A]."""
+
+
+class BarePhysics:
+    """Replays episodes one after another with `mj_step`: the limit of one core."""
+
+    def __init__(self, model: mujoco.MjModel, episodes: Sequence[RecordedEpisode]) -> None:
+        self.model, self.episodes = model, episodes
+        self.data = mujoco.MjData(model)
+        self._ends = np.cumsum([model.nq, model.nv, model.nv])
+
+    def replay(self, episode: RecordedEpisode) -> None:
+        """Replay `episode` in `data`."""
+        model, data = self.model, self.data
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.qacc_warmstart[:], (data.time,) = np.split(episode.start, self._ends)
+        for control in episode.controls:
+            data.ctrl[:] = control
+            mujoco.mj_step(model, data, nstep=FRAME_SKIP)
+
+    def steps_per_s(self, seconds: float) -> float:
+        """Return the control steps per second of replaying all episodes repeatedly for at least `seconds`."""
+        steps = 0
+        start = perf_counter()
+        while (elapsed := perf_counter() - start) < seconds or not steps:
+            for episode in self.episodes:
+                self.replay(episode)
+                steps += len(episode.controls)
+        return steps / elapsed
+
+
+def record_generation(algorithm: EvolutionAlgorithm, seed: int, num_episodes: int = _REPLAYED) -> BarePhysics:
+    """Return the physics of about `num_episodes` whole episodes of the first generation, played on the CPU.
+
+    The share of branches, which start from snapshots of these episodes, is that of the whole episodes.
+    """
+    settings, table_size, state = algorithm.hyperparameters, algorithm.table.size, algorithm.start(seed)
+    recorders: list[_RecordingSimulator] = []
+    plan = _RecordedPlan(**{**vars(algorithm.plan()), "device": "cpu"}, recorders=recorders)
+    with SerialBackend(partial(RolloutWorker, plan)) as worker:
+        draw, *others = settings.estimates
+        draws = draw(state, settings, table_size, ())
+        num_tasks = min(len(draws.tasks), max(1, num_episodes // draws.generation.rows_per_lane))
+        episodes = roll_out(replace(draws, tasks=draws.tasks[:num_tasks]), worker)
+        for draw_branches in others:
+            branches = draw_branches(state, settings, table_size, (episodes,))
+            share = max(1, len(branches.tasks) * num_tasks // len(draws.tasks))
+            roll_out(replace(branches, tasks=branches.tasks[:share]), worker)
+    return BarePhysics(recorders[0].model, [episode for each in recorders for episode in each.episodes])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _RecordedPlan(WorkerPlan):
+    """A worker's plan whose simulators, all on the CPU, record their episodes and are added to `recorders`."""
+
+    recorders: list[_RecordingSimulator]
+
+    @property
+    def simulator(self) -> SimulatorFactory:
+        def make(model: mujoco.MjModel, num_sims: int) -> _RecordingSimulator:
+            self.recorders.append(_RecordingSimulator(model, num_sims))
+            return self.recorders[-1]
+
+        return make
+
+
+class _RecordingSimulator(CpuSimulator):
+    """A simulator that records the state of every simulation at its first step after a reset, and all its controls."""
+
+    def __init__(self, model: mujoco.MjModel, num_sims: int) -> None:
+        super().__init__(model, num_sims)
+        self.episodes: list[RecordedEpisode] = []
+        self._running: dict[int, RecordedEpisode] = {}
+
+    def reset(self, ids: IntArray) -> None:
+        super().reset(ids)
+        for i in ids.tolist():
+            self._running.pop(i, None)
+
+    def advance(self, ids: IntArray, nstep: int) -> None:
+        for i in ids.tolist():
+            if i not in self._running:
+                self._running[i] = RecordedEpisode(start=self.states(np.array([i]))[0])
+                self.episodes.append(self._running[i])
+            self._running[i].controls.append(self.ctrl[i].copy())
+        super().advance(ids, nstep)

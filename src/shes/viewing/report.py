@@ -1,0 +1,282 @@
+"""`shes report`: one HTML page of runs, with curves, results on fresh episodes, maps, videos and settings."""
+
+from __future__ import annotations
+
+import base64
+import json
+import logging
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
+from html import escape
+from itertools import chain
+from math import sqrt
+from pathlib import Path
+from typing import Annotated, Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from shes.checked import checked
+from shes.errors import ShesError
+from shes.hierarchy.episodes import PARTS
+from shes.runs.config import TrainConfig
+from shes.runs.repetitions import differing_settings
+from shes.runs.shipped import read_agent, shipped_name
+from shes.runs.state import run_state
+from shes.settings import Ge, Shown
+from shes.storage import write_atomically
+from shes.training.evaluate import Evaluation, evaluate
+from shes.training.make_config import make_config
+from shes.types import F64Array
+from shes.viewing.curve_figures import SECTIONS, curve_figure, panels_of
+from shes.viewing.curves import confidence_interval
+from shes.viewing.groups import Group, RunData, group_runs, read_runs, setting_text
+from shes.viewing.maps import MOST_EPISODES, map_figure, play_episodes, search_figure
+from shes.viewing.render import render
+from shes.viewing.report_page import Figure, cards, details, page, paragraph, plot, read_plotly, section, table
+from shes.viewing.video import check_target
+
+logger = logging.getLogger("shes.report")
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+_MOST_SHOWN = 6
+"""Groups that have a map and a video."""
+_VIDEO_STEPS, _VIDEO_PIXELS = 150, 320
+_STATE = ("env", "algorithm", "preset", "seed", "generation", "generations", "env_steps", "best_score", "state")
+"""What is shown of the state of a run."""
+_CURVES_HINT = (
+    "A curve of several runs is their mean, its band a 95 % t interval over runs. Two runs are thin lines with their "
+    "mean, and runs that hardly overlap are drawn singly. The band of a single run is two standard errors over the "
+    "episodes of an evaluation."
+)
+
+
+@checked
+def report(
+    runs: Path | str | Sequence[Path | str],
+    out: Path | str | None = None,
+    *,
+    episodes: Annotated[int, Ge(1)] = 20,
+    seed: Annotated[int, Ge(0)] | None = None,
+    num_workers: Annotated[int, Ge(0), Shown(flag="--workers")] = 0,
+    video: bool = True,
+    on_step: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a report of `runs`, one HTML page that needs no network; return its path.
+
+    What cannot be read, or done with one of the runs, is noted in the report and logged. Runs are grouped as by `plot`.
+    It needs plotly (extra report). Without a graphics card a video takes half a minute; --no-video omits them.
+
+    shes report runs/seeds runs/other --out report.html
+
+    Args:
+        runs: Run folders, folders of runs, or names of shipped agents.
+        out: Path of the page, .html. If none, report.html in the run folder; for several runs or a shipped agent, in
+            the working directory.
+        episodes: Number of fresh episodes on which the best checkpoint of each run is evaluated.
+        seed: Seed of these episodes; derived from that of each run if none.
+        num_workers: Worker processes; 0 is one for every core. Does not change results.
+        video: Whether the report has videos.
+        on_step: Called with the number of parts of the work that have begun, and their total.
+    """
+    read, errors = read_runs(runs, "report")
+    is_one = len(read) == 1 and not shipped_name(read[0].folder.path)
+    target = Path(out) if out is not None else (read[0].folder.path if is_one else Path()) / "report.html"
+    check_target(target, [".html"])
+    plotly = read_plotly()
+    groups = group_runs(read)
+    shown = groups[:_MOST_SHOWN]
+    total = len(read) + len(shown) * (1 + video)
+    parts = iter(range(1, total + 1))
+
+    def begin_part() -> None:
+        if on_step is not None:
+            on_step(next(parts), total)
+
+    figures: dict[str, Figure] = {}
+    found = _evaluated(read, begin_part, episodes=episodes, num_workers=num_workers, seed=seed)
+    maps = _maps(shown, begin_part, figures, episodes, seed, has_videos=video)
+    returns, *diagnostics = _curves(groups, figures)
+    rest = [_timing(read), _settings(read), _origins(read)]
+    notes = [f"{name} is left out: {error}" for name, error in errors.items()]
+    body = [_runs(groups, notes), _results(groups, found, episodes), returns, maps, *diagnostics, *rest]
+    title = read[0].name if len(read) == 1 else f"{len(read)} runs of {', '.join(_envs(groups))}"
+    made = f"Made on {datetime.now().astimezone():%d %B %Y, %H:%M}."
+    text = page(f"Report: {title}", made, body, figures, plotly)
+    write_atomically(target, lambda file: file.write(text.encode(errors="replace")))
+    return target
+
+
+def _attempt(run: RunData, what: str, make: Callable[_P, _T], *args: _P.args, **settings: _P.kwargs) -> _T | None:
+    """Return what `make` returns; if it cannot, add the reason to the notes of the run and return None."""
+    try:
+        return make(*args, **settings)
+    except ShesError as error:
+        run.notes.append(f"There is no {what}: {error}")
+        return None
+
+
+def _envs(groups: Sequence[Group]) -> list[str]:
+    return list(dict.fromkeys(group.runs[0].config.run.env for group in groups))
+
+
+def _evaluated(runs: Sequence[RunData], begin_part: Callable[[], None], **settings: Any) -> dict[str, Evaluation]:
+    """Return the evaluations, with `settings`, of those runs that have one, by name."""
+    found: dict[str, Evaluation] = {}
+    for run in runs:
+        begin_part()
+        evaluation = _attempt(run, "evaluation", evaluate, run.folder.path, **settings)
+        found |= {} if evaluation is None else {run.name: evaluation}
+    return found
+
+
+def _results(groups: Sequence[Group], found: Mapping[str, Evaluation], episodes: int) -> str:
+    """Return the results of each evaluated run, and of each group of several over the means of its runs."""
+    rows: list[tuple[str, ...]] = []
+    for group in groups:
+        own = {run.name: [found[run.name]] for run in group.runs if run.name in found}
+        if len(own) > 1:
+            own = {group.label: [each for (each,) in own.values()], **own}
+        rows += [(name, *_result_cells(each)) for name, each in own.items()]
+    hint = (
+        f"The best checkpoint of each run on {episodes} episodes that its training did not use: mean ± standard error "
+        "over episodes, or over runs in the row of a group, and the 95 % interval of the mean (Student's t)."
+    )
+    headings = ("run", "score", "return", "success rate", "goals reached", "steps", "diverged")
+    return section("Fresh episodes", paragraph(hint), table(headings, rows)) if rows else ""
+
+
+def _result_cells(found: Sequence[Evaluation]) -> list[str]:
+    def sample(column: str) -> F64Array:
+        values = [np.asarray(getattr(each, column), dtype=np.float64) for each in found]
+        return values[0] if len(found) == 1 else np.array([each.mean() for each in values])
+
+    has_goals = all(each.primitive_returns is not None for each in found)
+    estimates = [estimate(sample(column)) for column in ("scores", "returns")]
+    goals = estimate(sample("goals_reached")) if has_goals else "-"
+    diverged = sum(int(each.diverged.sum()) for each in found)
+    return [*estimates, f"{sample('successes').mean():.2f}", goals, f"{sample('steps').mean():.0f}", str(diverged)]
+
+
+def estimate(values: F64Array) -> str:
+    """Return mean, standard error and 95 % t interval of the mean of a sample, as text."""
+    if len(values) < 2:
+        return f"{values.mean():.2f}"
+    error = values.std(ddof=1) / sqrt(len(values))
+    (low,), (high,) = confidence_interval(values[:, None])
+    return f"{values.mean():.2f} ± {error:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def _curves(groups: Sequence[Group], figures: dict[str, Figure]) -> list[str]:
+    """Return the `SECTIONS` of curves, each with a figure for each environment."""
+    places: dict[str, list[str]] = {title: [] for title in SECTIONS}
+    for env in _envs(groups):
+        own = [group for group in groups if group.runs[0].config.run.env == env]
+        panels = panels_of([run for group in own for run in group.runs])
+        for title, found in places.items():
+            chosen = [panel for panel in panels if panel.section == title]
+            if chosen:
+                name = f"{title} {env}"
+                figures[name] = curve_figure(chosen, own)
+                found += [f"<h3>{escape(env)}</h3>", plot(name)]
+    hints = {SECTIONS[0]: paragraph(_CURVES_HINT)}
+    return [section(title, hints.get(title, ""), *found) if found else "" for title, found in places.items()]
+
+
+def _maps(
+    groups: Sequence[Group],
+    begin_part: Callable[[], None],
+    figures: dict[str, Figure],
+    episodes: int,
+    seed: int | None,
+    *,
+    has_videos: bool,
+) -> str:
+    """Return maps and videos of the first run of each group, as far as they can be made."""
+    made: list[tuple[str, str]] = []
+    for number, run in enumerate(group.runs[0] for group in groups):
+        begin_part()
+        world = _attempt(run, "map", play_episodes, run.folder.path, episodes, seed)
+        if world is not None:
+            figures[f"map {number}"] = map_figure(world)
+            made.append((run.name, plot(f"map {number}")))
+        if world is not None and world.explored is not None:
+            figures[f"search {number}"] = search_figure(world, world.explored)
+            made.append((f"{run.name}: search for a way", plot(f"search {number}")))
+        if has_videos:
+            begin_part()
+            uri = _attempt(run, "video", _video_uri, run, seed)
+            made += [(run.name, f'<video controls loop muted playsinline src="{uri}"></video>')] if uri else []
+    hint = (
+        f"Paths of the best checkpoint in the first {min(episodes, MOST_EPISODES)} of these episodes, of one run of "
+        f"each of the first {len(groups)} groups. A dot is the end of a path, a cross a goal. A video is the beginning "
+        "of the first episode."
+    )
+    return section("Maps and videos", paragraph(hint), cards(made)) if made else ""
+
+
+def _video_uri(run: RunData, seed: int | None) -> str:
+    """Return a video of the first steps of a run's first fresh episode, as a data URI."""
+    steps = min(_VIDEO_STEPS, run.config.evaluation_steps)
+    with tempfile.TemporaryDirectory(prefix="shes-report-") as folder:
+        out = render(run.folder.path, Path(folder) / "walk.mp4", size=_VIDEO_PIXELS, steps=steps, seed=seed)
+        return f"data:video/mp4;base64,{base64.b64encode(out.read_bytes()).decode()}"
+
+
+def _timing(runs: Sequence[RunData]) -> str:
+    """Return the seconds of the parts of each run, and those that its workers spent, summed over them."""
+    columns = dict.fromkeys(name for run in runs for name in run.tables["progress"] if name.endswith("_s"))
+    names = [name for name in columns if name not in ("wall_time_s", "process_time_s", "env_steps_per_s")]
+    rows: list[list[str]] = []
+    for run in runs:
+        progress = run.tables["progress"]
+        if len(progress.get("wall_time_s", ())):
+            spent = [f"{np.nansum(progress[name]):,.0f}" if name in progress else "-" for name in names]
+            rows.append([run.name, f"{progress['wall_time_s'][-1]:,.0f}", *spent])
+    words = [name.removesuffix("_s") for name in names]
+    headings = ["run", "wall clock", *(f"{word} (in workers)" if word in PARTS else word for word in words)]
+    return section("Time in seconds", table(headings, rows))
+
+
+def _settings(runs: Sequence[RunData]) -> str:
+    """Return the settings in which runs differ from each other or from their presets."""
+    columns = {run.name: _values(run.config) for run in runs}
+    for run in runs:
+        env, preset, algorithm = run.config.run.env, run.config.run.preset, run.config.run.algorithm
+        made = _attempt(run, "preset", make_config, env, preset, {"algorithm": algorithm})
+        columns |= {} if made is None else {f"preset {preset} of {algorithm} for {env}": _values(made)}
+    missing = dict.fromkeys(chain(*columns.values()), "-")
+    differing = differing_settings([{**missing, **each} for each in columns.values()])
+    rows = [(name, *(each.get(name, "-") for each in columns.values())) for name in differing]
+    return section("Settings that differ", table(("setting", *columns), rows))
+
+
+def _values(config: TrainConfig) -> dict[str, str]:
+    """Return all settings of a run by name, as text."""
+    return {name: setting_text(value) for part in config.to_dict().values() for name, value in part.items()}
+
+
+def _runs(groups: Sequence[Group], notes: list[str]) -> str:
+    """Return the runs, and below `notes` those on what could not be done so far, which are logged, too."""
+    rows: list[tuple[Any, ...]] = []
+    for group in groups:
+        for run in group.runs:
+            state = run_state(run.folder)
+            cells = [getattr(state, name) for name in _STATE]
+            rows.append((run.name, group.label, *("-" if cell is None else setting_text(cell) for cell in cells)))
+            notes += [f"{run.name}: {note}" for note in run.notes]
+    for note in notes:
+        logger.warning(note)  # on standard error, unless logging is set up
+    headings = ("run", "group", *(name.replace("_", " ") for name in _STATE))
+    return section("Runs", table(headings, rows), *(paragraph(note, "note") for note in notes))
+
+
+def _origins(runs: Sequence[RunData]) -> str:
+    """Return the record of each run but for its settings: command, hardware, versions and commit."""
+    parts: list[str] = []
+    for run in runs:
+        agent = shipped_name(run.folder.path)
+        record = {name: value for name, value in run.record.items() if name != "config"}
+        record |= {"made by": read_agent(agent).commands} if agent else {}
+        parts.append(details(run.name, f"<pre>{escape(json.dumps(record, indent=2, default=str))}</pre>"))
+    return section("Hardware, versions and commands", *parts)

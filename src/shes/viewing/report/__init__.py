@@ -1,1 +1,0 @@
-"""`shes report`: runs as one page of HTML that needs no network."""

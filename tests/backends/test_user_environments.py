@@ -1,0 +1,130 @@
+"""A user's environment in workers: a few instances, each closed in the end, and errors that name the line at fault."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import traceback
+
+import gymnasium
+import pytest
+
+import shes
+from shes.errors import ConfigError
+from tests.e2e import runs
+
+MODULE = """
+import os
+from pathlib import Path
+import gymnasium
+import numpy as np
+
+class Env(gymnasium.Env):
+    action_space = observation_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
+    diary = Path(__file__).with_name("diary")
+
+    def note(self, what):
+        with self.diary.open("a") as file:
+            file.write(f"{what} {os.getpid()} {id(self)}\\n")
+
+    def __init__(self, render_mode=None, fault=""):
+        self.fault, self.memory = fault, np.ones(10**7 if fault == "heavy" else 1)
+        self.note("made")
+
+    def reset(self, *, seed=None, options=None):
+        self.steps = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        if self.fault == "key":
+            {}["missing"]  # KEY
+        assert self.fault != "assert"  # ASSERT
+        self.steps += 1
+        return np.zeros(1, np.float32), float(action[0]), self.steps >= 5, False, {}
+
+    def close(self):
+        self.note("closed")
+        if self.fault == "close":
+            raise OSError("the window is gone")
+
+for fault in ("", "key", "assert", "close", "heavy"):
+    gymnasium.register(f"User{fault.title()}-v0", Env, max_episode_steps=5, kwargs={"fault": fault})
+"""
+SETTINGS = {"algorithm": "es", "preset": "smoke", "generations": 2, "hidden": (4,)}
+SPREADS = {"serial": {"backend": "serial"}, "processes": {"num_workers": 2}}
+
+
+@pytest.fixture
+def diary(tmp_path, monkeypatch):
+    """Return a function that returns what environments have noted: a set of (process, object) by event."""
+    (tmp_path / "users_module.py").write_text(textwrap.dedent(MODULE))
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "users_module", raising=False)
+    for name in [name for name in gymnasium.registry if name.startswith("User")]:
+        del gymnasium.registry[name]
+    __import__("users_module")
+
+    def read():
+        lines = [line.split() for line in (tmp_path / "diary").read_text().splitlines()]
+        return [[tuple(rest) for kind, *rest in lines if kind == each] for each in ("made", "closed")]
+
+    return read
+
+
+def line_of(tmp_path, mark):
+    """Return file and line of a comment in the module."""
+    lines = MODULE.splitlines()
+    return f"{tmp_path / 'users_module.py'}:{1 + next(i for i, line in enumerate(lines) if line.endswith(f'# {mark}'))}"
+
+
+@pytest.mark.parametrize("fault", ["", "Close"])
+@pytest.mark.parametrize("spread", SPREADS)
+def test_every_environment_is_closed_and_there_are_few(diary, tmp_path, spread, fault):
+    settings = {**SETTINGS, **SPREADS[spread], "population_size": 200}
+    shes.train(f"gymnasium:User{fault}-v0", out=tmp_path / "run", **settings)
+    made, closed = diary()
+    assert len(closed) == len(made)
+    pids = [pid for pid, _ in made]
+    assert max(pids.count(pid) for pid in set(pids)) <= 48  # those of training, evaluation and inspection
+
+
+@pytest.mark.parametrize(("fault", "kind"), [("key", "KeyError: 'missing'"), ("assert", "AssertionError")])
+@pytest.mark.parametrize("spread", SPREADS)
+def test_an_error_names_the_line_of_the_users_code(diary, tmp_path, spread, fault, kind):
+    name = f"gymnasium:User{fault.title()}-v0"
+    with pytest.raises(ConfigError) as raised:
+        shes.train(name, out=tmp_path / "run", **SETTINGS, **SPREADS[spread])
+    place = line_of(tmp_path, fault.upper())
+    assert str(raised.value) == f"{name} cannot step: {kind} ({place})"
+    file, _, line = place.partition(":")
+    told = "".join(traceback.format_exception(raised.value))
+    assert f'File "{file}", line {line}, in step' in told
+    assert any(f'File "{file}", line {line}, in step' in each for each in runs.log_lines(tmp_path / "run"))
+    made, closed = diary()
+    assert len(closed) == len(made)
+
+
+def test_the_memory_of_environments_counts(diary, tmp_path, monkeypatch):
+    monkeypatch.setattr("shes.training.limits.free_memory", lambda: 10**9)
+    assert shes.train("gymnasium:User-v0", out=tmp_path / "light", **SETTINGS, backend="serial").generation == 2
+    with pytest.raises(ConfigError, match=r"takes \d\.\d GB of memory, but 1\.0 GB are free"):
+        shes.train("gymnasium:UserHeavy-v0", out=tmp_path / "heavy", **SETTINGS, backend="serial")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_the_run_closes_environments(diary, tmp_path, number):
+    words = runs.flags(**{**SETTINGS, "generations": 10_000, "workers": 2, "out": tmp_path / "run"})
+    process = subprocess.Popen(
+        [*runs.COMMAND, "train", "gymnasium:User-v0", "--import", "users_module", *words],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    runs.wait_for_generation(process, tmp_path / "run", 2)
+    os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
+    assert runs.finish(process)[0] == 130
+    made, closed = diary()
+    assert len(closed) == len(made)

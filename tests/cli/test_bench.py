@@ -1,0 +1,122 @@
+"""`shes bench`: what the bare loop replays is what was played. How fast they are is no test."""
+
+import json
+import math
+from time import perf_counter
+
+import numpy as np
+import pytest
+
+from shes.algorithms.evolution.algorithm import evolve
+from shes.cli import main
+from shes.cli.bench import bench_rollout, record_generation
+from shes.errors import ConfigError
+from shes.training.build import build_algorithm, build_backend
+from shes.training.make_config import make_config
+
+TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "backend": "serial"}
+ALONE = {"primitive_estimate": "interval", "controller_interval": 3}
+BRANCHES = {**ALONE, "primitive_view": "proprioception", "primitive_population_size": 12}
+ONCE = {"repeats": 1, "replay_s": 0.01}
+SPEEDS = ("env_steps_per_s", "bare_steps_per_s", "ratio")
+
+
+def tiny(env, **settings):
+    return make_config(env, "smoke", {**TINY, **settings})
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "episodes", "branches"),
+    [
+        ("ant-gather", {}, 8, 0),
+        ("ant-gather", BRANCHES, 8, 12),
+        ("point-flagrun", ALONE, 0, 8),
+        ("point-gather", {**BRANCHES, "chunk_size": 4}, 8, 12),
+    ],
+)
+def test_a_replay_ends_where_the_generation_did(env, settings, episodes, branches):
+    config = tiny(env, **settings)
+    algorithm = build_algorithm(config)
+    with build_backend(config, algorithm.plan()) as backend:
+        report = next(evolve(algorithm.start(1), algorithm.hyperparameters, algorithm.table, backend))
+    physics = record_generation(algorithm, 1)
+    assert len(physics.episodes) == episodes + branches
+    assert sum(len(episode.controls) for episode in physics.episodes) == report.num_steps
+    ended = []
+    for episode in physics.episodes:
+        physics.replay(episode)
+        ended.append(physics.data.qpos[:2].copy())
+    assert np.array_equal(ended, np.concatenate([each.results.final_position[:, 0] for each in report.populations]))
+
+
+def test_a_replay_has_the_same_share_of_episodes_and_branches():
+    episodes = record_generation(build_algorithm(tiny("point-gather", **BRANCHES)), 1, num_episodes=4).episodes
+    assert [len(episode.controls) for episode in episodes] == [10] * 4 + [6] * 6
+
+
+def test_branches_begin_with_whole_states_not_at_a_reset():
+    """Time and the solver's warm start are part of them: without these a replay would go another way."""
+    episodes = record_generation(build_algorithm(tiny("ant-gather", **BRANCHES)), 1).episodes
+    times = [episode.start[-1] for episode in episodes]
+    assert set(times[:8]) == {0.0}
+    assert max(times[8:]) > 0
+
+
+@pytest.mark.parametrize(
+    ("env", "settings"),
+    [
+        ("ant-gather", BRANCHES),
+        ("point-flagrun", {"primitive_estimate": "interval"}),
+        ("point-gather", {"algorithm": "es"}),
+        ("point-gather", {"perturbation": "one_to_many", "clock_frequency": 1.0}),
+    ],
+)
+def test_whole_generations_are_compared_with_bare_physics(env, settings):
+    found = bench_rollout(tiny(env, **settings), **ONCE)
+    names = "env hidden integrator population_size episodes_per_policy device num_workers generations"
+    assert list(found) == [*names.split(), *SPEEDS]
+    expected = {"env": env, "hidden": [4], "population_size": 8, "num_workers": 1, "generations": 1}
+    assert expected.items() <= found.items()
+    assert all(math.isfinite(found[name]) and found[name] > 0 for name in SPEEDS)
+
+
+def test_the_measurement_lasts_as_long_as_asked():
+    start = perf_counter()
+    bench_rollout(tiny("point-gather"), repeats=1, seconds=0.3, replay_s=0.01)
+    assert perf_counter() - start >= 0.3
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "message"),
+    [
+        ("point-gather", {"algorithm": "td3"}, r"evolution strategies, got td3\. Set --algorithm shes or es\."),
+        ("point-gather", {"population_size": 10**12}, r"population_size is 1,000.* Set --population-size \d+ or less"),
+        ("gymnasium:Swimmer-v5", {}, r"bench rollout compares with MuJoCo alone, but gymnasium:Swimmer-v5 has its own"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(env, settings, message):
+    with pytest.raises(ConfigError, match=message):
+        bench_rollout(make_config(env, "smoke", settings), **ONCE)
+
+
+def test_the_command_prints_a_table_or_json(capsys):
+    words = [
+        "bench",
+        "rollout",
+        "point-gather",
+        "--preset",
+        "smoke",
+        "--hidden",
+        "4",
+        "--backend",
+        "serial",
+        "--population-size",
+        "4",
+        "--horizon",
+        "5",
+    ]
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["ratio"] > 0
+    assert main(words) == 0
+    table = capsys.readouterr().out
+    assert all(name in table for name in SPEEDS)

@@ -1,0 +1,105 @@
+"""The viewer's window: the poses that it shows, and the error without a screen."""
+
+import shutil
+import subprocess
+import sys
+from contextlib import nullcontext
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from shes.drawing.window import Viewer
+from shes.envs.markers import FOOD, ball
+from shes.envs.registry import make_task
+from shes.errors import ConfigError
+
+
+class FakeWindow:
+    """A stand-in for MuJoCo's window that records poses and closes after some."""
+
+    def __init__(self, model, data):
+        self.data, self.frames = data, 10_000
+        self.cam, self.user_scn = mujoco.MjvCamera(), mujoco.MjvScene(model, 100)
+        self.poses, self.num_markers, self.texts, self.is_closed = [], [], [], False
+
+    def is_running(self):
+        return len(self.poses) < self.frames and not self.is_closed
+
+    def lock(self):
+        return nullcontext()
+
+    def sync(self):
+        self.poses.append(self.data.qpos.copy())
+        self.num_markers.append(self.user_scn.ngeom)
+
+    def set_texts(self, texts):
+        self.texts.append(texts)
+
+    def close(self):
+        self.is_closed = True
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """A viewer, its window and a pose to show."""
+    windows = []
+    launch = SimpleNamespace(
+        launch_passive=lambda model, data, **_: windows.append(FakeWindow(model, data)) or windows[0]
+    )
+    monkeypatch.setitem(sys.modules, "mujoco.viewer", launch)
+    monkeypatch.setattr(mujoco, "viewer", launch, raising=False)
+    monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: True))
+    task = make_task("point-gather", 1)
+    task.reset(np.array([0]), [1])
+    return Viewer(task.world_to_draw(), 0.003), windows[0], task.sim.qpos[0].copy()
+
+
+def test_a_step_is_shown_as_a_smooth_movement_with_markers(opened):
+    viewer, window, pose = opened
+    viewer.show(pose, [ball((1, 1, 1), 0.4, FOOD)])
+    viewer.show(pose + 3, [])
+    moved = [shown - pose for shown in window.poses]
+    np.testing.assert_allclose(moved, np.outer([0, 0, 0, 1, 2, 3], [1, 1]), atol=1e-9)
+    assert (window.num_markers, window.texts) == ([1, 1, 1, 0, 0, 0], [])
+    viewer.show(pose, is_new_episode=True, lines=["3.0 s", "score 1.0"])  # it does not fly in
+    np.testing.assert_allclose(window.poses[6], pose)
+    assert window.texts[0][2] == "3.0 s\nscore 1.0"
+    assert (window.cam.type, window.cam.trackbodyid) == (mujoco.mjtCamera.mjCAMERA_TRACKING, 1)
+
+
+def test_nothing_is_shown_in_a_window_that_was_closed(opened):
+    viewer, window, pose = opened
+    window.frames = 2
+    viewer.show(pose)
+    viewer.show(pose)
+    assert len(window.poses) == 2
+    assert not viewer.is_open
+    viewer.close()
+    assert window.is_closed
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have a screen")
+def test_without_a_screen_the_error_names_the_other_way(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(ConfigError, match=r"no screen to open a window on.*shes render RUN --out walk.mp4"):
+        Viewer(make_task("point-gather", 1).world_to_draw(), 0.1)
+
+
+@pytest.mark.render
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="needs Debian's package xvfb")
+@pytest.mark.parametrize("ending", ["env.close()", ""])
+def test_a_real_window_opens_shows_and_closes(ending):
+    code = f"""
+import gymnasium, shes
+env = gymnasium.make("shes/AntGather-v0", render_mode="human")
+env.reset(seed=0)
+for _ in range(5):
+    env.step(env.action_space.sample())
+print("shown")
+{ending}"""
+    command = ["xvfb-run", "-a", sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "shown\n"), done.stderr

@@ -1,0 +1,195 @@
+"""`python -m experiments`: small experiments to their end, stopped anywhere and gone on with; wrong words."""
+
+import csv
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from experiments.__main__ import EXPERIMENTS, main
+from tests.e2e import runs
+
+ROOT = Path(__file__).parents[2]
+SOME = ("ablation", "--scale", "smoke", "--only", "horizon", "transfer", "--workers", "2")
+TIMES = ("seconds", "primitive_seconds", "hours", "primitive_hours")
+
+
+def start(*words):
+    """Start `python -m experiments WORDS` as the leader of a process group of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "experiments", *(str(word) for word in words)],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def run(*words):
+    """Run `python -m experiments WORDS`, which must succeed; return what it printed."""
+    process = start(*words)
+    out, err = process.communicate()
+    assert (process.returncode, err) == (0, ""), out
+    return out
+
+
+def table(path):
+    """Return the rows of a table without what depends on time."""
+    with path.open(newline="") as file:
+        return [{name: text for name, text in row.items() if name not in TIMES} for row in csv.DictReader(file)]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["walker", "--only", "choices"], 2, r"unknown group or environment 'choices'\. Did you mean 'pieces'"),
+        (["ablation", "--scale", "paper"], 2, r"unknown scale 'paper'\. Known: laptop, smoke\. Set --scale\."),
+        (["fig3", "--backend", "ray"], 2, "--backend ray is for runs that have all workers: scale paper and fig4"),
+        (["fig3", "--no-run"], 2, r"out has no row of fig3 in runs\.csv\. Set --out, or omit --no-run"),
+        (["ablation", "--seeds", "0"], 2, r"seeds must be a whole number between 1 and 1000, got 0\. Set --seeds\."),
+        (["ablation", "--workers", "-1"], 2, r"workers must be a whole number of at least 0, got -1\. Set --workers\."),
+        (["fig6", "--no-run"], 2, r"out has no fig6\.csv with a measurement"),
+    ],
+)
+def test_words_that_make_no_sense_are_refused(words, code, message, tmp_path, capsys):
+    assert main([*words, "--out", str(tmp_path / "out")]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert re.search(message, " ".join(err.split()))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("words", [["ablatoin"], ["fig3", "--scale", "large"], ["fig3", "--seeds", "many"], []])
+def test_words_that_are_no_value_of_their_flag_are_refused(words, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(words)
+    assert stop.value.code == 2
+    assert capsys.readouterr().err.startswith("usage: python -m experiments")
+
+
+def test_what_is_there_is_compared_and_drawn_without_a_run(tmp_path, capsys):
+    kept = ROOT / "results" / "ablation"
+    for name in ("runs.csv", "curves.csv"):
+        (tmp_path / name).write_bytes((kept / name).read_bytes())
+    assert main(["ablation", "--out", str(tmp_path), "--no-run"]) == 0
+    assert (tmp_path / "runs.csv").read_bytes() == (kept / "runs.csv").read_bytes()
+    rows, before = table(tmp_path / "comparison.csv"), table(kept / "comparison.csv")
+    numbers = (
+        [float(row[name]) for row in each for name in ("score_mean", "score_iqm_low")] for each in (rows, before)
+    )
+    assert next(numbers) == pytest.approx(next(numbers))
+    assert [row["p_holm"] for row in rows] == [row["p_holm"] for row in before]
+    assert {path.name for path in tmp_path.glob("*.png")} == {
+        f"{group}.png" for group in ("choices", "sweep", "transfer", "horizon")
+    }
+    assert "no mirroring" in capsys.readouterr().out
+
+
+# Stopped and gone on with.
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """Folder of a part of the smoke ablation that nothing happened to."""
+    out = tmp_path_factory.mktemp("undisturbed") / "ablation"
+    run(*SOME, "--out", out)
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.extras
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGKILL])
+def test_a_stopped_experiment_goes_on_with_the_same_numbers(tmp_path, undisturbed, stop):
+    out = tmp_path / "ablation"
+    process = start(*SOME, "--out", out)
+    runs.wait_until(lambda: len(list(out.glob("*/*/*/*/summary.json"))) >= 4 or process.poll() is not None, "4 runs")
+    workers = psutil.Process(process.pid).children()
+    assert process.poll() is None
+    os.kill(process.pid, stop)
+    printed, err = process.communicate()
+    assert process.returncode == (130 if stop == signal.SIGINT else -stop)
+    if stop == signal.SIGINT:
+        assert printed.endswith("Stopped; finished runs are kept. Continue with the same command.\n"), err
+    assert len(workers) >= 2
+    assert psutil.wait_procs(workers, timeout=runs.PATIENCE_S)[1] == []
+    run(*SOME, "--out", out)
+    for name in ("runs.csv", "curves.csv", "comparison.csv"):
+        assert table(out / name) == table(undisturbed / name)
+    for row in table(out / "runs.csv"):
+        path = f"{row['env']}/{row['group']}/{row['variant']}/seed-{row['seed']}"
+        different = [name for name in runs.differences(out / path, undisturbed / path) if "settings" not in name]
+        assert different == []  # settings hold the path of the primitive
+
+
+@pytest.mark.slow
+@pytest.mark.extras
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGKILL])
+def test_a_stopped_run_of_many_workers_leaves_none_and_goes_on(tmp_path, stop):
+    words = ("fig4", "--scale", "smoke", "--seeds", 1, "--only", "point-maze", "--workers", 2, "--out", tmp_path)
+    process, seen = start(*words), set()
+
+    def has_workers():
+        seen.update(runs.workers_of(process.pid))
+        done = list(tmp_path.glob("point-maze/*/*2/seed-1/summary.json"))
+        return (done and runs.workers_of(process.pid)) or process.poll() is not None
+
+    runs.wait_until(has_workers, "a run with workers")
+    assert process.poll() is None, process.communicate()
+    os.killpg(process.pid, stop)
+    process.communicate()
+    runs.assert_gone(process.pid, list(seen))
+    before = {path: path.read_bytes() for path in tmp_path.glob("*/*/*/*/summary.json")}
+    run(*words)
+    assert len(table(tmp_path / "runs.csv")) == 4
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
+# Whole experiments.
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Folders of experiments by name; the paper's share one."""
+    paper = tmp_path_factory.mktemp("paper")
+    return {name: paper if name.startswith("fig") else tmp_path_factory.mktemp(name) for name in EXPERIMENTS}
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("ablation", "walker")),
+        *(pytest.param(name, marks=pytest.mark.extras) for name in ("fig4", "fig5")),
+        pytest.param("fig3", marks=pytest.mark.hiro),
+    ],
+)
+def test_an_experiment_of_scale_smoke_has_tables_and_figures(name, folders, tmp_path):
+    experiment, out = EXPERIMENTS[name]("smoke", None), folders[name]
+    printed = run(name, "--scale", "smoke", "--workers", 2, "--out", out)
+    assert {path.name for path in out.glob("*.png")} >= set(experiment.figures)
+    assert all(figure in printed for figure in experiment.figures)
+    compared = table(out / (f"{name}.csv" if name.startswith("fig") else "comparison.csv"))
+    variants = {each.variant for each in experiment.runs if each.env in experiment.metrics}
+    assert {row["variant"] for row in compared} == variants
+    for row in compared:
+        is_tested = row["against"] and row["seeds"] != "1"  # at this scale the ant has one seed
+        filled = ["score_mean", "score_iqm_low", "score_iqm_high", "hours"]
+        filled += ["p_holm", "mann_whitney_p", "superiority"] if is_tested else []
+        filled += ["ratio", "ratio_low"] if name == "fig4" and row["against"] else []
+        assert all(row[column] for column in filled), row
+    for file in out.glob("*.csv"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    again = run(name, "--scale", "smoke", "--workers", 2, "--out", tmp_path)
+    assert f"0 of {len(experiment.runs)} runs are left" in again
+    assert not any(path.is_dir() for path in tmp_path.iterdir())
+    for figure in experiment.figures:
+        assert (tmp_path / figure).read_bytes() == (out / figure).read_bytes()

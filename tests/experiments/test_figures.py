@@ -1,0 +1,117 @@
+"""Figures from results: what they show, and that the same results give the same picture."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from experiments.comparisons import compare
+from experiments.curve_figure import Curve, Panel, draw_curves
+from experiments.design import Measure
+from experiments.figures import draw_figures, forest
+from experiments.paper import figure_3, figure_5
+from experiments.results import PlacedResults, RunResults
+from tests.experiments.tiny import experiment, run
+
+SCORE = Measure("score_mean", "test score")
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    """Close what a test has drawn."""
+    yield
+    plt.close("all")
+
+
+def results_of(made, only=lambda _: True):
+    """Return results of the runs of an experiment, whose scores rise and fall, with their comparisons."""
+    found = {}
+    for each in filter(only, made.runs):
+        curve = [
+            {
+                "env_steps": 1e6 * step,
+                "seconds": 60.0 * step,
+                "primitive_env_steps": None if each.primitive is None else 5e5,
+                "primitive_seconds": None if each.primitive is None else 30.0,
+                **dict.fromkeys(
+                    ("score_mean", "training_return_mean", "primitive_return_mean"), each.seed + (0, 2, 1, 3, 2)[step]
+                ),
+            }
+            for step in range(5)
+        ]
+        row = {**each.identity, "best_score": each.seed + len(each.variant), "env_steps": 9, "seconds": 9.0}
+        found[each.name] = RunResults(row=row, curve=curve)
+    return PlacedResults(made, found, compare(PlacedResults(made, found)))
+
+
+def test_a_forest_shows_every_seed_and_the_corrected_p():
+    made = experiment(*(run(name, seed) for name in ("base", "other") for seed in (1, 2, 3)))
+    results = results_of(made)
+    [axis] = forest(results, "choices").axes
+    assert [text.get_text() for text in axis.get_yticklabels()] == ["base", "other"]
+    points = [sorted(dots.get_offsets()[:, 0]) for dots in axis.collections]
+    assert points == [[5, 6, 7], [6, 7, 8]]
+    p = next(row["p_holm"] for row in results.comparisons if row["variant"] == "other")
+    assert {"against base", f"p = {p:.2f}"} <= {text.get_text() for text in axis.texts}
+
+
+def test_a_forest_has_what_is_finished_alone():
+    made = experiment(*(run(name, env=env) for env in ("point-gather", "point-maze") for name in ("base", "other")))
+    assert forest(results_of(made, lambda each: each.variant == "base"), "choices") is None
+    figure = forest(results_of(made, lambda each: each.env == "point-maze"), "choices")
+    assert [axis.get_title(loc="left") for axis in figure.axes] == ["Point Maze"]
+
+
+def lines(axis, color, style="-"):
+    """Return the lines of a colour and style of an axis."""
+    return [line for line in axis.lines if line.get_color() == color and line.get_linestyle() == style]
+
+
+def test_a_curve_is_the_mean_with_its_running_best():
+    made = experiment(*(run(name, seed) for name in ("base", "other") for seed in (1, 2, 3)))
+    curves = tuple(Curve("choices", name) for name in ("base", "other"))
+    panel = Panel("point-gather", "Gather", curves, SCORE, references={"published": 4.5}, has_running_best=True)
+    figure = draw_curves(results_of(made), [panel], 3)
+    [axis] = figure.axes
+    [mean], [best] = lines(axis, "C0"), lines(axis, "C0", "--")
+    assert np.array(mean.get_data()).tolist() == [[0, 1, 2, 3, 4], [2, 4, 3, 5, 4]]
+    assert best.get_ydata().tolist() == [2, 4, 4, 5, 5]
+    assert (axis.get_title(), axis.get_xlabel()) == ("Gather (3 seeds)", "million environment steps")
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["base", "other", "published"]
+    assert [line.get_ydata()[0] for line in axis.lines if line.get_label() == "published"] == [4.5]
+    notes = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert [note.partition(":")[0] for note in notes] == ["band", "dashed", "grey, with marks"]
+
+
+@pytest.mark.parametrize(("x", "start", "end"), [("env_steps", 0.5, 4.5), ("seconds", 0.5, 4.5)])
+def test_a_transferred_run_begins_after_its_primitive(x, start, end):
+    source = [run("source", seed, group="transfer", env="point-flagrun") for seed in (1, 2, 3)]
+    taken = [run("taker", each.seed, group="transfer", primitive=each) for each in source]
+    made = experiment(*source, *taken)
+    panel = Panel("point-gather", "Gather", (Curve("transfer", "taker", is_after_primitive=True),), SCORE, x=x)
+    [axis] = draw_curves(results_of(made), [panel], 1).axes
+    [mean], [span] = lines(axis, "C0"), lines(axis, "C0", ":")
+    assert (mean.get_xdata()[0], mean.get_xdata()[-1]) == (start, end)
+    assert np.array(span.get_data()).tolist() == [[0, start], [2, 2]]
+    wrong = panel._replace(curves=(panel.curves[0]._replace(variant="alone"), Curve("transfer", "taker")))
+    assert draw_curves(results_of(made), [wrong], 1) is not None  # without it, the curve begins at 0
+
+
+def test_curves_are_of_runs_and_panels_that_have_them():
+    made = experiment(*(run(name, env=env) for env in ("point-gather", "point-maze") for name in ("base", "other")))
+    panels = [Panel(env, env, (Curve("choices", "other"),), SCORE) for env in ("point-gather", "point-maze")]
+    figure = draw_curves(results_of(made, lambda each: each.env == "point-maze"), panels, 3)
+    assert [axis.get_title() for axis in figure.axes] == ["point-maze (1 seed)"]
+    assert draw_curves(results_of(made, lambda each: each.variant == "base"), panels, 3) is None
+
+
+@pytest.mark.extras
+@pytest.mark.parametrize("make", [figure_3, figure_5])
+def test_the_papers_figures_are_drawn_alike_again(make, tmp_path):
+    results = results_of(make("smoke", 2))
+    pictures = []
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        drawn = draw_figures(results, tmp_path / name)
+        assert [path.name for path in drawn] == list(results.experiment.figures)
+        pictures.append([path.read_bytes() for path in drawn])
+    assert pictures[0] == pictures[1]

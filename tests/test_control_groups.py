@@ -1,0 +1,80 @@
+"""Limits of control groups, of both versions: free memory and the number of cores follow them."""
+
+import os
+import resource
+
+import pytest
+
+from shes import control_groups, free_space
+from shes.cores import core_numbers, num_cores
+from shes.free_space import free_memory
+
+GIB = 2**30
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    """A machine with 8 GiB of available memory and 8 cores, and files to change it."""
+    (tmp_path / "meminfo").write_text("MemTotal: 16777216 kB\nMemAvailable:    8388608 kB\n")
+    (tmp_path / "own").write_text("5:cpu,cpuacct:/job\n4:memory:/job\n1:name=x:/other\n0::/jobs/7\n")
+    monkeypatch.setattr(free_space, "_MEMINFO", tmp_path / "meminfo")
+    monkeypatch.setattr(control_groups, "_OWN_GROUPS", tmp_path / "own")
+    monkeypatch.setattr(control_groups, "_ROOT", tmp_path / "groups")
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    monkeypatch.setattr("shes.cores.core_numbers", lambda: list(range(8)))
+    return tmp_path
+
+
+def write(machine, files):
+    for name, text in files.items():
+        path = machine / "groups" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n")
+
+
+@pytest.mark.parametrize(
+    ("files", "expected"),
+    [
+        ({}, 8 * GIB),
+        ({"jobs/7/memory.max": "max"}, 8 * GIB),
+        ({"jobs/7/memory.max": "1073741824"}, GIB),
+        ({"jobs/memory.max": "1073741824", "jobs/7/memory.max": "max"}, GIB),
+        ({"memory.max": "1073741824"}, GIB),
+        ({"unified/jobs/7/memory.max": "1073741824"}, GIB),
+        ({"memory/job/memory.limit_in_bytes": "1073741824"}, GIB),
+        ({"memory/memory.limit_in_bytes": "1073741824"}, GIB),  # a container that sees its own group as the root
+        ({"memory/job/memory.limit_in_bytes": "9223372036854771712"}, 8 * GIB),  # version 1 has no other "none"
+        ({"memory/other/memory.limit_in_bytes": "1073741824"}, 8 * GIB),
+    ],
+)
+def test_free_memory_is_at_most_the_least_limit(machine, files, expected):
+    write(machine, files)
+    assert free_memory() == expected
+
+
+@pytest.mark.parametrize(
+    ("files", "expected"),
+    [
+        ({}, 8),
+        ({"jobs/7/cpu.max": "max 100000"}, 8),
+        ({"jobs/7/cpu.max": "200000 100000"}, 2),
+        ({"jobs/7/cpu.max": "250000 100000"}, 3),
+        ({"jobs/7/cpu.max": "20000 100000"}, 1),
+        ({"jobs/cpu.max": "300000 100000", "jobs/7/cpu.max": "400000 100000"}, 3),
+        ({"jobs/7/cpu.max": "1600000 100000"}, 8),
+        ({"cpu/job/cpu.cfs_quota_us": "50000", "cpu/job/cpu.cfs_period_us": "25000"}, 2),
+        ({"cpu,cpuacct/job/cpu.cfs_quota_us": "300000", "cpu,cpuacct/job/cpu.cfs_period_us": "100000"}, 3),
+        ({"cpu/job/cpu.cfs_quota_us": "-1", "cpu/job/cpu.cfs_period_us": "100000"}, 8),
+    ],
+)
+def test_there_are_no_more_cores_than_the_quota(machine, files, expected):
+    write(machine, files)
+    assert num_cores() == expected
+
+
+def test_a_system_without_these_files_has_what_it_has(machine):
+    (machine / "meminfo").unlink()
+    (machine / "own").unlink()
+    assert free_memory() == os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    assert num_cores() == 8
+    assert len(core_numbers()) >= 1

@@ -1,0 +1,66 @@
+"""The projection of speed-up in `benchmarks/speedup.py`: the assumptions in its first lines, and all of it once."""
+
+import math
+
+import pytest
+
+from benchmarks import speedup
+from shes.cores import core_numbers
+from shes.errors import ConfigError
+from shes.training.make_config import make_config
+from tests.hierarchy.made_up import make_task
+
+TINY = {"population_size": 8, "hidden": (4,), "horizon": 10, "evaluation_horizon": 10, "noise_table_size": 1_000_000}
+
+
+@pytest.mark.parametrize(
+    ("share_s", "num_results", "message_s", "state_bytes", "num_workers", "seconds"),
+    [
+        (9.0, 4, 0.0, 0, 4, 9.0),  # the slowest worker's share, if messages cost nothing
+        (9.0, 4, 0.5, 0, 4, 4 * 0.5 + 9.0 + 0.5),  # the last of four workers is asked last
+        (1.0, 100, 0.5, 0, 4, 100 * 0.5 + 0.5),  # the main process handles one result after the other
+        (0.0, 1, 0.0, 1_250_000_000, 24, 1.0),  # one node receives the policies once
+        (0.0, 1, 0.0, 1_250_000_000, 25, 2.0),  # two nodes are two levels of a tree
+        (0.0, 1, 0.0, 1_250_000_000, 600, 5.0),
+    ],
+)
+def test_a_projection_follows_its_assumptions(share_s, num_results, message_s, state_bytes, num_workers, seconds):
+    found = speedup.project(share_s, num_results, message_s, state_bytes, num_workers)
+    assert found == pytest.approx(seconds, abs=10 * speedup.LATENCY_S)
+    assert found >= seconds + 2 * speedup.LATENCY_S
+
+
+@pytest.mark.parametrize(
+    ("first", "size", "expected"),
+    [(0, 3, [(0, 1, 2)]), (2, 4, [(2,), (0, 1, 2)]), (4, 1, [(1,)]), (5, 9, [(2,), (0, 1, 2)])],
+)
+def test_a_share_is_successive_episodes(first, size, expected):
+    tasks = [make_task(member, range(3)) for member in range(3)]
+    assert [task.slots for task in speedup.share(tasks, first, size)] == expected
+
+
+BRANCHES = {"primitive_estimate": "interval", "primitive_view": "proprioception"}
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "settings", "workers"),
+    [("shes", BRANCHES, 1), ("es", {}, 1), pytest.param("shes", {}, 2, marks=pytest.mark.extras)],
+)
+def test_speed_ups_are_measured_and_projected(algorithm, settings, workers):
+    where = {"backend": "serial" if workers == 1 else "processes", "num_workers": workers}
+    config = make_config("point-gather", "smoke", {**TINY, **settings, **where, "algorithm": algorithm})
+    rows = speedup.measure_speedup(config, cores=(4, 16), samples=2)
+    assert [(row["kind"], row["cores"]) for row in rows] == [
+        *[("alone", 1)] * len(core_numbers()[:workers]),
+        *[("measured", n) for n in range(1, workers + 1)],
+        *[("projected", n) for n in (*range(2, workers + 1), 4, 16)],
+    ]
+    for row in rows:
+        assert row["generation_s"] == row["rollout_s"] + row["update_s"]
+        assert row["speedup"] == pytest.approx(row["efficiency"] * row["cores"])
+        assert all(math.isfinite(row[name]) and row[name] > 0 for name in list(row)[2:])
+
+
+def test_a_device_is_refused():
+    with pytest.raises(ConfigError, match="measures the CPU, got device 'warp-cpu'"):
+        speedup.measure_speedup(make_config("point-gather", "smoke", {"device": "warp-cpu"}))

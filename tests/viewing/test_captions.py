@@ -1,0 +1,99 @@
+"""Captions: as much of a text as there is room for, and the inputs of a controller in words."""
+
+import numpy as np
+import pytest
+
+from shes.hierarchy.views import CONTROLLER_VIEWS
+from shes.training.build import build_algorithm
+from shes.training.make_config import make_config
+from shes.viewing.playback import Playback, input_words
+from shes.viewing.video import captioned
+
+LONG = "/home/somebody/experiments/point-gather/transfer/published/seed-3"
+FACTS = ("after 80 generations", "12.3 s", "score 3.0", "time is up")
+
+
+def height_of(picture):
+    """Return the number of rows with letters or bar on a picture that was white."""
+    return int((picture.min(axis=(1, 2)) < 250).sum())
+
+
+@pytest.mark.parametrize("label", ["mine", LONG, "x" * 900])
+@pytest.mark.parametrize("size", [64, 160, 480, 1080])
+def test_no_line_is_cut_and_half_of_the_picture_is_left(size, label):
+    picture = captioned(np.zeros((size, size, 3), np.uint8), [(label, *FACTS), ("controller sees 2 values", "x -1.20")])
+    ink = picture.min(axis=2) > 120
+    assert ink[: size // 4].any()
+    assert not ink[:, -3:].any()
+    assert not ink[:, :3].any()
+    assert not picture[size // 2 + 8 :].any()
+
+
+def test_a_caption_has_as_many_lines_as_it_needs():
+    view = np.full((480, 480, 3), 255, np.uint8)
+    assert height_of(captioned(view, [("mine", *FACTS), ()])) == 28
+    assert height_of(captioned(view, [("mine", *FACTS), ("x 1.00",)])) == 2 * 21 + 7
+    assert height_of(captioned(view, [(LONG, *FACTS), ("x 1.00",)])) == 3 * 21 + 7
+
+
+def test_a_text_that_is_too_long_is_shortened_in_its_middle():
+    def of(text):
+        return captioned(np.zeros((64, 200, 3), np.uint8), [[text]])
+
+    whole = of("a" + "x" * 98 + "b")
+    np.testing.assert_array_equal(whole, of("a" + "x" * 48 + "y" + "x" * 49 + "b"))
+    for start, end in (("c", "b"), ("a", "c")):
+        assert (whole != of(start + "x" * 98 + end)).any()
+
+
+def test_lines_are_broken_at_the_same_places_for_all_numbers():
+    view = np.full((480, 480, 3), 255, np.uint8)
+    texts = [[f"value of input {name} {number:.2f}" for name in "abcdefgh"] for number in np.linspace(-20, 20, 9)]
+    assert len({height_of(captioned(view, [each])) for each in texts}) == 1
+
+
+def words_of(env, view="observation", **settings):
+    """Return a new task and what the controller sees of it."""
+    if settings.get("algorithm", "shes") == "shes":
+        settings["controller_view"] = view
+    problem = build_algorithm(make_config(env, "smoke", settings)).problem
+    task = problem.make_task(is_evaluation=True)
+    task.reset(np.array([0]), [3])
+    return task, input_words(build_algorithm(problem.settings).design.controller_view, task)
+
+
+def test_the_few_inputs_of_a_position_view_are_listed():
+    task, words = words_of("ant-maze", "position")
+    x, y = task.position[0]
+    assert words == (
+        "controller sees 5 values", f"torso x {x:.2f}", f"torso y {y:.2f}", "time 0.00", "target x 0.00",
+        "target y 0.16",
+    )  # fmt: skip
+
+
+def test_many_inputs_are_summed_up_but_position_and_target():
+    task, words = words_of("ant-maze")
+    x, y = task.position[0]
+    seen = dict(zip(task.observation_names, task.observe()[0], strict=True))
+    hip, ankle = (max(v for name, v in seen.items() if name.startswith(word)) for word in ("hip", "ankle"))
+    assert words[:3] == ("controller sees 32 values", f"torso x {x:.2f}", f"torso y {y:.2f}")
+    assert words[4:] == (
+        f"8 of hip up to {hip:.2f}", f"8 of ankle up to {ankle:.2f}", "time 0.00", "target x 0.00", "target y 0.16",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("view", list(CONTROLLER_VIEWS))
+def test_every_view_of_gather_is_described(view):
+    task, words = words_of("ant-gather", view)
+    count = 50 if view == "observation" else len(CONTROLLER_VIEWS.find(view)().of(task).names(task.observation_names))
+    assert words[0] == f"controller sees {count} values"
+    assert any("0 of food up to 0" in word for word in words)
+
+
+def test_an_agent_without_a_controller_has_no_inputs(tiny_run, kinds):
+    def shown(run, **settings):
+        return next(Playback(run, "best", **settings).play(3)).inputs
+
+    assert shown(tiny_run, sensors=True)[0] == "controller sees 25 values"
+    assert shown(tiny_run) == shown(kinds["flat"], sensors=True) == ()
+    assert words_of("point-maze", algorithm="hiro")[1][0] == "controller sees 7 values"
