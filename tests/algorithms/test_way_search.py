@@ -15,12 +15,12 @@ from shes.backends.backend import Backend
 from shes.errors import ConfigError, UnknownNameError
 from shes.es.archive import PATIENCE, Archive
 from shes.hierarchy.episodes import EpisodeResults, Snapshot
+from shes.runs.build import build_algorithm, build_backend
+from shes.runs.make_config import make_config
 from shes.runs.tables import read_csv
-from shes.training.build import build_algorithm, build_backend
-from shes.training.make_config import make_config
 from tests.e2e import runs
 from tests.hierarchy.made_up import outcomes
-from tests.training.recorder import recording
+from tests.runs.recorder import recording
 
 SEARCH = {
     "explore": "archive", "primitive_view": "egocentric", "controller_interval": 4, "evaluation_target": (5.5, 0.0),
