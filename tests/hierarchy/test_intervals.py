@@ -82,7 +82,7 @@ def test_pairs_are_drawn_from_a_stream_of_their_own(number):
 
 
 def test_pairs_are_as_far_from_the_mean_as_the_schedule_says():
-    assert [pairs_after(None, g).generation.sigma for g in range(4)] == pytest.approx([0.2, 0.15, 0.1, 0.1])
+    assert [pairs_after(None, g).generation.sigma for g in range(4)] == pytest.approx([0.2, 0.1 * 2**0.5, 0.1, 0.1])
 
 
 def test_other_seeds_and_generations_have_other_pairs():
