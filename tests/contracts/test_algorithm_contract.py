@@ -52,7 +52,8 @@ def registered(monkeypatch):
     monkeypatch.setattr(way_search, "SLICE_STEPS", 500)
     runpy.run_path(str(EXAMPLE), run_name="random_search")
     yield
-    ALGORITHMS.pop("random-search", None)
+    for name in ("random-search", "own"):
+        ALGORITHMS.pop(name, None)
 
 
 def tiny(name):
@@ -160,8 +161,7 @@ class Vague(Settings):
     tries: int
 
 
-def test_a_section_of_an_algorithm_has_a_name_of_its_own(monkeypatch):
-    monkeypatch.setattr(ALGORITHMS, "_entries", dict(ALGORITHMS))
+def test_a_section_of_an_algorithm_has_a_name_of_its_own():
     example = runpy.run_path(str(EXAMPLE), run_name="random_search")["RandomSearch"]
     for section in ("run", "body", "values"):
         taken = type("Own", (example,), {"sections": {section: Search}})
