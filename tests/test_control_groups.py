@@ -5,7 +5,7 @@ import resource
 
 import pytest
 
-from shes import machine
+from shes import machine as this_machine
 from shes.machine import core_numbers, free_memory, num_cores
 
 GIB = 2**30
@@ -16,9 +16,9 @@ def machine(tmp_path, monkeypatch):
     """A machine with 8 GiB of available memory and 8 cores, and files to change it."""
     (tmp_path / "meminfo").write_text("MemTotal: 16777216 kB\nMemAvailable:    8388608 kB\n")
     (tmp_path / "own").write_text("5:cpu,cpuacct:/job\n4:memory:/job\n1:name=x:/other\n0::/jobs/7\n")
-    monkeypatch.setattr(machine, "_MEMINFO", tmp_path / "meminfo")
-    monkeypatch.setattr(machine, "_OWN_GROUPS", tmp_path / "own")
-    monkeypatch.setattr(machine, "_ROOT", tmp_path / "groups")
+    monkeypatch.setattr(this_machine, "_MEMINFO", tmp_path / "meminfo")
+    monkeypatch.setattr(this_machine, "_OWN_GROUPS", tmp_path / "own")
+    monkeypatch.setattr(this_machine, "_ROOT", tmp_path / "groups")
     monkeypatch.setattr(resource, "getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     monkeypatch.setattr("shes.machine.core_numbers", lambda: list(range(8)))
     return tmp_path
