@@ -14,7 +14,7 @@ from shes.algorithms.contract import Algorithm
 from shes.algorithms.presets import PRESETS, Preset
 from shes.algorithms.registry import ALGORITHMS, PRESET_NAMES, algorithm_classes, find_algorithm
 from shes.errors import ConfigError, UnknownNameError
-from shes.es.mirror import MIRRORINGS, Mirroring
+from shes.es.perturbation import MIRRORINGS, Mirroring
 from shes.es.schedules import SCHEDULES, ScheduleKind
 from shes.hierarchy.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
 from shes.runs.config import TrainConfig

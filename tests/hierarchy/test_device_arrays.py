@@ -12,8 +12,7 @@ import pytest
 
 from shes.algorithms.evolution.algorithm import evolve
 from shes.backends.serial import SerialBackend
-from shes.es.gradient import weighted_noise_sum
-from shes.es.noise import NoiseTable
+from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.hierarchy.rollout import Rollout
 from shes.sim.cpu import CpuSimulator
 from shes.training.build import build_algorithm

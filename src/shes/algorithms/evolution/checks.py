@@ -9,8 +9,7 @@ from shes.algorithms.evolution.learned_levels import by_episodes, explores, is_a
 from shes.algorithms.evolution.sections import SCHEDULED, HierarchySettings
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
-from shes.es.mirror import sign_matrix
-from shes.es.perturbation import PERTURBATIONS
+from shes.es.perturbation import PERTURBATIONS, sign_matrix
 from shes.es.schedules import SCHEDULES
 from shes.hierarchy.views import PRIMITIVE_VIEWS
 from shes.settings import flag, out_of_range, setting_fields

@@ -14,10 +14,9 @@ from typing import Annotated, Any, Literal
 
 from shes.algorithms.evolution.estimates import COMMON_RANDOM_NUMBERS
 from shes.envs.bodies.symmetry import SYMMETRIES
-from shes.es.mirror import MIRRORINGS
 from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.optimizers import OPTIMIZERS
-from shes.es.perturbation import PERTURBATIONS
+from shes.es.perturbation import MIRRORINGS, PERTURBATIONS
 from shes.es.schedules import SCHEDULES
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.hierarchy.goals import GOAL_ENCODINGS
