@@ -21,8 +21,7 @@ What these leave open about tasks, and how it is decided here (worlds: see refer
  8. Flagrun for the point: sin, cos, distance / 1000, qpos 2, qvel 2 (clipped in shes); yaw 0.
  9. hiro Gather: sensors span 2 pi around the yaw (as JR and SNN4HRL; rllab's own default is pi); the free radius of 2
     takes only (0, 0) from the lattice; the fall is looked at before pickups, so the objects stay and the episode ends.
-    With `fall_penalty=False` the step of a fall pays its pickups. Its success (not specified) is a score above 0.
-    Its point never falls.
+    Its success (not specified) is a score above 0. Its point never falls.
 10. Divergence: the step ends the episode with reward 0; score is 0 and success False from then on.
 11. The robot's noise is drawn for all of its qpos and qvel: for the point 2 and 2 numbers, in Fall 3 and 3. With
     noise 0 nothing is drawn.
@@ -416,7 +415,7 @@ class ReferenceGather(ReferenceEpisode):
 
     shes: robot's qpos, clipped qvel, 10 food readings, 10 poison readings, t; 50 or 25 numbers. The step of a fall pays
     its pickups. hiro: t stands before the readings, qvel is unclipped; the step of an ant's fall pays -10 in place of
-    its pickups (`fall_penalty`), and the episode ends when nothing is left, too.
+    its pickups, and the episode ends when nothing is left, too.
 
     Draws of a reset, behind the robot's. shes: `uniform(-10, 10, (32, 2))`, of which those at least 2 from the origin
     count, again until there are 16. hiro: `permutation(99)`, as places in this list: x = -10, -8, ..., 8, for each x
@@ -432,12 +431,9 @@ class ReferenceGather(ReferenceEpisode):
         body: BodyName,
         spec: str = "shes",
         model: mujoco.MjModel | None = None,
-        *,
-        fall_penalty: bool = True,
         **options: Any,
     ) -> None:
         super().__init__(body, spec, model, **options)
-        self.fall_penalty = fall_penalty and spec == "hiro"
         self.sensor_range = {"shes": 8.0, "hiro": 6.0}[spec]
         self.food: list[tuple[float, float]] = []
         self.poison: list[tuple[float, float]] = []
@@ -461,7 +457,7 @@ class ReferenceGather(ReferenceEpisode):
         self.best_return = 0.0
 
     def play_task(self) -> float:
-        if self.has_fallen and self.fall_penalty:
+        if self.has_fallen:
             reward = self.penalty
         else:
             food, self.food = self._pick_up(self.food)

@@ -10,21 +10,19 @@ import shes  # registers
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.fall import Fall
 from shes.envs.tasks.flagrun import Flagrun, FlagrunOptions
-from shes.envs.tasks.gather import Gather, GatherOptions
+from shes.envs.tasks.gather import Gather
 from shes.envs.tasks.maze import Maze, MazeOptions
 from shes.envs.tasks.push import Push
 from shes.envs.tasks.target_task import BlockOptions
-from shes.envs.tasks.task_options import TaskOptions
+from shes.envs.tasks.task_options import FallOptions, TaskOptions
 from shes.errors import ConfigError
-from shes.es.level import UpdateRule
-from shes.field_texts import field_texts
 from shes.settings import setting_fields
 
 assert shes
 
 COMMON = {"spec", "integrator", "reset_noise", "evaluation"}
 OWN = {
-    Gather: {"fall_penalty", "max_tilt"},
+    Gather: {"max_tilt"},
     Maze: {"max_tilt", "target", "evaluation_target", "waypoints", "target_sampling"},
     Push: {"max_tilt", "target", "evaluation_target", "waypoints", "observe_block"},
     Fall: {"max_tilt", "target", "evaluation_target", "waypoints", "observe_block"},
@@ -36,11 +34,6 @@ def test_every_task_has_the_common_options_and_its_own():
     assert {each.task for each in ENVIRONMENTS.values()} == set(OWN)
     for task, own in OWN.items():
         assert setting_fields(task.Options).keys() == COMMON | own
-
-
-def test_the_penalty_for_a_fall_is_told_from_the_price_of_one():
-    assert "`fall_price` changes the fitness alone" in setting_fields(GatherOptions)["fall_penalty"].text
-    assert "`fall_penalty` is a reward" in field_texts(UpdateRule)["fall_price"]
 
 
 @pytest.mark.parametrize(
@@ -55,7 +48,6 @@ def test_the_penalty_for_a_fall_is_told_from_the_price_of_one():
         ("target", (0, -1000.1), "target must be numbers between -1000 and 1000, e.g. --target 0 16, got (0, -1000"),
         ("evaluation_target", (np.inf, 0), "evaluation_target must be numbers between -1000 and 1000"),
         ("observe_block", 1, "observe_block must be true or false, got 1. Set --observe-block"),
-        ("fall_penalty", "no", "fall_penalty must be true or false, got 'no'. Set --fall-penalty"),
         ("target_sampling", "squre", "unknown target sampling 'squre'. Did you mean 'square'?"),
         ("evaluation", 1, "evaluation must be true or false, got 1"),
         ("integrator", "Euler", "unknown integrator 'Euler'. Did you mean 'euler'?"),
@@ -106,7 +98,6 @@ def test_gymnasium_takes_the_options_of_the_task_and_no_other():
             r"the point has no tilt to limit\. Define `cos_tilt` .*omit --max-tilt",
         ),
         ("point-flagrun", {"max_tilt": 45.0, "evaluation": True}, r"the point has no tilt to limit"),
-        ("point-gather", {"fall_penalty": False}, "penalty for falls only with specification hiro.*--spec hiro"),
         (
             "point-maze",
             {"target": (1, 2), "target_sampling": "free_cells"},
@@ -123,7 +114,6 @@ def test_options_that_fit_alone_are_accepted():
     MazeOptions(waypoints=(8.0, 0.0), evaluation=True)
     MazeOptions(target=(1, 2))
     MazeOptions(target_sampling="free_cells")
-    GatherOptions(spec="hiro", fall_penalty=False)
 
 
 def test_the_reward_is_the_way_left_through_the_waypoints():
@@ -193,7 +183,7 @@ def test_a_robot_stays_where_it_fell_if_falls_end_training(name, limit, evaluati
 
 @pytest.mark.parametrize(("evaluation", "reward"), [(False, -10), (True, 0)])
 def test_a_tilt_costs_as_much_as_a_fall_of_hiro_in_training_alone(evaluation, reward):
-    task = make_task("ant-gather", 1, GatherOptions(spec="hiro", max_tilt=45.0, evaluation=evaluation))
+    task = make_task("ant-gather", 1, FallOptions(spec="hiro", max_tilt=45.0, evaluation=evaluation))
     task.reset(np.arange(1), [1])
     task.sim.qpos[:, 3:7] = [0, 1, 0, 0]  # on its back
     assert task.update_features().tolist() == [reward]

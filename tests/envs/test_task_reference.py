@@ -255,13 +255,6 @@ def test_to_ask_for_what_the_specification_says_changes_nothing(name, spec):
     play(name, 3, 10, spec=spec, observe_block=spec == "shes")
 
 
-def test_without_the_penalty_of_a_fall_the_hiro_gather_equals_its_reference():
-    def build(task):
-        return make_reference(task, fall_penalty=False)
-
-    assert play("ant-gather", 8, 40, spec="hiro", fall_penalty=False, arrange=launch, build=build) > 0
-
-
 @pytest.mark.parametrize(
     ("name", "spec"), [("point-flagrun", "shes"), ("ant-flagrun", "shes"), ("point-flagrun", "hiro")]
 )
