@@ -77,60 +77,6 @@ def test_it_converges_to_the_optimum(options, tolerance):
     assert _run(_make(**options), 200).mean == pytest.approx(OPTIMUM, abs=tolerance)
 
 
-@pytest.mark.parametrize("perturbation", ["many_to_many", "one_to_many", "one_to_many_halves"])
-def test_each_level_converges_by_its_own_fitness(perturbation):
-    es = _make((2, 3), perturbation=perturbation)
-    targets = np.ones(2), np.full(3, -2.0)
-
-    def fitness(candidates):
-        return [-((each - target) ** 2).sum(axis=1) for each, target in zip(candidates, targets, strict=True)]
-
-    _run(es, 240 if perturbation == "one_to_many" else 120, fitness)
-    for mean, target in zip(es.mean, targets, strict=True):
-        assert mean == pytest.approx(target, abs=0.1)
-
-
-def test_a_level_that_is_not_perturbed_rests():
-    es = _make((2, 3), perturbation="one_to_many", weight_decay=0.01, initial=[np.ones(2), np.ones(3)])
-    for generation in range(4):
-        before, turn = es.state.levels, generation % 2
-        candidates = es.ask()
-        assert np.array_equal(candidates[1 - turn], np.tile(before[1 - turn].theta, (40, 1)))
-        assert len(np.unique(candidates[turn], axis=0)) == 40
-        es.tell(np.random.default_rng(generation).normal(size=(2, 40)))
-        assert es.state.levels[1 - turn] is before[1 - turn]
-        assert es.state.levels[turn].optimizer.steps == before[turn].optimizer.steps + 1
-
-
-def test_in_halves_a_level_learns_from_its_own_half_alone():
-    means = []
-    for other_half in (0.0, 1e6):
-        es = _make((2, 3), perturbation="one_to_many_halves")
-        first, second = es.ask()
-        fitness = np.full((2, 40), other_half)
-        fitness[0, :20], fitness[1, 20:] = first[:20, 0], second[20:, 0]
-        es.tell(fitness)
-        means.append(es.mean)
-    for one, other in zip(*means, strict=True):
-        assert np.array_equal(one, other)
-        assert one[0] > 0
-
-
-def test_candidates_are_mirrored_and_sigma_away_from_the_mean():
-    es = _make(100, initial=np.full(100, 2.0), sigma=0.3, population_size=200)
-    candidates = es.ask()
-    assert (candidates[0::2] + candidates[1::2]) / 2 == pytest.approx(np.full((100, 100), 2.0), abs=1e-6)
-    assert candidates.std() == pytest.approx(0.3, rel=0.05)
-
-
-def test_every_generation_has_its_own_noise():
-    es = _make(mirrored="none")
-    noise = [row.tobytes() for row in es.ask()]
-    es.tell(np.zeros(40))  # leaves the mean at zero
-    noise += [row.tobytes() for row in es.ask()]
-    assert len(set(noise)) == 80
-
-
 def test_arrays_of_the_caller_are_neither_kept_nor_changed():
     start = np.ones(5, np.float32)
     es, other = _make(initial=start), _make(initial=np.ones(5))
