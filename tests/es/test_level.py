@@ -1,6 +1,5 @@
 """The update of a level against the textbook, and the draws that it shares with the rollouts."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -51,11 +50,11 @@ def _level(theta, optimizer=None):
     )
 
 
-def _update(level, fitness, index, table, rule, *, signs=None, pool=None):
+def _update(level, fitness, index, table, rule, *, signs=None):
     """Update from the fitness [n] of the whole population, as a generation does; of mirrored pairs without `signs`."""
     signs = np.tile(PAIR, (len(index), 1)) if signs is None else signs
     shaped = rule.shaping(select_fitness(np.array(fitness, float), signs)) if signs.any() else np.zeros(0)
-    return update_level(level, shaped, signs, np.array(index), table, rule, RATE, pool)
+    return update_level(level, shaped, signs, np.array(index), table, rule, RATE)
 
 
 def _gradient(after, before):
@@ -210,19 +209,6 @@ def test_diagnostics_without_a_value_are_nan(table):
     assert nans(np.ones(7), [], [[0, 0]] * 2) == ["gradient_norm", "halves_cosine", "update_ratio"]
     assert nans(np.zeros(7), [0.5, -0.5], [[1, -1]]) == ["halves_cosine", "update_ratio"]  # one group, no length
     assert nans(np.ones(7), [0, 0, 0.5, -0.5], [[1, -1]] * 2) == ["halves_cosine"]  # one half is zero
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_updates_are_bit_identical_for_any_number_of_threads(threads):
-    rng = np.random.default_rng(3)
-    table = NoiseTable(rng.standard_normal(300_000, dtype=np.float32))
-    level, index, fitness = _level(rng.normal(size=140_000)), rng.integers(0, 160_000, 6), rng.normal(size=12)
-    plain = _update(level, fitness, index, table, UpdateRule())
-    with ThreadPoolExecutor(threads) as pool:
-        shared = _update(level, fitness, index, table, UpdateRule(), pool=pool)
-    assert _bits(shared.level) == _bits(plain.level)
-    for name in ("gradient_norm", "halves_cosine", "update_ratio"):
-        assert getattr(shared, name) == getattr(plain, name)
 
 
 # Draws that the update shares with the rollouts --------------------------------------------------------------------

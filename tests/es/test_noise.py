@@ -30,13 +30,6 @@ def content(table):
     return np.fromfile(table.path, dtype="<f4")
 
 
-def _fail(number):
-    def fail(*_):
-        raise OSError(number, os.strerror(number))
-
-    return fail
-
-
 # Numbers -----------------------------------------------------------------------------------------------------------
 
 
@@ -123,31 +116,23 @@ def test_a_damaged_file_is_replaced_and_not_overwritten(tmp_path, content, damag
 
 @pytest.mark.parametrize("old", [None, b"old"])
 @pytest.mark.parametrize(
-    ("owner", "call", "failure", "message"),
+    ("call", "failure", "error", "message"),
     [
-        (os, "fsync", errno.ENOSPC, r"the disk is full.*SHES_CACHE_DIR.*--noise-table-size"),
-        (Path, "replace", errno.EIO, "cannot write"),
+        ((os, "fsync"), OSError(errno.ENOSPC, ""), StorageError, r"disk is full.*SHES_CACHE_DIR.*--noise-table-size"),
+        ((Path, "replace"), OSError(errno.EIO, ""), StorageError, r"cannot write .*noise-v1-5000-123\.f32"),
+        ((os, "fsync"), KeyboardInterrupt(), KeyboardInterrupt, None),
     ],
 )
-def test_a_failed_build_changes_nothing(tmp_path, monkeypatch, old, owner, call, failure, message):
-    path = tmp_path / f"noise-v1-5000-{NOISE_SEED}.f32"
+def test_a_failed_build_changes_nothing(tmp_path, monkeypatch, old, call, failure, error, message):
+    def fail(*_):
+        raise failure
+
     if old:
-        path.write_bytes(old)
-    monkeypatch.setattr(owner, call, _fail(failure))
-    with pytest.raises(StorageError, match=message) as raised:
+        (tmp_path / f"noise-v1-5000-{NOISE_SEED}.f32").write_bytes(old)
+    monkeypatch.setattr(*call, fail)
+    with pytest.raises(error, match=message):
         NoiseTable.open(5000, directory=tmp_path)
-    assert str(tmp_path) in str(raised.value)
     assert [file.read_bytes() for file in tmp_path.iterdir()] == ([old] if old else [])
-
-
-def test_an_interrupted_build_leaves_nothing_behind(tmp_path, monkeypatch):
-    def interrupt(_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "fsync", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        NoiseTable.open(5000, directory=tmp_path)
-    assert list(tmp_path.iterdir()) == []
 
 
 BUILDER = """
@@ -252,28 +237,22 @@ def test_the_cache_folder_follows_the_environment(monkeypatch, tmp_path):
 # Worker processes --------------------------------------------------------------------------------------------------
 
 
-def test_a_machine_without_the_file_generates_it_once(tmp_path, monkeypatch):
-    there = NoiseTable.open(5000, directory=tmp_path / "there")
+@pytest.mark.parametrize("damage", [None, "a number too short", "another first byte"])
+def test_a_machine_without_the_file_generates_it_once(tmp_path, monkeypatch, content, damage):
+    there = NoiseTable.open(5000, directory=tmp_path / "there").path
     monkeypatch.setenv("SHES_CACHE_DIR", str(tmp_path / "here"))
-    assert NoiseTable.open_copy(there.path).path == there.path
-    there.path.unlink()
+    assert NoiseTable.open_copy(there).path == there
+    if damage:
+        there.write_bytes(DAMAGES[damage](there.read_bytes()))
+    else:
+        there.unlink()
     built, fsync = [], os.fsync
     monkeypatch.setattr(os, "fsync", lambda file: built.append(file) or fsync(file))
     with ThreadPoolExecutor(4) as pool:
-        copies = list(pool.map(NoiseTable.open_copy, [there.path] * 8))
+        copies = list(pool.map(NoiseTable.open_copy, [there] * 8))
     assert len(built) == 1
-    assert {copy.path for copy in copies} == {tmp_path / "here" / there.path.name}
-    assert np.array_equal(copies[0].values, there.values)
-
-
-@pytest.mark.parametrize("damage", ["a number too short", "another first byte"])
-def test_a_machine_with_another_file_does_not_use_it(tmp_path, monkeypatch, content, damage):
-    there = NoiseTable.open(5000, directory=tmp_path / "there")
-    monkeypatch.setenv("SHES_CACHE_DIR", str(tmp_path / "here"))
-    there.path.write_bytes(DAMAGES[damage](there.path.read_bytes()))
-    copy = NoiseTable.open_copy(there.path)
-    assert copy.path.parent == tmp_path / "here"
-    assert np.array_equal(copy.values, content[:5000])
+    assert {copy.path for copy in copies} == {tmp_path / "here" / there.name}
+    assert np.array_equal(copies[0].values, content[:5000])
 
 
 # The weighted sum --------------------------------------------------------------------------------------------------

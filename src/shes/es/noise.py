@@ -139,7 +139,7 @@ class NoiseTable:
         if not cls._is_intact(path, size, seed):
             cls._check_room(path, size)
             cls._build(path, size, seed)
-        return cls.open_file(path)
+        return cls._map(path)
 
     @classmethod
     def open_copy(cls, path: Path) -> NoiseTable:
@@ -154,13 +154,12 @@ class NoiseTable:
         """
         named = _NAME.fullmatch(path.name)
         if named is None or cls._is_intact(path, int(named[1]), int(named[2])):
-            return cls.open_file(path)
+            return cls._map(path)
         with _one_process_at_a_time(default_cache_dir()):
             return cls.open(int(named[1]), int(named[2]))
 
     @classmethod
-    def open_file(cls, path: Path) -> NoiseTable:
-        """Map an existing table file, as worker processes do; raise StorageError if it is missing."""
+    def _map(cls, path: Path) -> NoiseTable:
         try:
             # As a plain array: a memmap is slower to slice, and an update slices it for every group and block.
             return cls(np.asarray(np.memmap(path, dtype=np.float32, mode="r")), path)
