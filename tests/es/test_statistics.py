@@ -34,6 +34,7 @@ def test_merging_equals_one_pass_over_all_data(seed, cuts):
 def test_the_deviation_is_at_least_a_tenth():
     data = np.array([[2.0, 0.0, 0.0], [2.0, 0.19, 0.21]])  # deviations 0, 0.095, 0.105
     assert _merge(ObservationStatistics.empty(3), data).std == pytest.approx([0.1, 0.1, 0.105])
+    assert _merge(ObservationStatistics.empty(3), data[:1]).std.tolist() == [0.1] * 3
     large = np.full((1000, 1), 1e8 + 0.1)  # the variance rounds to a negative number
     assert np.isfinite(_merge(ObservationStatistics.empty(1), large).std).all()
 

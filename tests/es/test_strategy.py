@@ -154,7 +154,7 @@ def test_several_levels_start_where_they_are_told():
         ({"seed": -1}, ConfigError, "seed must be a whole number of at least 0, got -1"),
         ({"population_size": 41}, ConfigError, r"multiple of 2, .*got 41\. Set --population-size 40 or 42"),
         ({"dim": (2, 2), "population_size": 42}, ConfigError, "multiple of 4, .*got 42"),
-        ({"noise_table_size": 9}, ConfigError, "noise_table_size is 9, but a level has 5 parameters .* at least 10"),
+        ({"dim": (2, 5), "noise_table_size": 9}, ConfigError, "is 9, but a level has 5 parameters .* at least 10"),
         ({"noise_table_size": 0}, ConfigError, "size must be a whole number of at least 1, got 0"),
         ({"no_option": 3}, ConfigError, "unknown option 'no_option', got 3. Options: .*rank_ties"),
         ({"mirrored": "quadd"}, UnknownNameError, r"mirroring 'quadd'. Did you mean 'quad'\?"),

@@ -1,7 +1,10 @@
 """Random streams: every purpose and key has its own, and none ever changes."""
 
+import re
 from itertools import product
+from pathlib import Path
 
+import shes
 from shes.es.streams import Purpose, stream
 
 
@@ -24,3 +27,10 @@ def test_the_streams_of_a_run_never_change():
 
 def test_a_stream_starts_anew_at_every_call():
     assert stream(1, Purpose.ARCHIVE, 2).random() == stream(1, Purpose.ARCHIVE, 2).random()
+
+
+def test_no_module_draws_twice_for_one_purpose():
+    sources = {path: path.read_text(encoding="utf-8") for path in Path(shes.__file__).parent.rglob("*.py")}
+    uses = [(path, name) for path, text in sources.items() for name in re.findall(r"\bPurpose\.([A-Z_]+)", text)]
+    assert len(uses) == len(set(uses))
+    assert {name for _, name in uses} == set(Purpose.__members__)
