@@ -13,7 +13,7 @@ import shes
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS, ColumnsView, ViewChoice
 from shes.algorithms.contract import PRESETS, Algorithm, Preset
 from shes.errors import ConfigError, UnknownNameError
-from shes.es.mirror import MIRRORINGS, Mirroring
+from shes.es.perturbation import MIRRORINGS, Mirroring
 from shes.runs.build import build_algorithm
 from shes.runs.config import TrainConfig
 from shes.runs.make_config import make_config

@@ -30,7 +30,7 @@ def line(*places):
     return start().grown(np.arange(len(places)), np.array(places, float))
 
 
-def test_a_cell_is_kept_if_it_is_new_and_replaced_only_if_reached_in_fewer_steps():
+def test_a_cell_keeps_the_place_reached_in_fewest_steps():
     archive = line((1, 0), (2, 0), (3, 0)).entered(reached([[1, 0], [-7, 2], [1, 0]], [20, 30, 20], [1, 2, 3]))
     assert by_cell(archive) == {(0, 0): (0, 0, 0, 0), (1, 0): (20, 20, 1, 0), (-7, 2): (30, 30, 2, 0)}
     chosen = archive.chosen.copy()
@@ -41,7 +41,7 @@ def test_a_cell_is_kept_if_it_is_new_and_replaced_only_if_reached_in_fewer_steps
     assert by_cell(archive)[1, 0] == (20, 20, 1, 9)  # the archive before is as it was
 
 
-def test_a_cell_is_chosen_by_how_often_it_was_and_only_if_steps_are_left():
+def test_seldom_chosen_cells_with_steps_left_are_chosen_more():
     archive = line((1, 0), (2, 0)).entered(reached([[1, 0], [2, 0], [3, 0]], [10, 20, 31], [1, 2, 2]))
     archive = Archive(**{**vars(archive), "chosen": np.array([3, 0, 8, 0])})
     drawn = np.bincount(archive.choose(np.random.default_rng(0), 20_000, 30), minlength=4) / 20_000
@@ -50,7 +50,7 @@ def test_a_cell_is_chosen_by_how_often_it_was_and_only_if_steps_are_left():
     assert set(archive.choose(np.random.default_rng(0), 50, -5)) == {0}  # there is always the reset
 
 
-def test_the_way_is_the_chain_of_nodes_to_the_first_success_and_a_shorter_one_replaces_it():
+def test_the_way_is_the_shortest_chain_of_nodes_to_a_success():
     archive = line((1, 0), (2, 0), (2, 5))
     archive = archive.entered(reached([[2, 0], [2, 5], [9, 9]], [20, 30, 35], [2, 3, 3], solved=[1, 2]))
     assert archive.way.tolist() == [[0.1, 0.2], [1, 0], [2, 0], [2, 5]]
@@ -63,17 +63,17 @@ def test_the_way_is_the_chain_of_nodes_to_the_first_success_and_a_shorter_one_re
     assert (shorter.way.tolist(), shorter.way_steps) == ([[0.1, 0.2], [1, 0]], 29)
 
 
-def test_of_two_successes_the_one_in_fewer_steps_is_the_way_also_if_it_is_the_later_one():
+def test_of_two_successes_the_one_in_fewer_steps_is_the_way():
     archive = line((1, 0), (2, 0)).entered(reached([[2, 0], [1, 0]], [20, 10], [2, 1], solved=[0, 1]))
     assert (archive.way.tolist(), archive.way_steps) == ([[0.1, 0.2], [1, 0]], 10)
 
 
-def test_who_wanders_begins_in_any_direction():
+def test_a_walk_begins_in_any_direction():
     first = wander(np.random.default_rng(0), 3, 4000)[0]
     assert np.histogram(first, 4, (-np.pi, np.pi))[0] == pytest.approx(1000, abs=150)
 
 
-def test_a_slice_forgets_nodes_that_lead_nowhere_and_no_way_changes():
+def test_a_slice_forgets_nodes_that_lead_to_no_cell():
     archive = line((1, 0), (2, 0), (2, 5)).grown(np.array([1, 4]), np.array([[7.0, 7], [8, 8]]))  # nodes 4 and 5
     archive = archive.entered(reached([[8, 8]], [30], [5])).after_slice()
     assert archive.positions.tolist() == [[0.1, 0.2], [1, 0], [7, 7], [8, 8]]
@@ -81,7 +81,7 @@ def test_a_slice_forgets_nodes_that_lead_nowhere_and_no_way_changes():
     assert archive.positions[archive.nodes].tolist() == [[0.1, 0.2], [8, 8]]
 
 
-def test_a_search_is_over_some_slices_after_the_way_became_shorter():
+def test_a_search_ends_slices_after_its_last_shorter_way():
     archive = line((1, 0))
     for _ in range(2 * PATIENCE):
         archive = archive.after_slice()
@@ -95,7 +95,7 @@ def test_a_search_is_over_some_slices_after_the_way_became_shorter():
     assert (archive.is_over, archive.states.shape, len(archive.cells)) == (True, (0, 3), 2)
 
 
-def test_what_happens_in_a_search_is_told_once():
+def test_news_of_a_search_are_told_once():
     before = start()
     begun = line((1, 0)).entered(reached([[1, 0]], [10], [1]))
     known = begun.entered(reached([[2, 0]], [20], [1], solved=[0]))

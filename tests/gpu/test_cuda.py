@@ -13,8 +13,7 @@ import pytest
 import shes
 from shes.envs.registry import ENVIRONMENTS, make_task
 from shes.envs.tasks.task import FRAME_SKIP
-from shes.es.gradient import weighted_noise_sum
-from shes.es.noise import NoiseTable
+from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.host_arrays import to_host
 from shes.runs.folder import RunFolder
 from shes.sim.cpu import CpuSimulator

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from shes.backends.serial import SerialBackend
-from shes.es.gradient import weighted_noise_sum
-from shes.es.noise import NoiseTable
+from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.evolution.algorithm import evolve
 from shes.rollout.lockstep import Rollout
 from shes.rollout.worker import RolloutWorker, WorkerPlan

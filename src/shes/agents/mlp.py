@@ -18,7 +18,7 @@ from shes.settings import Example, Ge
 from shes.types import F32Array, F64Array
 
 BIAS_INITIALISATIONS = ("zero", "glorot_normal")
-"""`glorot_normal` is that of the authors' code: a bias vector of n has the standard deviation sqrt(2 / (1 + n))."""
+"""`glorot_normal` as in the authors' code: a bias vector of n has the standard deviation sqrt(2 / (1 + n))."""
 
 OUTPUT_INITIALISATIONS = ("glorot_normal", "zero")
 """`zero` starts with outputs of zero. Random weights would drive the outputs of a linear policy to their limits."""
@@ -46,7 +46,7 @@ class MLP:
     """A network's layer sizes. Its parameters are a flat vector [D]: weights [in, out] and biases, layer by layer."""
 
     hidden_activation: ClassVar[str] = "tanh"
-    """Activation of the hidden layers, for an exported agent. That of the output is tanh."""
+    """Activation of the hidden layers, for an exported agent. The output layer always has tanh."""
     is_tied: ClassVar[bool] = False
     """Whether weights share parameters, so that `expand` has to be called before `layers`."""
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shes.checked import checked
-from shes.es.gradient import group_weights, weighted_noise_sum
-from shes.es.noise import NoiseTable
+from shes.es.noise import NoiseTable, weighted_noise_sum
 from shes.es.optimizers import Adam, Optimizer, OptimizerState
+from shes.es.perturbation import group_weights
 from shes.es.shaping import CentredRanks, FitnessShaping
 from shes.es.statistics import ObservationStatistics
 from shes.es.streams import Purpose, stream

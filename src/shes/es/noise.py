@@ -1,8 +1,9 @@
-"""The noise table: a file of standard normals, memory-mapped and shared by all processes of a machine.
+"""The noise table and the gradient estimate, a weighted sum of its slices.
 
-A perturbation is sent as one integer, the start of a slice of the table (Salimans et al. 2017, section 2.1; SHES paper
-II-A). The file is generated once from its seed, written atomically, and cached between runs. A file of checksums lies
-beside it, one for every block of a million normals.
+The table is a file of standard normals, memory-mapped and shared by all processes of a machine. It is generated once
+from its seed, written atomically, and cached between runs. A perturbation is sent as one integer, the start of a slice.
+
+Source: Salimans et al. 2017, section 2.1; SHES paper II-A, and Algorithm 1 lines 4 and 5.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ from __future__ import annotations
 import fcntl
 import os
 import re
-import zlib
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
@@ -22,10 +23,11 @@ import numpy as np
 
 from shes.checked import checked
 from shes.errors import ConfigError, StorageError
+from shes.host_arrays import to_host
 from shes.machine import free_disk, free_memory
 from shes.settings import Ge, Shown
 from shes.storage import remove_abandoned, storage_errors, write_atomically
-from shes.types import F32Array
+from shes.types import F32Array, IntArray
 
 NOISE_SEED = 123
 """Seed of the table, as in the authors' code."""
@@ -35,6 +37,7 @@ _FORMAT = 1  # part of the file name; increase it if the numbers ever change
 _NAME = re.compile(rf"noise-v{_FORMAT}-(\d+)-(\d+)\.f32")  # of a table's file: size and seed
 _BLOCK = 1 << 20  # normals drawn at a time; each block has its own random stream
 _CHECKED = 4096  # normals generated again when a cached file is opened
+_COLUMNS = 65536  # parameters summed at a time: enough that two threads do not wait for Python's lock
 
 
 def default_cache_dir() -> Path:
@@ -52,8 +55,8 @@ def default_cache_dir() -> Path:
 
 
 @contextmanager
-def _alone(folder: Path) -> Generator[None]:
-    """Let one process of this machine at a time into the block. A file system without locks lets in all."""
+def _one_process_at_a_time(folder: Path) -> Generator[None]:
+    """Lock `folder` for the block. Without file locks this has no effect."""
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(folder, os.O_RDONLY)
@@ -71,18 +74,11 @@ def _block(seed: int, number: int, length: int) -> F32Array:
 
 
 def _path(size: int, seed: int = NOISE_SEED, directory: Path | None = None) -> Path:
-    """Return the file of the table of `size` normals from `seed`."""
     return (default_cache_dir() if directory is None else directory) / f"noise-v{_FORMAT}-{size}-{seed}.f32"
 
 
-def _in_words(size: int) -> str:
-    """Return a number of bytes in GB, or in MB if it is small."""
-    return f"{size / 1e9:,.1f} GB" if size >= 1e8 else f"{size / 1e6:,.1f} MB"
-
-
-def _checksums(path: Path) -> Path:
-    """Return the file with the checksum (CRC-32) of every block of the table at `path`."""
-    return path.with_suffix(".crc32")
+def _in_words(num_bytes: int) -> str:
+    return f"{num_bytes / 1e9:,.1f} GB" if num_bytes >= 1e8 else f"{num_bytes / 1e6:,.1f} MB"
 
 
 class NoiseTable:
@@ -132,9 +128,7 @@ class NoiseTable:
     ) -> NoiseTable:
         """Open the cached table of `size` normals from `seed`. If its file is missing or damaged, generate it first.
 
-        The checksums of all blocks are checked, once for every run. With the file in the system's cache this takes 0.05
-        seconds of one core for 25 million normals (100 MB) and 0.5 for 250 million (1 GB), a twelfth of the time to
-        generate them; without, the time to read the file. Worker processes map the file without another check.
+        The file's length and its first normals are checked.
 
         Raises:
             ConfigError: `size` is not positive, or the table fits neither the memory nor the disk.
@@ -145,7 +139,7 @@ class NoiseTable:
         if not cls._is_intact(path, size, seed):
             cls._check_room(path, size)
             cls._build(path, size, seed)
-        return cls.open_file(path)
+        return cls._map(path)
 
     @classmethod
     def open_copy(cls, path: Path) -> NoiseTable:
@@ -159,17 +153,13 @@ class NoiseTable:
             ConfigError: The table fits neither the memory nor the disk of this machine.
         """
         named = _NAME.fullmatch(path.name)
-        if named is None:
-            return cls.open_file(path)
-        size, seed = int(named[1]), int(named[2])
-        if cls._begins_right(path, size, seed):
-            return cls.open_file(path)
-        with _alone(default_cache_dir()):  # the others wait for the table, which every one of them checks
-            return cls.open(size, seed)
+        if named is None or cls._is_intact(path, int(named[1]), int(named[2])):
+            return cls._map(path)
+        with _one_process_at_a_time(default_cache_dir()):
+            return cls.open(int(named[1]), int(named[2]))
 
     @classmethod
-    def open_file(cls, path: Path) -> NoiseTable:
-        """Map an existing table file, as worker processes do; raise StorageError if it is missing."""
+    def _map(cls, path: Path) -> NoiseTable:
         try:
             # As a plain array: a memmap is slower to slice, and an update slices it for every group and block.
             return cls(np.asarray(np.memmap(path, dtype=np.float32, mode="r")), path)
@@ -177,7 +167,7 @@ class NoiseTable:
             raise StorageError(f"the noise table {path} cannot be opened: {error}. Start the run again.") from error
 
     @staticmethod
-    def _begins_right(path: Path, size: int, seed: int) -> bool:
+    def _is_intact(path: Path, size: int, seed: int) -> bool:
         """Return whether the file has the right length and beginning."""
         try:
             with path.open("rb", buffering=0) as file:
@@ -188,65 +178,77 @@ class NoiseTable:
         return length == 4 * size and head == _block(seed, 0, min(_CHECKED, size)).tobytes()
 
     @classmethod
-    def _is_intact(cls, path: Path, size: int, seed: int) -> bool:
-        """Return whether the file has the right length, beginning and checksums."""
-        if not cls._begins_right(path, size, seed):
-            return False
-        try:
-            sums = np.fromfile(_checksums(path), dtype="<u4")
-            with path.open("rb", buffering=0) as file:
-                # Read, not mapped: a disk that fails is then an error, not the end of the process.
-                found = [zlib.crc32(block) for block in iter(lambda: file.read(4 * _BLOCK), b"")]
-        except OSError:
-            return False
-        return np.array_equal(sums, found)
-
-    @classmethod
     def check_room(cls, size: int) -> None:
-        """Check that there is a table of `size` normals, or room for it.
-
-        Raises:
-            ConfigError: It fits neither the memory nor the disk.
-        """
+        """Raise ConfigError unless the table of `size` normals exists or fits the memory and the disk."""
         path = _path(size)
         if not path.exists():
             cls._check_room(path, size)
 
     @staticmethod
     def _check_room(path: Path, size: int) -> None:
-        """Raise ConfigError unless the table fits the memory, in which it is mapped, and the disk."""
         for free, where in ((free_memory(), "of memory"), (free_disk(path), f"on the disk of {path.parent}")):
             if 4 * size > free:
-                most = free // 4
-                most -= most % 10 ** max(0, len(str(most)) - 2)
-                fix = f"Set --noise-table-size {most} at most, or point" if most > 1 else "Point"
                 raise ConfigError(
                     f"noise_table_size is {size:,}, which takes {_in_words(4 * size)}, but {_in_words(free)} {where} "
-                    f"are free. {fix} SHES_CACHE_DIR at a larger disk."
+                    f"are free. Set --noise-table-size {free // 4} at most, or point SHES_CACHE_DIR at a larger disk."
                 )
 
     @staticmethod
     def _build(path: Path, size: int, seed: int) -> None:
         """Generate the table and move it into place, so that no process ever sees an unfinished file."""
-        sums: list[int] = []
 
         def write(file: IO[bytes]) -> None:
             for number in range(-(-size // _BLOCK)):
-                block = _block(seed, number, min(_BLOCK, size - number * _BLOCK)).tobytes()
-                sums.append(zlib.crc32(block))
-                file.write(block)
+                file.write(_block(seed, number, min(_BLOCK, size - number * _BLOCK)).tobytes())
 
         try:
             with storage_errors(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(path, write)
-            write_atomically(_checksums(path), lambda file: file.write(np.array(sums, "<u4").tobytes()))
         except StorageError as error:
             raise StorageError(
-                f"the noise table ({4 * size / 1e6:,.0f} MB) cannot be kept: {error} "
+                f"the noise table ({_in_words(4 * size)}) cannot be kept: {error} "
                 "Point SHES_CACHE_DIR at a folder with room, or lower --noise-table-size."
             ) from error
 
 
 _COPIES: WeakValueDictionary[tuple[str, Path | int], NoiseTable] = WeakValueDictionary()
 """Tables on devices, by module and file. A table may have a gigabyte, so rollout and update share the copy."""
+
+
+def weighted_noise_sum(
+    table: NoiseTable, noise_index: IntArray, weights: F32Array, dim: int, pool: ThreadPoolExecutor | None = None
+) -> F32Array:
+    """Return `sum_g weights[g] * noise(noise_index[g])` [dim].
+
+    The result is bit-identical for any number of threads and on any processor or GPU: columns are cut into fixed
+    blocks, and each block is summed group by group with elementwise operations, without BLAS. The members of a group
+    share a noise vector, so the sum runs over groups instead of members.
+
+    Args:
+        table: The noise table. The sum is computed on its device.
+        noise_index: Start of each group's slice [G].
+        weights: Weight of each group [G]. The noise of a group of weight zero is not read.
+        dim: Number of parameters of the level.
+        pool: Threads that share the blocks; None uses the calling thread.
+    """
+    total = table.xp.zeros(dim, dtype=np.float32)
+    groups = [(int(noise_index[g]), np.float32(weights[g])) for g in np.flatnonzero(weights)]
+
+    def sum_block(start: int) -> None:
+        _sum_columns(table.values, groups, start, total[start : start + _COLUMNS])
+
+    if table.xp is not np:  # one block: a GPU has its own threads, and those of the pool would use another stream
+        _sum_columns(table.values, groups, 0, total)
+        return to_host(total)
+    list((map if pool is None else pool.map)(sum_block, range(0, dim, _COLUMNS)))
+    return total
+
+
+def _sum_columns(values: F32Array, groups: list[tuple[int, np.float32]], start: int, out: F32Array) -> None:
+    """Add every group's weighted noise of the columns from `start` on to `out` [columns]."""
+    product = np.empty_like(out)
+    for index, weight in groups:
+        begin = index + start
+        np.multiply(values[begin : begin + len(out)], weight, out=product)
+        np.add(out, product, out=out)

@@ -13,12 +13,14 @@ from typing import Annotated
 
 import numpy as np
 
-from shes.errors import ConfigError
-from shes.es.ranking import TIES, centred_ranks, check_finite
+from shes.errors import ConfigError, PolicyError
 from shes.options import subclass_of
 from shes.registry import Registry
 from shes.settings import Choices, Settings
 from shes.types import F64Array
+
+TIES = ("average", "index")
+"""How equal fitness is ranked: by the average rank, or by position in the population."""
 
 
 class FitnessShaping(ABC):
@@ -35,7 +37,12 @@ class FitnessShaping(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class CentredRanks(FitnessShaping, Settings):
-    """Ranks from -0.5 (worst) to 0.5 (best). Source: Salimans et al. 2017, section 2.1; SHES paper II-A."""
+    """Ranks from -0.5 (worst) to 0.5 (best).
+
+    Source: Salimans et al. 2017, section 2.1; SHES paper II-A ("ranked and shaped as in S-ES").
+    Deviation: equal fitness values share their average rank by default, so that the order of storage causes no drift
+    when most fitness values are equal, as with sparse rewards. The authors' code breaks ties by index.
+    """
 
     rank_ties: Annotated[str, Choices(TIES)] = "average"
     """How equal fitness values are ranked: by their average rank, or by their index in the population (authors' code).
@@ -43,7 +50,19 @@ class CentredRanks(FitnessShaping, Settings):
 
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return the centred ranks [n]."""
-        return centred_ranks(fitness, self.rank_ties)
+        _check_finite(fitness)
+        count = len(fitness)
+        if count == 1:
+            return np.zeros(1)
+        order = np.argsort(fitness, kind="stable")
+        ranks = np.empty(count)
+        ranks[order] = np.arange(count)
+        if self.rank_ties == "average":
+            _, first, inverse, repeats = np.unique(
+                fitness[order], return_index=True, return_inverse=True, return_counts=True
+            )
+            ranks[order] = (first + (repeats - 1) / 2)[inverse]
+        return ranks / (count - 1) - 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +78,7 @@ class PairRanks(FitnessShaping):
 
     def __call__(self, fitness: F64Array) -> F64Array:
         """Return plus and minus half of the pair's weight for the members of each pair [n], an even number."""
-        check_finite(fitness)
+        _check_finite(fitness)
         if len(fitness) % 2:
             raise ConfigError(
                 f"pair_rank needs mirrored pairs, but got an odd number of members, {len(fitness)}. "
@@ -72,6 +91,16 @@ class PairRanks(FitnessShaping):
         rank = (last - (count - 1) / 2)[place]
         half = np.sign(difference) * rank / (2 * len(difference))
         return np.stack([half, -half], axis=1).ravel()
+
+
+def _check_finite(fitness: F64Array) -> None:
+    """Raise PolicyError, which names the first such member, if a fitness [n] is NaN or infinite."""
+    if not np.isfinite(fitness).all():
+        member = int(np.flatnonzero(~np.isfinite(fitness))[0])
+        raise PolicyError(
+            f"the fitness of member {member} is {fitness[member]}, but every fitness must be finite. "
+            "Check the reward that it comes from."
+        )
 
 
 FITNESS_SHAPINGS: Registry[type[FitnessShaping]] = Registry(

@@ -8,8 +8,7 @@ from typing import Any
 from shes.agents.views import PRIMITIVE_VIEWS
 from shes.envs.registry import find_environment
 from shes.errors import ConfigError
-from shes.es.mirror import sign_matrix
-from shes.es.perturbation import PERTURBATIONS
+from shes.es.perturbation import PERTURBATIONS, sign_matrix
 from shes.evolution.hyperparameters import by_episodes, explores, is_alone, is_branched, learns
 from shes.evolution.sections import HierarchySettings
 from shes.settings import flag, out_of_range, setting_fields

@@ -18,10 +18,9 @@ from shes.agents.outputs import CONTROLLER_OUTPUTS
 from shes.agents.rewards import PRIMITIVE_REWARDS
 from shes.agents.views import CONTROLLER_VIEWS, PRIMITIVE_VIEWS
 from shes.envs.bodies.symmetry import SYMMETRIES
-from shes.es.mirror import MIRRORINGS
 from shes.es.noise import DEFAULT_TABLE_SIZE
 from shes.es.optimizers import OPTIMIZERS
-from shes.es.perturbation import PERTURBATIONS
+from shes.es.perturbation import MIRRORINGS, PERTURBATIONS
 from shes.es.shaping import FITNESS_SHAPINGS
 from shes.evolution.estimates import COMMON_RANDOM_NUMBERS
 from shes.registry import Registry

@@ -1,0 +1,36 @@
+"""Random streams: every purpose and key has its own, and none ever changes."""
+
+import re
+from itertools import product
+from pathlib import Path
+
+import shes
+from shes.es.streams import Purpose, stream
+
+
+def test_every_purpose_and_key_has_its_own_stream():
+    keys = [(), (0,), (1,), (0, 0), (0, 1), (1, 0)]
+    streams = product((0, 1), Purpose, keys)
+    first = {stream(seed, purpose, *key).integers(2**63).item() for seed, purpose, key in streams}
+    assert len(first) == 2 * len(Purpose) * len(keys)
+
+
+def test_the_streams_of_a_run_never_change():
+    # A change here changes the results of every run: say so in the CHANGELOG.
+    assert {purpose.name.lower(): purpose.value for purpose in Purpose} == {
+        "initial_parameters": 0, "noise_index": 1, "training_episodes": 2, "evaluation_episodes": 3,
+        "statistics_sample": 4, "fresh_episodes": 5, "snapshots": 7, "branches": 8, "exploration": 9, "replay": 10,
+        "archive": 11,
+    }  # fmt: skip
+    assert stream(7, Purpose.BRANCHES, 3, 1).integers(10**6, size=3).tolist() == [208427, 417556, 366066]
+
+
+def test_a_stream_starts_anew_at_every_call():
+    assert stream(1, Purpose.ARCHIVE, 2).random() == stream(1, Purpose.ARCHIVE, 2).random()
+
+
+def test_no_module_draws_twice_for_one_purpose():
+    sources = {path: path.read_text(encoding="utf-8") for path in Path(shes.__file__).parent.rglob("*.py")}
+    uses = [(path, name) for path, text in sources.items() for name in re.findall(r"\bPurpose\.([A-Z_]+)", text)]
+    assert len(uses) == len(set(uses))
+    assert {name for _, name in uses} == set(Purpose.__members__)
