@@ -169,7 +169,7 @@ def test_what_is_returned_does_not_change_later(variant):
 def test_a_diverged_simulation_ends_its_episode(variant):
     env = variant.make_env().unwrapped
     env.reset(seed=0)
-    env._adapter.task.sim.qvel[0, 0] = 1e12
+    env.task.sim.qvel[0, 0] = 1e12
     _, reward, terminated, _, info = env.step(np.zeros(env.action_space.shape))
     assert (reward, terminated, info["diverged"], info["score"], info["success"]) == (0, True, True, 0, False)
 
@@ -209,7 +209,7 @@ def test_a_wrong_option_is_refused(variant, options, error, message):
 def test_options_reach_the_task(variant):
     env = variant.make_env(reset_noise=0.0, integrator="rk4").unwrapped
     env.reset(seed=0)
-    task = env._adapter.task
+    task = env.task
     np.testing.assert_array_equal(task.sim.qpos[0], task.sim.model.qpos0)
     assert task.options == variant.options(reset_noise=0.0, integrator="rk4")
 

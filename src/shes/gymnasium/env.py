@@ -33,6 +33,8 @@ class TaskEnv(gymnasium.Env[F64Array, NDArray[Any]]):
             ConfigError: An option is unknown or out of range.
         """
         self._adapter = TaskAdapter(name, 1, render_mode, self.metadata["render_modes"], options)
+        self.task = self._adapter.task
+        """The task with its simulation, to look at."""
         self.render_mode = render_mode
         self.observation_space = self._adapter.observation_space
         self.action_space = self._adapter.action_space

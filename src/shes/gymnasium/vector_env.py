@@ -65,6 +65,8 @@ class TaskVectorEnv(VectorEnv[F64Array, NDArray[Any], NDArray[Any]]):
             allowed = ", ".join(mode.value for mode in AutoresetMode)
             raise ConfigError(f"autoreset_mode must be one of {allowed}; got {autoreset_mode!r}.") from error
         self.metadata = {"render_modes": _RENDER_MODES, "render_fps": 10, "autoreset_mode": self.autoreset_mode}
+        self.task = self._adapter.task
+        """The task with its simulations, to look at."""
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.single_observation_space = self._adapter.observation_space
